@@ -17,7 +17,7 @@ from pydantic import (
 )
 
 from bench.config import Positive, Section
-from instruments.camera.conversion import Channel, Conversion, Flip, Radiometry, Turn
+from instruments.camera.frame import Channel, Conversion, Flip, Radiometry, Turn
 from instruments.camera.settings import Settings, Trigger, Value
 
 Share = Annotated[float, Field(gt=0, le=1)]

@@ -23,9 +23,7 @@ from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.opening import conversion_of, open_cameras, opener_of
 from bench.rig.urls import EMULATED
 from instruments.camera.cameras import KNOWN, Camera, CameraSet
-from instruments.camera.conversion import Conversion
-from instruments.camera.faults import FrameError
-from instruments.camera.frame import FrameSet, Grey
+from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
 from instruments.camera.genicam import load_aravis
 from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
 from instruments.clock import Clock, RealClock, VirtualClock

@@ -12,8 +12,7 @@ from bench.rig.camera_model import Cameras as CamerasTable
 from bench.rig.devices import Cameras
 from bench.rig.frame_checks import FrameChecks, FrameProblem
 from detector.calibration import Calibration
-from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.errors import DeviceError
 
 EVENT = "camera"

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from bench.rig.camera_model import Checks
 from bench.rig.stereo_order import StereoOrder
 from detector.calibration import Calibration
-from instruments.camera.faults import FrameFault
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameFault, FrameSet
 from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, saturated_share, spread
 
 NEARLY_ALL = 0.995
