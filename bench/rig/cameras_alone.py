@@ -20,9 +20,7 @@ from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import OneCamera, camera_url
 from bench.rig.opening import conversion_of, open_camera, open_instruments, rig_of
 from instruments.camera.cameras import KNOWN, Camera
-from instruments.camera.conversion import Conversion
-from instruments.camera.faults import FrameError
-from instruments.camera.frame import FrameSet, Grey
+from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
 from instruments.camera.genicam import load_aravis
 from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
 from instruments.clock import Clock, RealClock

@@ -19,8 +19,7 @@ from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import Checks
 from detector.calibration import Calibration
 from detector.geometry import Array, Camera
-from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import FrameSet, Grey
+from instruments.camera.frame import FrameError, FrameFault, FrameSet, Grey
 from instruments.camera.quality import edge_blur_px, level_dn, missing_rows, saturated_share, spread
 from instruments.errors import DeviceError
 

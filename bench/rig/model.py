@@ -35,7 +35,7 @@ from bench.rig.urls import (
 )
 from instruments.bath.connection import parse_line
 from instruments.bath.profile import profile_names, relay_names
-from instruments.camera.conversion import Channel, Conversion, Flip, Radiometry, Turn
+from instruments.camera.frame import Channel, Conversion, Flip, Radiometry, Turn
 from instruments.camera.settings import Settings, Trigger, Value
 from instruments.world.phantom import PlatePose
 

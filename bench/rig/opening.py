@@ -22,7 +22,7 @@ from detector.calibration import Calibration
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.profile import Profile
 from instruments.camera.cameras import KNOWN, Camera, CameraSet
-from instruments.camera.conversion import Conversion
+from instruments.camera.frame import Conversion
 from instruments.camera.genicam import GenicamCamera
 from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.recording import Recording, RecordingCameras

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from instruments.camera.conversion import Conversion
-from instruments.camera.frame import FrameSet, RawFrame
+from instruments.camera.frame import Conversion, FrameSet, RawFrame
 from instruments.errors import InstrumentError, ProtocolError
 
 REQUIRED = ("left", "right")

@@ -7,17 +7,17 @@ run gives the same bytes.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import CentiKelvin, FrameSet, Grey
-from instruments.world.scene import RenderedSet, Renderer
+from instruments.camera.frame import CentiKelvin, FrameError, FrameFault, FrameSet, Grey
+from instruments.clock import Clock
+from instruments.world.scene import Renderer
 from instruments.world.state import SceneState
 
 # What an emulated camera can have, and which camera has it where nobody says. A wrong size is a
@@ -45,40 +45,7 @@ BLACK_DN, READ_NOISE_DN = 4.0, 0.5
 SHUTTER_CK, SHUTTER_NOISE_CK = 29900.0, 8.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """Three pictures, and the temperatures behind the third."""
-
-    left: Grey
-    right: Grey
-    thermal: Grey
-    thermal_ck: CentiKelvin
-
-    def with_camera(self, camera: str, other: Sight) -> Sight:
-        """This sight, but ``camera``'s part from ``other``."""
-        parts = ("thermal", "thermal_ck") if camera == "thermal" else (camera,)
-        return replace(self, **{part: getattr(other, part) for part in parts})
-
-
-@dataclass(frozen=True, slots=True)
-class Active:
-    """What spoils one frame set: each fault with its camera, and its amount where it has one."""
-
-    spoiling: Mapping[FrameFault, tuple[str, float]] = field(default_factory=dict)
-
-    @property
-    def late(self) -> Mapping[str, float]:
-        """How late which camera is, in seconds."""
-        return {
-            camera: amount
-            for fault, (camera, amount) in self.spoiling.items()
-            if fault is FrameFault.LATE
-        }
-
-    @property
-    def kept_back(self) -> Mapping[str, FrameFault]:
-        """Cameras whose frame does not come whole."""
-        return {camera: fault for fault, (camera, _) in self.spoiling.items() if fault in KEPT_BACK}
+Spoiling = Mapping[FrameFault, tuple[str, float]]  # each fault with its camera and its amount
 
 
 class CameraFaults:
@@ -109,16 +76,14 @@ class CameraFaults:
         with self._lock:
             self._on.pop(named(name), None)
 
-    def next(self) -> Active:
-        """What spoils the next frame set; it counts as taken."""
+    def next(self) -> Spoiling:
+        """What spoils the next frame set, in the order of `FAULTS`; it counts as taken."""
         with self._lock:
-            spoiling = {fault: (camera, amount) for fault, (camera, amount, _) in self._on.items()}
-            left = {
-                fault: (camera, amount, times - 1)
-                for fault, (camera, amount, times) in self._on.items()
-            }
-            self._on = {fault: entry for fault, entry in left.items() if entry[2] > 0}
-        return Active(spoiling)
+            on, self._on = self._on, {}
+            for fault, (camera, amount, times) in on.items():
+                if times > 1:
+                    self._on[fault] = camera, amount, times - 1
+        return {fault: on[fault][:2] for fault in FAULTS if fault in on}
 
 
 def named(name: str) -> FrameFault:
@@ -144,135 +109,83 @@ def check_camera(fault: FrameFault, camera: str | None) -> None:
         raise ValueError(f'only the thermal camera has a "{fault}"')
 
 
-def spoiled(sight: Sight, last: Sight | None, active: Active, rng: np.random.Generator) -> Sight:
-    """``sight`` with each fault in the order of `FAULTS`; ``last`` is the one before."""
-    for fault in FAULTS:
-        if fault in active.spoiling and fault in _DO:
-            camera, amount = active.spoiling[fault]
-            sight = _DO[fault](sight, last, camera, amount, rng)
-    return sight
+def spoiled(
+    frames: FrameSet, last: FrameSet | None, spoiling: Spoiling, rng: np.random.Generator
+) -> FrameSet:
+    """``frames`` with each fault; ``last`` is the set before."""
+    for fault, (camera, amount) in spoiling.items():
+        old = {part: getattr(frames, part) for part in _parts(camera)}
+        new: dict[str, Any] = {}
+        if fault is FrameFault.SWAPPED:
+            new = {"left": frames.right, "right": frames.left}
+        elif fault is FrameFault.FROZEN and last is not None:
+            new = {part: getattr(last, part) for part in old}
+        elif fault is FrameFault.HALF:
+            new = {part: image.copy() for part, image in old.items()}
+            for image in new.values():
+                image[len(image) // 2 :] = 0
+        elif camera == "thermal":
+            new = _spoiled_thermal(fault, old["thermal"], old["thermal_ck"], amount, rng)
+        else:
+            new = _spoiled_optical(fault, camera, old[camera], amount, rng)
+        frames = replace(frames, **new)
+    return frames
 
 
-Spoil = Callable[[Sight, Sight | None, str, float, np.random.Generator], Sight]
+def _spoiled_optical(
+    fault: FrameFault, camera: str, grey: Grey, amount: float, rng: np.random.Generator
+) -> dict[str, Any]:
+    match fault:
+        case FrameFault.BLACK:
+            return {camera: _bytes(BLACK_DN + _noise(rng, READ_NOISE_DN, grey))}
+        case FrameFault.SATURATED:
+            return {camera: _bytes(grey.astype(np.float64) * amount)}
+        case FrameFault.OUT_OF_FOCUS:
+            return {camera: _bytes(_blurred(grey, amount, rng, READ_NOISE_DN))}
+    return {}
 
 
-def _frozen(
-    sight: Sight, last: Sight | None, camera: str, _amount: float, _rng: np.random.Generator
-) -> Sight:
-    return sight if last is None else sight.with_camera(camera, last)
+def _spoiled_thermal(
+    fault: FrameFault, grey: Grey, ck: CentiKelvin, amount: float, rng: np.random.Generator
+) -> dict[str, Any]:
+    match fault:
+        case FrameFault.BLACK:
+            return {"thermal": np.zeros_like(grey), "thermal_ck": np.zeros_like(ck)}
+        case FrameFault.SATURATED:
+            return {"thermal": np.full_like(grey, 255), "thermal_ck": np.full_like(ck, 65535)}
+        case FrameFault.FLAT_FIELD:
+            # the shutter: one temperature with the same noise, mid-grey by the automatic gain
+            kelvin = SHUTTER_CK + _noise(rng, SHUTTER_NOISE_CK, ck)
+            shown = 128.0 + _noise(rng, 3.0, grey)
+        case FrameFault.OUT_OF_FOCUS:
+            kelvin = _blurred(ck, amount * ck.shape[1] / grey.shape[1], rng, SHUTTER_NOISE_CK)
+            shown = _blurred(grey, amount, rng, READ_NOISE_DN)
+        case _:
+            return {}
+    return {"thermal": _bytes(shown), "thermal_ck": np.rint(kelvin).astype(np.uint16)}
 
 
-def _black(
-    sight: Sight, _last: Sight | None, camera: str, _amount: float, rng: np.random.Generator
-) -> Sight:
-    if camera == "thermal":
-        return replace(
-            sight, thermal=np.zeros_like(sight.thermal), thermal_ck=np.zeros_like(sight.thermal_ck)
-        )
-    return _with(
-        sight, camera, lambda picture: BLACK_DN + READ_NOISE_DN * rng.standard_normal(picture.shape)
-    )
+def _parts(camera: str) -> tuple[str, ...]:
+    """What a camera gives to a frame set."""
+    return ("thermal", "thermal_ck") if camera == "thermal" else (camera,)
 
 
-def _saturated(
-    sight: Sight, _last: Sight | None, camera: str, amount: float, _rng: np.random.Generator
-) -> Sight:
-    if camera == "thermal":
-        return replace(
-            sight,
-            thermal=np.full_like(sight.thermal, 255),
-            thermal_ck=np.full_like(sight.thermal_ck, 65535),
-        )
-    return _with(sight, camera, lambda picture: picture.astype(np.float64) * amount)
+def _noise(rng: np.random.Generator, sigma: float, image: Any) -> NDArray[np.float64]:
+    return sigma * rng.standard_normal(image.shape)
 
 
-def _half(
-    sight: Sight, _last: Sight | None, camera: str, _amount: float, _rng: np.random.Generator
-) -> Sight:
-    parts = ("thermal", "thermal_ck") if camera == "thermal" else (camera,)
-    return replace(sight, **{part: _cut(getattr(sight, part)) for part in parts})
-
-
-def _cut(picture: NDArray[Any]) -> NDArray[Any]:
-    cut = picture.copy()
-    cut[picture.shape[0] // 2 :] = 0
-    return cut
-
-
-def _flat_field(
-    sight: Sight, _last: Sight | None, _camera: str, _amount: float, rng: np.random.Generator
-) -> Sight:
-    """The shutter: one temperature with the same noise, mid-grey by the automatic gain."""
-    shutter = SHUTTER_CK + SHUTTER_NOISE_CK * rng.standard_normal(sight.thermal_ck.shape)
-    grey = 128.0 + 3.0 * rng.standard_normal(sight.thermal.shape)
-    return replace(sight, thermal=_bytes(grey), thermal_ck=np.rint(shutter).astype(np.uint16))
-
-
-def _out_of_focus(
-    sight: Sight, _last: Sight | None, camera: str, amount: float, rng: np.random.Generator
-) -> Sight:
-    def blurred(picture: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(
-            cv2.GaussianBlur(picture, (0, 0), amount)
-            + READ_NOISE_DN * rng.standard_normal(picture.shape)
-        )
-
-    if camera == "thermal":
-        kelvin = cv2.GaussianBlur(
-            sight.thermal_ck.astype(np.float64),
-            (0, 0),
-            amount * sight.thermal_ck.shape[1] / sight.thermal.shape[1],
-        )
-        sight = replace(
-            sight,
-            thermal_ck=np.rint(
-                kelvin + SHUTTER_NOISE_CK * rng.standard_normal(kelvin.shape)
-            ).astype(np.uint16),
-        )
-    return _with(sight, camera, blurred)
-
-
-def _swapped(
-    sight: Sight, _last: Sight | None, _camera: str, _amount: float, _rng: np.random.Generator
-) -> Sight:
-    return replace(sight, left=sight.right, right=sight.left)
-
-
-def _with(
-    sight: Sight, camera: str, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-) -> Sight:
-    spoilt: dict[str, Any] = {camera: _bytes(change(getattr(sight, camera).astype(np.float64)))}
-    return replace(sight, **spoilt)
+def _blurred(
+    image: NDArray[Any], blur_px: float, rng: np.random.Generator, noise: float
+) -> NDArray[np.float64]:
+    smooth = cv2.GaussianBlur(image.astype(np.float64), (0, 0), blur_px)
+    return np.asarray(smooth + _noise(rng, noise, image))
 
 
 def _bytes(values: NDArray[np.float64]) -> Grey:
     return np.ascontiguousarray(np.clip(np.rint(values), 0.0, 255.0).astype(np.uint8))
 
 
-_DO: Mapping[FrameFault, Spoil] = {
-    FrameFault.FROZEN: _frozen,
-    FrameFault.BLACK: _black,
-    FrameFault.SATURATED: _saturated,
-    FrameFault.HALF: _half,
-    FrameFault.FLAT_FIELD: _flat_field,
-    FrameFault.OUT_OF_FOCUS: _out_of_focus,
-    FrameFault.SWAPPED: _swapped,
-}
-
-
 CAMERAS = ("left", "right", "thermal")
-
-
-class Clock(Protocol):
-    """What tells the time, and lets it pass."""
-
-    def now(self) -> float:
-        """Seconds."""
-        ...
-
-    def sleep(self, seconds: float) -> None:
-        """Wait."""
-        ...
 
 
 class SeenWorld(Protocol):
@@ -303,7 +216,7 @@ class EmulatedCameras:
     def __init__(self, world: SeenWorld) -> None:
         self._world = world
         self._taken = 0
-        self._last: Sight | None = None
+        self._last: FrameSet | None = None
         self.faults = CameraFaults()
 
     @property
@@ -318,32 +231,33 @@ class EmulatedCameras:
         """A frame set of the present world, all cameras at one moment unless one is late. Raises
         FrameError where a fault keeps a frame back.
         """
-        active = self.faults.next()
-        now_s = self._world.clock.now()
-        sight, exposed_s = self._seen(), dict.fromkeys(CAMERAS, now_s)
-        for camera, late_s in active.late.items():
-            self._world.clock.sleep(max(0.0, now_s + late_s - self._world.clock.now()))
-            sight = sight.with_camera(camera, self._seen())
-            exposed_s[camera] = self._world.clock.now()
-        sight = spoiled(
-            sight, self._last, active, self._world.frame_rng("camera faults", self._taken)
-        )
-        for camera, fault in active.kept_back.items():
-            what = (
-                "a frame came with holes" if fault is FrameFault.LOST_PACKETS else "no frame came"
-            )
-            raise FrameError(fault, camera, f"{camera} camera, emulated", what)
-        self._last = sight
-        return FrameSet(
-            sight.left, sight.right, sight.thermal, sight.thermal_ck, exposed_s, self.identity
-        )
+        spoiling = self.faults.next()
+        clock = self._world.clock
+        now_s = clock.now()
+        frames, exposed_s = self._seen(), dict.fromkeys(CAMERAS, now_s)
+        if FrameFault.LATE in spoiling:
+            camera, late_s = spoiling[FrameFault.LATE]
+            clock.sleep(max(0.0, now_s + late_s - clock.now()))
+            late = self._seen()
+            frames = replace(frames, **{part: getattr(late, part) for part in _parts(camera)})
+            exposed_s[camera] = clock.now()
+        rng = self._world.frame_rng("camera faults", self._taken)
+        frames = spoiled(frames, self._last, spoiling, rng)
+        for fault in KEPT_BACK:
+            if fault in spoiling:
+                camera = spoiling[fault][0]
+                holes = fault is FrameFault.LOST_PACKETS
+                what = "a frame came with holes" if holes else "no frame came"
+                raise FrameError(fault, camera, f"{camera} camera, emulated", what)
+        self._last = replace(frames, exposed_s=exposed_s, identity=self.identity)
+        return self._last
 
     def close(self) -> None:
         """Nothing is held open."""
 
-    def _seen(self) -> Sight:
-        taken: RenderedSet = self._world.renderer.render(
+    def _seen(self) -> FrameSet:
+        taken = self._world.renderer.render(
             self._world.scene(), self._world.frame_rng("cameras", self._taken)
         )
         self._taken += 1
-        return Sight(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
+        return FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)

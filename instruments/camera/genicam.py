@@ -10,19 +10,22 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
-from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import RawFrame
+from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.camera.live import DeviceTime
 from instruments.camera.pixel_formats import unpack
 from instruments.camera.settings import ReadBack, Settings, Value
+from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 
 INSTALL = (
     'Install Aravis and its Python binding: on Debian and Ubuntu "apt install gir1.2-aravis-0.8'
     ' libgirepository1.0-dev libcairo2-dev pkg-config", then "pip install \'teatbench[genicam]\'".'
 )
+BUFFERS = 4
+PATIENCE_S = 2.0
+HOLES = ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT")
 FAKE = "Fake_"  # how the library's own camera in this process is named
 
 
@@ -50,75 +53,42 @@ def set_all(who: str, camera: Any, settings: Settings, failure: type[Exception])
     exception. Raises DeviceError for what did not take.
     """
     back = ReadBack(who, settings.tries)
-    asked: list[
-        tuple[str, Value | tuple[int, int], Callable[[], object], Callable[[], object]]
-    ] = []
-    if settings.pixel_format is not None:
-        name = settings.pixel_format
-        asked.append(
-            (
-                "pixel_format",
-                name,
-                lambda: camera.set_pixel_format_from_string(name),
-                camera.get_pixel_format_as_string,
-            )
-        )
-    if settings.resolution is not None:
-        width, height = settings.resolution
-        asked.append(
-            (
-                "resolution",
-                (width, height),
-                lambda: camera.set_region(0, 0, width, height),
-                lambda: _size(camera),
-            )
-        )
-    if settings.fps is not None:
-        fps = settings.fps
-        asked.append(("fps", fps, lambda: camera.set_frame_rate(fps), camera.get_frame_rate))
-    if settings.exposure is not None:
-        exposure_us = settings.exposure
-        asked.append(
-            (
-                "exposure",
-                exposure_us,
-                lambda: _manual_exposure(camera, exposure_us),
-                camera.get_exposure_time,
-            )
-        )
-    if settings.gain is not None:
-        gain = settings.gain
-        asked.append(("gain", gain, lambda: camera.set_gain(gain), camera.get_gain))
-    for feature, value in settings.features.items():
-        asked.append((feature, value, *_by_name(who, camera.get_device(), feature, value)))
-    _ask(asked, back, failure)
-    return back.finish()
-
-
-def _ask(
-    asked: list[tuple[str, Value | tuple[int, int], Callable[[], object], Callable[[], object]]],
-    back: ReadBack,
-    failure: type[Exception],
-) -> None:
+    ways: dict[str, tuple[Callable[[Any], object], Callable[[], object]]] = {
+        "pixel_format": (camera.set_pixel_format_from_string, camera.get_pixel_format_as_string),
+        "resolution": (lambda size: camera.set_region(0, 0, *size), lambda: _size(camera)),
+        "fps": (camera.set_frame_rate, camera.get_frame_rate),
+        "exposure": (lambda us: _set_exposure(camera, us), camera.get_exposure_time),
+        "gain": (camera.set_gain, camera.get_gain),
+    }
+    asked = [
+        (name, value, *way)
+        for name, way in ways.items()
+        if (value := getattr(settings, name)) is not None
+    ]
+    for name, value in settings.features.items():
+        asked.append((name, value, *_by_name(who, camera.get_device(), name)))
     taken = []
     for name, value, write, read in asked:
         try:
-            write()
+            write(value)
             taken.append((name, value, read))
         except (failure, DeviceError) as error:
-            back.refused(
-                name,
-                f"{name} was refused:"
-                f" {error.what if isinstance(error, DeviceError) else _told(error)}",
-            )
+            back.refused(name, f"{name} was refused: {_message(error)}")
     for name, value, read in taken:  # all set before any is read: one may change another
         try:
             back.compare(name, value, read())
         except failure as error:
-            back.refused(name, f"{name} can't be read back: {_told(error)}")
+            back.refused(name, f"{name} can't be read back: {_message(error)}")
+    return back.finish()
 
 
-def _manual_exposure(camera: Any, exposure_us: float) -> None:
+def _message(error: Exception) -> str:
+    if isinstance(error, DeviceError):
+        return error.what
+    return str(getattr(error, "message", error))
+
+
+def _set_exposure(camera: Any, exposure_us: float) -> None:
     if camera.is_exposure_auto_available():
         camera.set_exposure_time_auto(0)
     camera.set_exposure_time(exposure_us)
@@ -130,25 +100,21 @@ def _size(camera: Any) -> tuple[int, int]:
 
 
 def _by_name(
-    who: str, device: Any, name: str, value: Value
-) -> tuple[Callable[[], object], Callable[[], object]]:
+    who: str, device: Any, name: str
+) -> tuple[Callable[[Value], object], Callable[[], object]]:
     """How to write and read a feature of any kind; both raise DeviceError where it is missing."""
 
     def node() -> Any:
         found = device.get_feature(name)
         if found is None or not hasattr(found, "set_value_from_string"):
             near = difflib.get_close_matches(name, list(feature_names(device)), n=1, cutoff=0.8)
-            raise DeviceError(
-                who,
-                f'the camera has no feature "{name}"'
-                + (f'; did you mean "{near[0]}"?' if near else ""),
-            )
+            hint = f'; did you mean "{near[0]}"?' if near else ""
+            raise DeviceError(who, f'the camera has no feature "{name}"{hint}')
         return found
 
-    def write() -> None:
-        node().set_value_from_string(
-            ("true" if value else "false") if isinstance(value, bool) else str(value)
-        )
+    def write(value: Value) -> None:
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        node().set_value_from_string(text)
 
     return write, lambda: node().get_value_as_string()
 
@@ -170,23 +136,6 @@ def feature_names(device: Any) -> list[str]:
     return sorted(names)
 
 
-def _told(error: Exception) -> str:
-    return str(getattr(error, "message", error))
-
-
-BUFFERS = 4
-PATIENCE_S = 2.0
-HOLES = ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT")
-
-
-class Timed(Protocol):
-    """What tells the time."""
-
-    def now(self) -> float:
-        """Seconds."""
-        ...
-
-
 class GenicamCamera:
     """``device``: name as Aravis lists it, serial number or IP address; "" for the only one. Raises
     LinkError where it doesn't answer, DeviceError without the library or for settings that did not
@@ -197,7 +146,7 @@ class GenicamCamera:
         self,
         name: str,
         device: str,
-        clock: Timed,
+        clock: Clock,
         settings: Settings | None = None,
         *,
         patience_s: float = PATIENCE_S,

@@ -6,15 +6,17 @@ next one would be stale.
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import Callable
-from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments.clock import Clock
+
 DRIFT = 1e-4  # two crystals of 50 ppm each
+LOOK_S = 0.002
 KEPT_S = 600.0  # frames older than this say no more than their drift
 
 
@@ -44,21 +46,6 @@ class DeviceTime:
         return min(device_s + offset_s, arrived_s)
 
 
-LOOK_S = 0.002
-
-
-class Clock(Protocol):
-    """What tells the time, and waits."""
-
-    def now(self) -> float:
-        """Seconds."""
-        ...
-
-    def sleep(self, seconds: float) -> None:
-        """Wait."""
-        ...
-
-
 class LiveReader:
     """Owns ``capture`` from now on; OpenCV's captures are for one thread. To be closed."""
 
@@ -66,7 +53,7 @@ class LiveReader:
         self._capture = capture
         self._clock = clock
         self._lock = threading.Lock()
-        self._wanted_s: float | None = None
+        self._wanted_s = math.inf
         self._got: tuple[NDArray[np.uint8] | None, float] | None = None
         self._closing = False
         self.broken = False
@@ -104,23 +91,16 @@ class LiveReader:
                 if not self._capture.grab():
                     self.broken = True
                     return
-                self._keep(began_s, self._clock.now(), self._capture.retrieve)
+                arrived_s = self._clock.now()
+                if self._wanted(began_s):
+                    good, image = self._capture.retrieve()
+                    whole = good and image is not None
+                    with self._lock:
+                        if self._wanted(began_s):  # nobody has asked anew meanwhile
+                            self._wanted_s = math.inf
+                            self._got = np.asarray(image, np.uint8) if whole else None, arrived_s
         finally:
             self._capture.release()
 
-    def _keep(
-        self, began_s: float, arrived_s: float, retrieve: Callable[[], tuple[bool, object]]
-    ) -> None:
-        with self._lock:
-            wanted = self._wanted_s is not None and began_s >= self._wanted_s
-        if not wanted:
-            return
-        good, image = retrieve()
-        with self._lock:
-            # nobody has asked anew meanwhile
-            if self._wanted_s is not None and began_s >= self._wanted_s:
-                self._wanted_s = None
-                self._got = (
-                    (np.asarray(image, dtype=np.uint8) if good and image is not None else None),
-                    arrived_s,
-                )
+    def _wanted(self, began_s: float) -> bool:
+        return began_s >= self._wanted_s

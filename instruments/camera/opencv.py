@@ -11,10 +11,10 @@ import math
 import cv2
 import numpy as np
 
-from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import RawFrame
-from instruments.camera.live import Clock, LiveReader
+from instruments.camera.frame import FrameError, FrameFault, RawFrame
+from instruments.camera.live import LiveReader
 from instruments.camera.settings import ReadBack, Settings
+from instruments.clock import Clock
 from instruments.errors import LinkError
 
 Source = int | str
@@ -176,43 +176,31 @@ def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> t
     """Write and read back; notes about tries. Raises DeviceError for what did not take."""
     back = ReadBack(who, settings.tries)
     if settings.pixel_format is not None:
-        capture.set(cv2.CAP_PROP_FOURCC, _fourcc(settings.pixel_format))
-    if settings.resolution is not None:
-        for prop, size in zip(
-            (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT), settings.resolution, strict=True
-        ):
-            capture.set(prop, size)
-    if settings.fps is not None:
-        capture.set(cv2.CAP_PROP_FPS, settings.fps)
-    if settings.exposure is not None:
-        if not capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL):
-            capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_OF_OLD)
-        capture.set(cv2.CAP_PROP_EXPOSURE, settings.exposure)
-    if settings.gain is not None:
-        capture.set(cv2.CAP_PROP_GAIN, settings.gain)
-    _read_back(capture, settings, back)  # all set before any is read: one may change another
-    return back.finish()
-
-
-def _read_back(capture: cv2.VideoCapture, settings: Settings, back: ReadBack) -> None:
-    if settings.pixel_format is not None:
-        back.compare(
-            "pixel_format", settings.pixel_format, fourcc_name(capture.get(cv2.CAP_PROP_FOURCC))
+        capture.set(
+            cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*settings.pixel_format[:4].ljust(4))
         )
+    width, height = settings.resolution or (None, None)
+    if settings.exposure is not None and not capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL):
+        capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_OF_OLD)
+    numbers = {
+        "fps": (cv2.CAP_PROP_FPS, settings.fps),
+        "exposure": (cv2.CAP_PROP_EXPOSURE, settings.exposure),
+        "gain": (cv2.CAP_PROP_GAIN, settings.gain),
+    }
+    size = ((cv2.CAP_PROP_FRAME_WIDTH, width), (cv2.CAP_PROP_FRAME_HEIGHT, height))
+    for prop, value in (*size, *numbers.values()):
+        if value is not None:
+            capture.set(prop, value)
+    # all set before any is read: one may change another
+    if settings.pixel_format is not None:
+        seen = fourcc_name(capture.get(cv2.CAP_PROP_FOURCC))
+        back.compare("pixel_format", settings.pixel_format, seen)
     if settings.resolution is not None:
         back.compare("resolution", tuple(settings.resolution), _size(capture))
-    for name, prop in (
-        ("fps", cv2.CAP_PROP_FPS),
-        ("exposure", cv2.CAP_PROP_EXPOSURE),
-        ("gain", cv2.CAP_PROP_GAIN),
-    ):
-        asked = getattr(settings, name)
-        if asked is not None:
-            back.compare(name, asked, capture.get(prop))
-
-
-def _fourcc(name: str) -> int:
-    return cv2.VideoWriter.fourcc(*name[:4].ljust(4))
+    for name, (prop, value) in numbers.items():
+        if value is not None:
+            back.compare(name, value, capture.get(prop))
+    return back.finish()
 
 
 def fourcc_name(code: float) -> str:

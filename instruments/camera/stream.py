@@ -17,8 +17,7 @@ from typing import Any, Protocol
 
 import cv2
 
-from instruments.camera.faults import FrameError
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameError, FrameSet
 from instruments.clock import Clock, VirtualClock
 
 CAMERAS = ("left", "right", "thermal")
@@ -36,36 +35,9 @@ class Source(Protocol):
         ...
 
 
-class Ticks:
-    """One frame set a tick of ``fps``, whoever asks first for it."""
-
-    def __init__(self, source: Source, clock: Clock, fps: float) -> None:
-        self.period_s = 1.0 / fps
-        self._source = source
-        self._clock = clock
-        self._lock = threading.Lock()
-        self._tick = -1
-        self._frames: FrameSet | None = None
-
-    def after(self, tick: int) -> int:
-        """The tick that comes next, and later than ``tick``."""
-        return max(tick, int(self._clock.now() / self.period_s)) + 1
-
-    def frames(self, tick: int) -> FrameSet | None:
-        """The set of ``tick``, or a later one already taken; None where a camera gave none."""
-        with self._lock:
-            if tick > self._tick:
-                self._tick = tick
-                try:
-                    self._frames = self._source.capture()
-                except FrameError:  # told to the reader as on a real network: by silence
-                    self._frames = None
-            return self._frames
-
-
 class StreamServer:
-    """Serves until closed; ``urls`` by camera. Raises OSError for an address, ValueError in virtual
-    time.
+    """Serves until closed, one frame set a tick of ``fps``; ``urls`` by camera. Raises OSError for
+    an address, ValueError in virtual time.
     """
 
     def __init__(
@@ -80,8 +52,12 @@ class StreamServer:
         if isinstance(clock, VirtualClock):
             raise ValueError("streams are served in real time, not under virtual time")
         self.clock = clock
-        self.ticks = Ticks(source, clock, fps)
+        self.period_s = 1.0 / fps
         self.closing = False
+        self._source = source
+        self._lock = threading.Lock()
+        self._tick = -1
+        self._frames: FrameSet | None = None
         self._server = _Server((host, port), _Handler)
         self._server.owner = self
         self.urls: Mapping[str, str] = {
@@ -92,6 +68,22 @@ class StreamServer:
             target=self._server.serve_forever, kwargs=serve, name="camera streams", daemon=True
         )
         self._thread.start()
+
+    def frames(self, tick: int) -> FrameSet | None:
+        """The set of ``tick``, or a later one already taken; None where a camera gave none."""
+        with self._lock:
+            if tick > self._tick:
+                self._tick = tick
+                try:
+                    self._frames = self._source.capture()
+                except FrameError:  # told to the reader as on a real network: by silence
+                    self._frames = None
+            return self._frames
+
+    def wait_until(self, when_s: float) -> None:
+        """Wait, but not past the closing."""
+        while not self.closing and (left_s := when_s - self.clock.now()) > 0.0:
+            self.clock.sleep(min(left_s, LOOK_S))
 
     def close(self) -> None:
         """Stop, break all streams, and wait for the threads to end; may be called again."""
@@ -136,28 +128,20 @@ class _Handler(BaseHTTPRequestHandler):
         """Nothing is printed."""
 
     def _stream(self, camera: str, owner: StreamServer) -> None:
-        ticks, tick = owner.ticks, 0
+        tick = 0
         while not owner.closing:
-            tick = ticks.after(tick)
-            self._wait_until(tick * ticks.period_s, owner)
-            frames = ticks.frames(tick) if not owner.closing else None
+            tick = max(tick, int(owner.clock.now() / owner.period_s)) + 1
+            owner.wait_until(tick * owner.period_s)
+            frames = owner.frames(tick) if not owner.closing else None
             picture = getattr(frames, camera) if frames else None
             if frames is None or picture is None:
                 continue
             exposed_s = frames.exposed_s.get(camera, 0.0)
             first_s = min(frames.exposed_s.values(), default=exposed_s)
             # one exposed later arrives later
-            self._wait_until(owner.clock.now() + exposed_s - first_s, owner)
-            self.wfile.write(
-                part(
-                    cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes(),
-                    exposed_s,
-                )
-            )
-
-    def _wait_until(self, when_s: float, owner: StreamServer) -> None:
-        while not owner.closing and (left_s := when_s - owner.clock.now()) > 0.0:
-            owner.clock.sleep(min(left_s, LOOK_S))
+            owner.wait_until(owner.clock.now() + exposed_s - first_s)
+            jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+            self.wfile.write(part(jpeg.tobytes(), exposed_s))
 
 
 def part(jpeg: bytes, exposed_s: float) -> bytes:

@@ -35,19 +35,19 @@ class Piece:
     line: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Exchange:
     """Bytes of the host, the last at ``asked_s``, and all that came until the next; ``line`` is the
     first's.
     """
 
-    asked: bytes
     asked_s: float
     line: int
-    came: tuple[Piece, ...]
+    asked: bytearray = field(default_factory=bytearray)
+    came: list[Piece] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Conversation:
     """One connection; its first exchange is what came unasked. ``closed_s``: None where the capture
     ended first; ``broke``: why, empty where the host closed it.
@@ -55,9 +55,9 @@ class Conversation:
 
     url: str
     opened_s: float
-    exchanges: tuple[Exchange, ...]
-    closed_s: float | None
-    broke: str
+    exchanges: list[Exchange]
+    closed_s: float | None = None
+    broke: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class Capture:
 
     path: Path
     facts: Mapping[str, str]
-    links: Mapping[str, tuple[Conversation, ...]]
+    links: Mapping[str, list[Conversation]]
     cut: bool
 
 
@@ -90,55 +90,11 @@ class _NoJsonError(_WrongError):
     """A line is no JSON at all, as one that was cut."""
 
 
-@dataclass(slots=True)
-class _Asking:
-    """An exchange while it is being read."""
-
-    asked_s: float
-    line: int
-    asked: bytearray = field(default_factory=bytearray)
-    came: list[Piece] = field(default_factory=list)
-
-
-class _Draft:
-    """A conversation while it is being read."""
-
-    def __init__(self, url: str, opened_s: float, line: int) -> None:
-        self._url = url
-        self._opened_s = opened_s
-        self._exchanges = [_Asking(opened_s, line)]
-        self._closed_s: float | None = None
-        self._broke = ""
-
-    def sent(self, t_s: float, data: bytes, line: int) -> None:
-        if self._closed_s is not None:
-            return  # into a broken link: it never arrived
-        if len(self._exchanges) == 1 or self._exchanges[-1].came:
-            self._exchanges.append(_Asking(t_s, line))
-        self._exchanges[-1].asked += data
-        self._exchanges[-1].asked_s = t_s
-
-    def received(self, t_s: float, data: bytes, line: int) -> None:
-        # also what is read only after the link broke
-        self._exchanges[-1].came.append(Piece(t_s, data, line))
-
-    def closed(self, t_s: float, why: str) -> None:
-        if self._closed_s is None:
-            self._closed_s, self._broke = t_s, why
-
-    def finished(self) -> Conversation:
-        exchanges = tuple(
-            Exchange(bytes(one.asked), one.asked_s, one.line, tuple(one.came))
-            for one in self._exchanges
-        )
-        return Conversation(self._url, self._opened_s, exchanges, self._closed_s, self._broke)
-
-
 class _Reader:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._faults: list[tuple[int, str]] = []
-        self._links: dict[str, list[_Draft]] = {}
+        self._links: dict[str, list[Conversation]] = {}
         self._last_s = 0.0
         self._cut = False
 
@@ -155,11 +111,7 @@ class _Reader:
                     break
         if self._faults:
             raise CaptureError(self._path, self._faults)
-        links = {
-            name: tuple(draft.finished() for draft in drafts)
-            for name, drafts in self._links.items()
-        }
-        return Capture(self._path, facts, links, self._cut)
+        return Capture(self._path, facts, self._links, self._cut)
 
     def _header(self, line: bytes) -> dict[str, str]:
         """The first line's facts. Raises CaptureError at once for another kind of file."""
@@ -191,7 +143,8 @@ class _Reader:
         if not LINK_NAME.fullmatch(link):
             raise _WrongError(f"no name for a link: {link!r}")
         if kind == "opened":
-            self._links.setdefault(link, []).append(_Draft(_text(told, "url"), t_s, number))
+            talk = Conversation(_text(told, "url"), t_s, [Exchange(t_s, number)])
+            self._links.setdefault(link, []).append(talk)
             return
         if link not in self._links:
             raise _WrongError(
@@ -199,13 +152,20 @@ class _Reader:
                 if kind == "closed"
                 else f"bytes {kind} before {link} was opened"
             )
-        draft = self._links[link][-1]
-        if kind == "sent":
-            draft.sent(t_s, _bytes(told), number)
-        elif kind == "received":
-            draft.received(t_s, _bytes(told), number)
+        talk = self._links[link][-1]
+        if kind == "received":  # also what is read only after the link broke
+            talk.exchanges[-1].came.append(Piece(t_s, _bytes(told), number))
+        elif kind == "closed":
+            why = _text(told, "why") if "why" in told else ""
+            if talk.closed_s is None:
+                talk.closed_s, talk.broke = t_s, why
         else:
-            draft.closed(t_s, _text(told, "why") if "why" in told else "")
+            data = _bytes(told)
+            if talk.closed_s is None:  # into a broken link it never arrived
+                if len(talk.exchanges) == 1 or talk.exchanges[-1].came:
+                    talk.exchanges.append(Exchange(t_s, number))
+                talk.exchanges[-1].asked += data
+                talk.exchanges[-1].asked_s = t_s
 
     def _time(self, t_s: object) -> float:
         if (

@@ -25,6 +25,12 @@ from instruments.listener import Connection, Listener
 HEADER = struct.Struct(">HHH")  # transaction, protocol (0 is Modbus), bytes that follow
 ID_BYTES = 2
 LONGEST = 254
+# A recorded time is when the host had read the bytes. To be read at that time again they leave
+# earlier: by the rounding of the file under virtual time, by what loopback and a thread take under
+# real time.
+LEAD_VIRTUAL_S = 2e-6
+LEAD_REAL_S = 2e-3
+SHOWN = 24  # bytes of a mismatch
 
 
 def is_modbus_tcp(url: str) -> bool:
@@ -40,17 +46,14 @@ class TransactionIds:
         self._came = _Stream(
             b"".join(piece.data for exchange in script.exchanges for piece in exchange.came)
         )
-        self._own: dict[bytes, bytes] = {}  # the host's id for each recorded one
-        self._half = b""
+        self._own: dict[bytes, bytearray] = {}  # the host's id for each recorded one
 
     def as_recorded(self, data: bytes) -> bytes:
         """The host's next bytes, with recorded ids in place of its own."""
         changed = bytearray(data)
         for at, place, recorded in self._asked.ids_in_next(len(data)):
-            self._half = data[at : at + 1] if place == 0 else self._half + data[at : at + 1]
-            if len(self._half) == ID_BYTES:
-                self._own[recorded] = self._half
-            changed[at] = recorded[place]
+            own = self._own.setdefault(recorded, bytearray(recorded))
+            own[place], changed[at] = data[at], recorded[place]
         return bytes(changed)
 
     def as_asked(self, data: bytes) -> bytes:
@@ -62,43 +65,28 @@ class TransactionIds:
 
 
 class _Stream:
-    """Where the ids stand in one direction's bytes."""
+    """Where the ids stand in one direction's bytes, up to what is no frame."""
 
     def __init__(self, stream: bytes) -> None:
-        self._starts = list(_starts(stream))
-        self._ids = [stream[start : start + ID_BYTES] for start in self._starts]
-        self._at = 0
+        self._starts: list[int] = []
+        self._stream = stream
+        self._at = start = 0
+        while start + HEADER.size <= len(stream):
+            _, protocol, length = HEADER.unpack_from(stream, start)
+            if protocol != 0 or not 2 <= length <= LONGEST:
+                return
+            self._starts.append(start)
+            start += HEADER.size + length
 
     def ids_in_next(self, count: int) -> Iterator[tuple[int, int, bytes]]:
         """Transaction id bytes within the next ``count``: place, which byte, recorded id."""
         begin, end = self._at, self._at + count
         self._at = end
-        number = bisect_left(self._starts, begin - ID_BYTES + 1)
-        while number < len(self._starts) and self._starts[number] < end:
+        first = bisect_left(self._starts, begin - ID_BYTES + 1)
+        for start in self._starts[first : bisect_left(self._starts, end)]:
             for place in range(ID_BYTES):
-                at = self._starts[number] + place - begin
-                if 0 <= at < count:
-                    yield at, place, self._ids[number]
-            number += 1
-
-
-def _starts(stream: bytes) -> Iterator[int]:
-    """Where frames begin, up to what is no frame."""
-    at = 0
-    while at + HEADER.size <= len(stream):
-        _, protocol, length = HEADER.unpack_from(stream, at)
-        if protocol != 0 or not 2 <= length <= LONGEST:
-            return
-        yield at
-        at += HEADER.size + length
-
-
-# A recorded time is when the host had read the bytes. To be read at that time again they leave
-# earlier: by the rounding of the file under virtual time, by what loopback and a thread take under
-# real time.
-LEAD_VIRTUAL_S = 2e-6
-LEAD_REAL_S = 2e-3
-SHOWN = 24  # bytes of a mismatch
+                if begin <= start + place < end:
+                    yield start + place - begin, place, self._stream[start : start + ID_BYTES]
 
 
 class Tell(Protocol):
@@ -165,12 +153,8 @@ class Player:
                 self._differs(self._script.exchanges[self._turn + 1], self._heard + data)
             elif len(self._heard) == len(asked):
                 self._say_all()
-                self._turn, self._said, self._heard, self._asked_s = (
-                    self._turn + 1,
-                    0,
-                    b"",
-                    self._clock.now(),
-                )
+                self._turn += 1
+                self._said, self._heard, self._asked_s = 0, b"", self._clock.now()
                 self._answer()
 
     def _after_the_end(self, data: bytes) -> None:
@@ -186,19 +170,14 @@ class Player:
 
     def _differs(self, exchange: Exchange, got: bytes) -> None:
         self._lost = True
-        same = next(
-            at
-            for at, (one, other) in enumerate(zip(exchange.asked, got, strict=False))
-            if one != other
-        )
-        start = max(0, same - SHOWN // 2)
+        pairs = enumerate(zip(exchange.asked, got, strict=False))
+        same = next(at for at, (one, other) in pairs if one != other)
+        shown = slice(max(0, same - SHOWN // 2), max(0, same - SHOWN // 2) + SHOWN)
         what = (
             f"connection {self.number + 1}, request {self._turn + 1}: byte {same} of it is another"
             " than recorded"
         )
-        self._tell(
-            exchange.line, what, exchange.asked[start : start + SHOWN], got[start : start + SHOWN]
-        )
+        self._tell(exchange.line, what, bytes(exchange.asked[shown]), got[shown])
 
     def _answer(self) -> None:
         """Say what is due of what came of the request, and come back for the rest."""
@@ -214,14 +193,11 @@ class Player:
             and self._script.closed_s is not None
             and self._turn + 1 == len(self._script.exchanges)
         ):
-            self._hang_up_at(self._script.closed_s)
-
-    def _hang_up_at(self, recorded_s: float) -> None:
-        wait_s = self._wait_s(recorded_s)
-        if wait_s > 0:
-            self._connection.after(wait_s, self._connection.hang_up)
-        else:
-            self._connection.hang_up()
+            wait_s = self._wait_s(self._script.closed_s)
+            if wait_s > 0:
+                self._connection.after(wait_s, self._connection.hang_up)
+            else:
+                self._connection.hang_up()
 
     def _go_on(self, turn: int) -> None:
         if turn == self._turn and not self._lost:
@@ -257,12 +233,9 @@ class Mismatch:
     @property
     def sentence(self) -> str:
         """What it was, and with which bytes."""
-        told = (
-            f" (expected {_shown(self.expected)}, got {_shown(self.got)})"
-            if self.expected or self.got
-            else ""
-        )
-        return f"{self.what}{told}"
+        if not (self.expected or self.got):
+            return self.what
+        return f"{self.what} (expected {_shown(self.expected)}, got {_shown(self.got)})"
 
     def __str__(self) -> str:
         return f"{self.link}: line {self.line}: {self.sentence}"
@@ -362,12 +335,11 @@ class FarEnd:
     @property
     def unplayed(self) -> str:
         """What has not been played in this turn; empty when all has."""
-        playing = {
-            player.number: player.left for player in list(self._players.values()) if player.left
-        }
+        playing = {player.number: player.left for player in list(self._players.values())}
         left = [
             f"connection {number + 1}: {what}"
             for number, what in sorted({**self._left, **playing}.items())
+            if what
         ]
         if missing := len(self._conversations) - self._next:
             left.append(f"{missing} of {len(self._conversations)} connections were never made")
@@ -403,9 +375,9 @@ class FarEnd:
     def disconnect(self, connection: Connection) -> None:
         """The connection is over, by whichever end."""
         player = self._players.get(connection)
-        if player and player.left:
+        if player:
             self._left[player.number] = player.left
-        self._players.pop(connection, None)
+            del self._players[connection]
 
     def _tell(self, line: int, what: str, expected: bytes = b"", got: bytes = b"") -> None:
         self._tell_mismatch(Mismatch(self.link, line, what, expected, got))

@@ -2,7 +2,7 @@
 
 Source: the maker's SDK manual, chapter 4. A reply is the command's code, then 8-bit data, most
 significant byte first. Values are kept as the arm gives them, so that they encode to the same
-bytes.
+bytes. The constraints are those of a file that describes an arm (``unit``).
 """
 
 from __future__ import annotations
@@ -11,8 +11,13 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import asdict, astuple, dataclass
+from typing import Annotated
 
-from instruments.microscribe.kinematics import COUNT_MODULUS, ArmGeometry
+import numpy as np
+import numpy.typing as npt
+from pydantic import AfterValidator, ConfigDict, Field
+
+from instruments.microscribe.kinematics import COUNT_MODULUS, ArmGeometry, Floats
 from instruments.microscribe.protocol import Code, WireError, encoder_count
 
 NAMES = (
@@ -27,31 +32,61 @@ NAMES = (
 FORMAT = "Format DH0.5"
 BETA_MARK = "Beta"  # in the comment of an arm that has extended parameters
 NAME_MAX_BYTES = 32  # with the NUL, without the code
-MAXIMA_BYTES = 25  # with the code
 PARAMETER_BYTES = 36  # without the code and the length
-EXTENDED_BYTES = 4  # with the code and the length
-
 
 _MAXIMA = struct.Struct(">BH8BB6H")
 _PARAMETERS = struct.Struct(">18h")
-_INCH_MM = 25.4
+_EXTENDED = struct.Struct(">h")
 
 
-class BlockLengthError(WireError):
-    """A block of parameters states an unknown length. Not for missing bytes."""
+def encode_name(code: int, name: str) -> bytes:
+    """The reply with a name. Raises WireError for a name that isn't ASCII or is too long."""
+    return bytes([code]) + _checked_name(name).encode("ascii") + b"\0"
+
+
+def _checked_name(name: str) -> str:
+    if not name.isascii() or "\0" in name or len(name) >= NAME_MAX_BYTES:
+        raise WireError(
+            f"{name!r} is no name for an arm: ASCII without NUL, {NAME_MAX_BYTES - 1} characters at"
+            " most"
+        )
+    return name
+
+
+def _signed(word: int) -> int:
+    return word - 0x10000 if word > 0x7FFF else word
+
+
+def _exactly(count: int) -> AfterValidator:
+    def check(values: tuple[int, ...]) -> tuple[int, ...]:
+        if len(values) != count:
+            raise ValueError(f"there have to be {count} numbers, not {len(values)}")
+        return values
+
+    return AfterValidator(check)
+
+
+_Name = Annotated[str, AfterValidator(_checked_name)]
+_Byte = Annotated[int, Field(ge=0, le=0xFF)]
+_Count = Annotated[int, Field(ge=0, lt=COUNT_MODULUS)]
+Word = Annotated[int, Field(ge=-0x8000, le=0xFFFF), AfterValidator(_signed)]
+Counts = Annotated[tuple[_Count, ...], _exactly(6)]
+_Words = Annotated[tuple[Word, ...], _exactly(6)]
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
     """The seven names, in the maker's order of asking."""
 
-    product: str
-    product_id: str
-    model: str
-    serial_number: str
-    comment: str
-    format: str
-    version: str
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    product: _Name
+    product_id: _Name
+    model: _Name
+    serial_number: _Name
+    comment: _Name
+    format: _Name
+    version: _Name
 
     @property
     def has_beta(self) -> bool:
@@ -63,11 +98,13 @@ class Identity:
 class Maxima:
     """Full scales; an encoder's is 0 where it is absent."""
 
-    button_mask: int
-    timer: int
-    analogs: tuple[int, ...]
-    analog_low_bits: int
-    encoders: tuple[int, ...]
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    button_mask: Annotated[int, Field(ge=0, le=0x7F)]
+    timer: _Count
+    analogs: Annotated[tuple[_Byte, ...], _exactly(8)]
+    analog_low_bits: _Byte
+    encoders: Counts
 
     @property
     def turns(self) -> tuple[int, ...]:
@@ -77,46 +114,61 @@ class Maxima:
 
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """Denavit-Hartenberg parameters of six joints, as the signed 16-bit numbers of the arm."""
+    """Denavit-Hartenberg parameters of six joints, as the signed 16-bit numbers of the arm: angles
+    in 1/32768 of half a turn, lengths in 0.001 inch.
+    """
 
-    alpha: tuple[int, ...]
-    a: tuple[int, ...]
-    d: tuple[int, ...]
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
-    @property
-    def alpha_rad(self) -> tuple[float, ...]:
-        """Twists in rad."""
-        return tuple(angle_rad(v) for v in self.alpha)
-
-    @property
-    def a_mm(self) -> tuple[float, ...]:
-        """Link lengths in mm."""
-        return tuple(length_mm(v) for v in self.a)
-
-    @property
-    def d_mm(self) -> tuple[float, ...]:
-        """Link offsets in mm."""
-        return tuple(length_mm(v) for v in self.d)
+    alpha: _Words
+    a: _Words
+    d: _Words
 
 
-def angle_rad(value: int) -> float:
-    """An angle of the arm (signed, 1/32768 of half a turn) in rad."""
-    return value / 32768 * math.pi
+def _rad(value: npt.ArrayLike) -> Floats:
+    return np.asarray(value) / 32768 * math.pi
 
 
-def length_mm(value: int) -> float:
-    """A length of the arm (signed, 0.001 inch) in mm."""
-    return value * _INCH_MM / 1000
+def _mm(value: npt.ArrayLike) -> Floats:
+    return np.asarray(value) * 25.4 / 1000
 
 
-def encode_name(code: int, name: str) -> bytes:
-    """The reply with a name. Raises WireError for a name that isn't ASCII or is too long."""
-    if not name.isascii() or "\0" in name or len(name) >= NAME_MAX_BYTES:
-        raise WireError(
-            f"{name!r} is no name for an arm: ASCII without NUL, {NAME_MAX_BYTES - 1} characters at"
-            " most"
-        )
-    return bytes([code]) + name.encode("ascii") + b"\0"
+@dataclass(frozen=True, slots=True)
+class DeviceInfo:
+    """All that an arm says of itself at sign-on; beta is 0 where it has none."""
+
+    names: Identity
+    maxima: Maxima
+    parameters: Parameters
+    beta: int
+
+    def geometry(self) -> ArmGeometry:
+        """Its shape, in rad and mm."""
+        p, beta = self.parameters, self.beta if self.names.has_beta else 0
+        turns = np.array(self.maxima.turns)
+        return ArmGeometry(_rad(p.alpha), _mm(p.a), _mm(p.d), float(_rad(beta)), turns)
+
+    def record(self) -> dict[str, object]:
+        """Names and raw numbers: enough to compute every position again from its counts."""
+        return {
+            **asdict(self.names),
+            "maxima": asdict(self.maxima),
+            "parameters": asdict(self.parameters),
+            "beta": self.beta,
+        }
+
+    def warnings(self) -> list[str]:
+        """A sentence for each joint whose counts, modulo 2^14, lose its angle after a few turns."""
+        return [
+            f"joint {joint} has {turn} counts a turn, and {COUNT_MODULUS} is no multiple of that:"
+            " its angle is lost after so many counts"
+            for joint, turn in enumerate(self.maxima.turns)
+            if turn and COUNT_MODULUS % turn
+        ]
+
+
+class BlockLengthError(WireError):
+    """A block of parameters states an unknown length. Not for missing bytes."""
 
 
 def decode_name(code: int, reply: bytes) -> str:
@@ -134,14 +186,8 @@ def decode_name(code: int, reply: bytes) -> str:
 
 def encode_maxima(maxima: Maxima) -> bytes:
     """The reply with the full scales. Raises WireError when one doesn't fit its field."""
-    fields = (
-        maxima.button_mask,
-        maxima.timer,
-        *maxima.analogs,
-        maxima.analog_low_bits,
-        *maxima.encoders,
-    )
-    return bytes([Code.MAXIMA]) + _packed(_MAXIMA, fields)
+    mask, timer, analogs, low_bits, encoders = astuple(maxima)
+    return bytes([Code.MAXIMA]) + _packed(_MAXIMA, (mask, timer, *analogs, low_bits, *encoders))
 
 
 def decode_maxima(reply: bytes) -> Maxima:
@@ -167,7 +213,7 @@ def decode_parameters(reply: bytes) -> Parameters:
 
 def encode_extended(beta: int) -> bytes:
     """The reply with beta, signed 16-bit. Raises WireError when it doesn't fit."""
-    return bytes([Code.EXTENDED, 2]) + _packed(struct.Struct(">h"), (beta,))
+    return bytes([Code.EXTENDED, 2]) + _packed(_EXTENDED, (beta,))
 
 
 def decode_extended(reply: bytes) -> int:
@@ -214,12 +260,11 @@ def reply_length(code: int, data: bytes) -> int | None:
         end = data.find(b"\0") + 1 or (NAME_MAX_BYTES + 1 if len(data) > NAME_MAX_BYTES else 0)
     elif code in (Code.PARAMETERS, Code.EXTENDED):
         end = 2 + data[1] if len(data) > 1 else 0
+    elif code == Code.MAXIMA:
+        end = 1 + _MAXIMA.size
     else:
-        end = _FIXED.get(code, 1)
+        end = 1
     return end if 0 < end <= len(data) else None
-
-
-_FIXED: dict[int, int] = {Code.MAXIMA: MAXIMA_BYTES, Code.MARKER: 2}
 
 
 def expect_echo(code: int, reply: bytes) -> None:
@@ -257,37 +302,3 @@ def _block(code: int, reply: bytes, length: int) -> bytes:
             f"the block behind {code:02X} has {len(body) - 1} bytes, not the {length} it says"
         )
     return body[1:]
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceInfo:
-    """All that an arm says of itself at sign-on; beta is 0 where it has none."""
-
-    identity: Identity
-    maxima: Maxima
-    parameters: Parameters
-    beta: int
-
-    def geometry(self, tip_longer_mm: float) -> ArmGeometry:
-        """Its shape, with a tip that is so much longer than the standard one."""
-        return ArmGeometry.from_block(
-            self.parameters, angle_rad(self.beta), self.maxima.turns
-        ).with_tip(tip_longer_mm)
-
-    def record(self) -> dict[str, object]:
-        """Names and raw numbers: enough to compute every position again from its counts."""
-        return {
-            **asdict(self.identity),
-            "maxima": asdict(self.maxima),
-            "parameters": asdict(self.parameters),
-            "beta": self.beta,
-        }
-
-    def warnings(self) -> list[str]:
-        """A sentence for each joint whose counts, modulo 2^14, lose its angle after a few turns."""
-        return [
-            f"joint {joint} has {turn} counts a turn, and {COUNT_MODULUS} is no multiple of that:"
-            " its angle is lost after so many counts"
-            for joint, turn in enumerate(self.maxima.turns)
-            if turn and COUNT_MODULUS % turn
-        ]

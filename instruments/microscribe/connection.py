@@ -1,253 +1,206 @@
-"""An arm on its link: sign-on, loss and return of the link, homing, and the adapter's latency
-timer.
+"""One arm on one link: questions and answers, packets, streams, and the end of a session.
 
-An arm that was not homed gives plausible, wrong positions, so any doubt needs the operator's word.
-A broken link is closed at once, which frees its port's name, and opened again before the next
-sign-on.
+All bytes leave through `ArmConnection.send`, which refuses what is never sent. A session is opened
+by ``session``.
 """
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable
+from typing import TypeVar
 
 from instruments.clock import Clock
-from instruments.errors import LinkError, ProtocolError
+from instruments.errors import LimitError, ProtocolError
 from instruments.link import Link
-from instruments.microscribe.configuration import DeviceInfo
-from instruments.microscribe.errors import (
-    AnotherArmError,
-    NoSessionError,
-    NotHomedError,
-    SilentArmError,
-    StreamingError,
-    UnusableArmError,
-)
-from instruments.microscribe.protocol import ArmTime, Packet
-from instruments.microscribe.session import ATTEMPTS, SIGN_ON_S, Session
+from instruments.microscribe import configuration as conf
+from instruments.microscribe import protocol as wire
+from instruments.microscribe.errors import NoSessionError, SilentArmError, UnusableArmError
+from instruments.microscribe.protocol import Code, Event, Packet, PacketDecoder, State, WireError
 
-_CONFIRM_HINT = (
-    "Confirm it if the stylus sat on its peg when the arm was last switched on; "
-    "else put the stylus on its peg, switch the arm off and on, sign on, and confirm"
-)
-_HOME_HINT = (
-    "Put the stylus on its peg and home the arm ('teatbench arm home'), or switch it off and on"
-    " there and sign on again"
-)
-_AT_FIRST = "it has not been confirmed since sign-on"
-
-
-class Homing:
-    """What is known of one arm's homing, and why it isn't confirmed."""
-
-    def __init__(self, who: str) -> None:
-        self._who = who
-        self.confirmed = False
-        self._why = _AT_FIRST
-        self._doubt = ""
-
-    def signed_on(self, doubt: str = "") -> None:
-        """A new session. After a ``doubt``, only homing, or power cycle and sign-on, helps."""
-        self.confirmed = False
-        self._doubt = doubt
-
-    def lost(self, why: str) -> None:
-        """The homing is unknown for this reason until it is confirmed again."""
-        if self.confirmed:
-            self._why = why
-        self.confirmed = False
-
-    def confirm(self) -> None:
-        """The operator confirms homing. Raises NotHomedError where only homing helps."""
-        if self._doubt:
-            raise NotHomedError(self._who, self._doubt, asked="to confirm homing", hint=_HOME_HINT)
-        self.homed()
-
-    def homed(self) -> None:
-        """The arm has just loaded its home counts with its stylus on the peg."""
-        self.confirmed, self._why, self._doubt = True, _AT_FIRST, ""
-
-    def require(self, asked: str) -> None:
-        """Raise NotHomedError unless homing is confirmed."""
-        if not self.confirmed:
-            why = self._doubt or self._why
-            what = (
-                f"no positions before homing is confirmed: {why}. An arm that was not homed gives"
-                " plausible, wrong ones"
-            )
-            raise NotHomedError(
-                self._who, what, asked=asked, hint=_HOME_HINT if self._doubt else _CONFIRM_HINT
-            )
-
-
-_RETRY_S = 0.25
-_RETRY_SIGN_ON_S = 1.0  # a port that is back is noticed, and its arm signed on, well within 2 s
-_RATES = (115200, 38400, 57600, 19200, 9600, 28800, 14400)  # the likely ones first
-
-_BACK_HINT = (
-    "Check power and cable, and sign on again; if it lost its power, switch it on with its stylus"
-    " on its peg"
-)
-_DOUBT = (
-    "the arm was in a session at another baud rate, and what was sent at the wrong one may have"
-    " re-homed it"
-)
+ANSWER_S = 0.12  # 0.1 s, and the latency of an adapter whose timer nobody has set
+SILENCE_S = 0.1
+PAUSE_S = 0.015
+STREAM_END_S = 0.05  # what the maker's host waits after it ended a stream
+ATTEMPTS = 3
+ON_HINT = "Is the arm switched on, plugged in, and on this port? Close other programs that use it"
+CABLE_HINT = "Check cable, plugs and baud rate"
+_NOTHING = 0x00  # asks for a packet of buttons alone: how a stream is ended
+_T = TypeVar("_T")
 
 
 class ArmConnection:
-    """One arm on one link. ``rates``: what sign-on tries, the first one for longest."""
+    """The session on one link, as this end knows it: ``live`` while it can be asked for packets.
 
-    def __init__(
-        self, link: Link, clock: Clock, rates: Sequence[int] | None, answer_s: float
-    ) -> None:
+    ``answer_s`` is the least time for an answer. ``untidy``: bytes of an earlier answer may come.
+    """
+
+    def __init__(self, link: Link, clock: Clock, answer_s: float) -> None:
         self.who = link.who
         self.link = link
-        if rates is None:  # a socket's far end keeps its own rate
-            others = () if link.url.startswith("socket://") else _RATES
-            rates = (link.baud, *(rate for rate in others if rate != link.baud))
-        self.rates = tuple(rates)
-        self.session = Session(link, clock, answer_s)
-        self.homing = Homing(link.who)
-        self.arm_time = ArmTime()
-        self.info: DeviceInfo | None = None
-        self._clock = clock
-        self._broken = False
+        self.clock = clock
+        self.answer_s = answer_s
+        self.state = State.FINDING_BAUD
+        self.untidy = False
+        self._decoder = PacketDecoder(wire.POLL)
+        self._decoder_of = wire.POLL
+        self._damaged = 0
 
-    def sign_on(self) -> DeviceInfo:
-        """See ``MicroScribe.sign_on``."""
-        return self._sign_on(self.rates, SIGN_ON_S)
+    @property
+    def live(self) -> bool:
+        """Whether a session is open, as far as this end knows."""
+        return self.state in wire.LIVE
 
-    def recover(self, timeout_s: float) -> DeviceInfo:
-        """See ``MicroScribe.recover``."""
-        before, deadline = self.info, self._clock.now() + timeout_s
-        try:
-            now = self._sign_on_again(deadline)
-            if before and before.identity.serial_number != now.identity.serial_number:
-                self.end()
-                what = (
-                    f"arm {before.identity.serial_number} was lost, and arm"
-                    f" {now.identity.serial_number} answers"
-                )
-                raise AnotherArmError(
-                    self.who, what, hint="Plug the first arm in again, or sign on to the new one"
-                )
-        except BaseException:
-            self.info = before  # still the arm that is waited for
-            raise
-        return now
+    @property
+    def streaming(self) -> bool:
+        """Whether a stream runs, as far as this end knows."""
+        return self.state is State.STREAMING
+
+    @property
+    def damaged(self) -> int:
+        """Packets that came damaged."""
+        return self._damaged + self._decoder.damaged
 
     def end(self) -> None:
-        """End the session. Raises LinkError when the link is broken: ended too, then."""
-        self.homing.lost("the session was ended")
-        with self.noticing():
-            self.session.end()
-
-    def packet(self, command: int) -> Packet:
-        """One packet, asked for again when damaged; see ``MicroScribe.poll``."""
-        seen, start = b"", self._clock.now()
-        for _ in range(ATTEMPTS):
-            with self.noticing():
-                packet, came = self.session.ask_packet(command)
-            if packet is not None:
-                return packet
-            seen = came or seen
-        asked, seconds = bytes([command]), self._clock.now() - start
-        if seen:
-            what = f"{ATTEMPTS} packets in a row came damaged"
-            raise ProtocolError(
-                self.who, what, asked=asked, seen=seen, hint="Check cable, plugs and baud rate"
-            )
-        self._lose("the arm fell silent: it may have lost its power")
-        what = (
-            "the arm has fallen silent: it lost its power or its cable, and with it its session and"
-            " its homing"
-        )
-        raise SilentArmError(
-            self.who, what, asked=asked, seen=b"", seconds=seconds, hint=_BACK_HINT
-        )
-
-    @contextlib.contextmanager
-    def noticing(self) -> Iterator[None]:
-        """A link that breaks in here costs the session and the homing."""
+        """End the session, if any. Raises LinkError when the link is broken: ended too, then."""
+        if self.state is State.FINDING_BAUD:
+            return
         try:
-            yield
-        except SilentArmError:
-            raise  # the link is whole
-        except LinkError:
-            self._broken = True
-            self._lose("the link broke, and nobody can tell whether the arm kept its power")
-            self.link.close()
-            raise
+            self.send(bytes([Code.END]), Event.END)
+            # silence is as good: an arm without power has no session
+            self.link.read_until(bytes([Code.END]), self.answer_s)
+            self.clock.sleep(PAUSE_S)
+        finally:
+            self.lose()
 
-    def need_session(self, asked: str) -> None:
-        """Raise NoSessionError without a session, StreamingError within a stream."""
-        if not self.session.live:
-            raise NoSessionError(
-                self.who, "there is no session with the arm", asked=asked, hint="Sign on first"
-            )
-        if self.session.streaming:
-            raise StreamingError(
-                self.who, "a stream runs", asked=asked, hint="End the stream first"
-            )
+    def lose(self) -> None:
+        """The session is gone; what still comes belongs to no later question."""
+        self.state = State.FINDING_BAUD
+        self.untidy = True
+        self._decoder.reset()
 
-    def rate_warning(self) -> str | None:
-        """A sentence where the arm was found at another rate than the first."""
-        if self.link.baud == self.rates[0]:
+    def tidy(self) -> None:
+        """Let late bytes of a damaged answer pass, so that none is taken for the next answer."""
+        if self.untidy:
+            self.link.drain(min(1.0, SILENCE_S * self.answer_s / ANSWER_S))
+            self.untidy = False
+
+    def send(self, data: bytes, event: Event) -> None:
+        """Send bytes that are the event. Raises LimitError for what is never sent, NoSessionError
+        for what the state doesn't allow, LinkError when the link is broken.
+        """
+        try:
+            wire.refuse_forbidden(data, self.state)
+        except WireError as error:
+            raise LimitError(self.who, f"{error}", asked=data) from error
+        try:
+            state = wire.next_state(self.state, event)
+        except WireError as error:
+            raise NoSessionError(self.who, f"{error}", asked=data, hint="Sign on first") from error
+        self.link.write(data)
+        self.state = state
+
+    def ask(self, code: Code, decode: Callable[[bytes], _T], *, timeout_s: float = 0.0) -> _T:
+        """Send a configuration command and decode its reply, which has ``timeout_s`` or
+        ``answer_s``.
+
+        Raises SilentArmError, UnusableArmError for a block of an unknown length, ProtocolError for
+        a damaged reply, NoSessionError, and LinkError when the link is broken.
+        """
+        self.tidy()
+        asked, start = bytes([code]), self.clock.now()
+        self.send(asked, Event.CONFIGURE)
+        deadline, reply = start + max(timeout_s, self.answer_s), b""
+        while (end := conf.reply_length(code, reply)) is None:
+            more = self.link.receive(max(0.0, deadline - self.clock.now()))
+            if not more:
+                break
+            reply += more
+        seconds = self.clock.now() - start
+        self.untidy = not reply or len(reply) > len(reply[:end])
+        reply = reply[:end]
+        if not reply:
+            what = "the arm does not answer"
+            raise SilentArmError(
+                self.who, what, asked=asked, seen=b"", seconds=seconds, hint=ON_HINT
+            )
+        try:
+            return decode(reply)
+        except WireError as error:
+            self.untidy = True
+            unusable = isinstance(error, conf.BlockLengthError)
+            raise (UnusableArmError if unusable else ProtocolError)(
+                self.who,
+                f"{error}",
+                asked=asked,
+                seen=reply,
+                seconds=seconds,
+                hint=f"{CABLE_HINT}, then sign on again",
+            ) from error
+
+    def ask_packet(self) -> tuple[Packet | None, bytes]:
+        """Poll once: the packet (None where damaged or missing) and the bytes. Raises
+        NoSessionError, LinkError when the link is broken.
+        """
+        self._expect(wire.POLL)
+        self.send(bytes([wire.POLL]), Event.POLL)
+        seen = b""
+        deadline = self.clock.now() + self.answer_s
+        while data := self.link.receive(max(0.0, deadline - self.clock.now())):
+            seen += data
+            if packets := self._decoder.feed(data):
+                withdrawn, behind = self._decoder.withdrawn, self.link.receive(0.0)
+                self._decoder.feed(behind)
+                self.untidy = len(packets) > 1 or bool(behind) or self._decoder.pending > 0
+                return None if self._decoder.withdrawn > withdrawn else packets[-1], seen + behind
+        self.untidy = True
+        return None, seen
+
+    def start_stream(self, command: int) -> bytes | None:
+        """Start the fastest stream of ``command`` once: None when echoed, else what came. Raises
+        NoSessionError or LinkError.
+        """
+        self._expect(command)
+        self.send(conf.encode_stream(conf.StreamRequest(0, command)), Event.STREAM)
+        echo = bytes([Code.STREAM])
+        seen = self.link.read_until(echo, self.answer_s)
+        if seen.endswith(echo):
             return None
-        return f"the arm answers at {self.link.baud} baud, not at {self.rates[0]}"
+        self.stop_stream()
+        return seen
 
-    def _sign_on_again(self, deadline: float) -> DeviceInfo:
-        """Try until the deadline; what is refused for good is raised at once."""
-        while True:
-            try:
-                return self._sign_on(
-                    (self.link.baud,),
-                    min(_RETRY_SIGN_ON_S, max(_RETRY_S, deadline - self._clock.now())),
-                )
-            except UnusableArmError:
-                raise
-            except (LinkError, ProtocolError):
-                if self._clock.now() + _RETRY_S >= deadline:
-                    raise
-            self._clock.sleep(_RETRY_S)
+    def stream_packets(self) -> list[Packet]:
+        """The packets since the last call; none after ``answer_s``. Raises LinkError."""
+        deadline = self.clock.now() + self.answer_s
+        while data := self.link.receive(max(0.0, deadline - self.clock.now())):
+            if packets := self._decoder.feed(data):
+                return packets
+        return []
 
-    def _sign_on(self, rates: Sequence[int], patience_s: float) -> DeviceInfo:
-        self.homing.lost("the session was opened anew")
-        self.info = None
-        self.arm_time = ArmTime()
-        if self._broken:
-            self.link.reopen()
-            self._broken = False
-        with self.noticing():
-            self.info, baud = self.session.open(rates, patience_s=patience_s)
-        self.homing.signed_on(_DOUBT if baud != rates[0] else "")
-        return self.info
+    def stop_stream(self) -> None:
+        """End a stream as the maker's host does: 00, 50 ms, flush; repeated while its answer is
+        missing. Earlier packets are dropped. Raises LinkError.
+        """
+        if not self.streaming:
+            return
+        self.untidy = True
+        for _ in range(ATTEMPTS):
+            self.send(bytes([_NOTHING]), Event.POLL)
+            self.clock.sleep(STREAM_END_S)
+            rest = PacketDecoder().feed(self.link.drain(0.0))
+            if rest and rest[-1].command == _NOTHING:
+                self.untidy = False
+                break
+        self._decode(self._decoder_of)
 
-    def _lose(self, why: str) -> None:
-        self.homing.lost(why)
-        self.session.lose()
+    def _expect(self, command: int) -> None:
+        """Drop what is left of an earlier answer, and accept packets of ``command`` only."""
+        if self.untidy:
+            self.tidy()
+            self._decoder.reset()
+        if command != self._decoder_of:
+            self._decode(command)
 
-
-SYSFS = Path("/sys")
-WANTED_MS = 1
-
-
-def latency_warning(port: str, sysfs: Path = SYSFS) -> str | None:
-    """Advice about a slow adapter behind a port's path or link; None when fine or unknown."""
-    if "://" in port or not port.startswith("/"):
-        return None
-    name = Path(port).resolve().name
-    timer = sysfs / "bus" / "usb-serial" / "devices" / name / "latency_timer"
-    try:
-        latency_ms = int(timer.read_text(encoding="ascii"))
-    # no USB adapter, one without a timer, or no Linux: nothing is known, so nothing to say
-    except (OSError, ValueError):
-        return None
-    if latency_ms <= WANTED_MS:
-        return None
-    return (
-        f"the USB adapter {name} holds bytes back for {latency_ms} ms, which every poll waits for."
-        f" Set it with: echo {WANTED_MS} | sudo tee {timer.as_posix()} (until it is plugged in"
-        " again), or stream instead of polling"
-    )
+    def _decode(self, command: int) -> None:
+        """From now on packets of ``command``, and nothing of one that had begun."""
+        self._damaged += self._decoder.damaged
+        self._decoder, self._decoder_of = PacketDecoder(command), command

@@ -1,8 +1,9 @@
 """The host's end of a MicroScribe arm: identity, packets, and positions.
 
 The protocol has no checksum and no error codes. So damaged packets are asked for again, several
-packets make a reading, and no position is given before the operator has confirmed homing; a lost
-session loses the homing.
+packets make a reading, and no position is given before the operator has confirmed homing: an arm
+that was not homed gives plausible, wrong positions. A lost session loses the homing. A broken link
+is closed at once, which frees its port's name, and opened again before the next sign-on.
 """
 
 from __future__ import annotations
@@ -13,49 +14,58 @@ from pathlib import Path
 from typing import ClassVar
 
 from instruments.clock import Clock
-from instruments.errors import LinkError
+from instruments.errors import InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
-from instruments.microscribe.configuration import (
-    DeviceInfo,
-    Identity,
-    Maxima,
-    Parameters,
-    angle_rad,
+from instruments.microscribe import configuration as conf
+from instruments.microscribe import protocol as wire
+from instruments.microscribe.configuration import DeviceInfo, Identity
+from instruments.microscribe.connection import ANSWER_S, ATTEMPTS, CABLE_HINT, ArmConnection
+from instruments.microscribe.errors import (
+    AnotherArmError,
+    ArmMovesError,
+    NoSessionError,
+    NotHomedError,
+    SilentArmError,
+    UnusableArmError,
 )
-from instruments.microscribe.connection import SYSFS, ArmConnection, latency_warning
-from instruments.microscribe.errors import ArmMovesError, NoSessionError
-from instruments.microscribe.kinematics import ArmGeometry
-from instruments.microscribe.protocol import Packet
-from instruments.microscribe.session import ANSWER_S
-from instruments.microscribe.stream import (
-    DEBOUNCE_S,
-    PedalEvent,
-    Reading,
-    Sample,
-    Sampler,
-    Streaming,
-    poll_command,
-    reading_of,
-    stream_request,
-)
-
-__all__ = ["INTERVAL_S", "MAX_SPREAD_MM", "MicroScribe", "PedalEvent", "Reading", "Sample"]
+from instruments.microscribe.protocol import ArmTime, Code, Packet
+from instruments.microscribe.session import SIGN_ON_S, open_session
+from instruments.microscribe.stream import Reading, Sample, reading_of
 
 # Eight packets of a still arm spread by some 0.35 mm at most: rounding (0.31 mm a packet) and a
 # hand's tremor.
 MAX_SPREAD_MM = 1.0
 INTERVAL_S = 0.01
-PEDAL_INTERVAL_S = 0.005
 RECOVER_S = 30.0
+_RETRY_S = 0.25
+_RETRY_SIGN_ON_S = 1.0  # a port that is back is noticed, and its arm signed on, well within 2 s
+_RATES = (115200, 38400, 57600, 19200, 9600, 28800, 14400)  # the likely ones first
+
+_CONFIRM_HINT = (
+    "Confirm it if the stylus sat on its peg when the arm was last switched on; "
+    "else put the stylus on its peg, switch the arm off and on, sign on, and confirm"
+)
+_HOME_HINT = (
+    "Put the stylus on its peg and home the arm ('teatbench arm home'), or switch it off and on"
+    " there and sign on again"
+)
+_BACK_HINT = (
+    "Check power and cable, and sign on again; if it lost its power, switch it on with its stylus"
+    " on its peg"
+)
+_AT_FIRST = "it has not been confirmed since sign-on"
+_DOUBT = (
+    "the arm was in a session at another baud rate, and what was sent at the wrong one may have"
+    " re-homed it"
+)
 
 
 class MicroScribe:
     """One arm on one link, which it owns. Only a hand moves it.
 
-    ``rates``: tried by sign-on; default the link's own, then on a serial port all others.
-    ``tip_longer_mm``: length of the fitted tip over the standard one. ``answer_s``: how long an
-    answer is waited for, three times, before the arm counts as lost. ``sysfs``: where Linux shows
-    its adapters.
+    ``rates``: tried by sign-on, the first one for longest; default the link's own, then on a serial
+    port all others. ``answer_s``: how long an answer is waited for, three times, before the arm
+    counts as lost.
     """
 
     moves: ClassVar[bool] = False
@@ -67,47 +77,37 @@ class MicroScribe:
         clock: Clock,
         *,
         rates: Sequence[int] | None = None,
-        tip_longer_mm: float = 0.0,
         answer_s: float = ANSWER_S,
-        sysfs: Path = SYSFS,
     ) -> None:
         self.who = link.who
         self._link = link
         self._clock = clock
-        self._tip_longer_mm = tip_longer_mm
-        self._sysfs = sysfs
-        self._arm = ArmConnection(link, clock, rates, answer_s)
-        self._geometry: tuple[DeviceInfo, ArmGeometry] | None = None
+        if rates is None:  # a socket's far end keeps its own rate
+            others = () if link.url.startswith("socket://") else _RATES
+            rates = (link.baud, *(rate for rate in others if rate != link.baud))
+        self._rates = tuple(rates)
+        self._arm = ArmConnection(link, clock, answer_s)
+        self._arm_time = ArmTime()
+        self._info: DeviceInfo | None = None
+        self._broken = False
+        self._homed = False
+        self._not_homed = _AT_FIRST  # why
+        self._doubt = ""  # why a confirmation is not enough
 
     # Who it is
 
     @property
+    def info(self) -> DeviceInfo:
+        """All that the arm says of itself, as read at sign-on. Raises NoSessionError before it."""
+        if self._info is None:
+            what = "who the arm is has not been read yet"
+            raise NoSessionError(self.who, what, hint="Sign on first")
+        return self._info
+
+    @property
     def identity(self) -> Identity:
         """The seven names, as read at sign-on. Raises NoSessionError before it."""
-        return self._known().identity
-
-    @property
-    def maxima(self) -> Maxima:
-        """Full scales, as read at sign-on. Raises NoSessionError before it."""
-        return self._known().maxima
-
-    @property
-    def parameters(self) -> Parameters:
-        """Denavit-Hartenberg parameters, as read at sign-on. Raises NoSessionError before it."""
-        return self._known().parameters
-
-    @property
-    def beta_rad(self) -> float:
-        """The extended parameter, 0 where there is none. Raises NoSessionError before sign-on."""
-        return angle_rad(self._known().beta)
-
-    @property
-    def geometry(self) -> ArmGeometry:
-        """The arm's shape with the fitted tip. Raises NoSessionError before sign-on."""
-        info = self._known()
-        if self._geometry is None or self._geometry[0] is not info:
-            self._geometry = info, info.geometry(self._tip_longer_mm)
-        return self._geometry[1]
+        return self.info.names
 
     @property
     def baud(self) -> int:
@@ -116,30 +116,33 @@ class MicroScribe:
 
     def record(self) -> dict[str, object]:
         """The arm's own data and how it was read. Raises NoSessionError before sign-on."""
-        return {**self._known().record(), "baud": self.baud, "tip_longer_mm": self._tip_longer_mm}
+        return {**self.info.record(), "baud": self.baud}
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences about a slow adapter, another rate, and joints that lose count."""
-        told = [latency_warning(self._link.url, self._sysfs)]
-        if self._arm.info:
-            told += [self._arm.rate_warning(), *self._arm.info.warnings()]
-        return tuple(sentence for sentence in told if sentence)
+        slow = latency_warning(self._link.url)
+        found = [slow] if slow else []
+        if self._info:
+            if self.baud != self._rates[0]:
+                found.append(f"the arm answers at {self.baud} baud, not at {self._rates[0]}")
+            found += self._info.warnings()
+        return tuple(found)
 
     @property
     def homed(self) -> bool:
         """Whether homing has been confirmed in this session."""
-        return self._arm.homing.confirmed and self.live
+        return self._homed and self.live
 
     @property
     def live(self) -> bool:
         """Whether a session is open, as far as is known."""
-        return self._arm.session.live
+        return self._arm.live
 
     @property
     def damaged(self) -> int:
         """Packets that came damaged since the driver was made."""
-        return self._arm.session.damaged
+        return self._arm.damaged
 
     # Sessions
 
@@ -147,9 +150,9 @@ class MicroScribe:
         """Find the arm, open a session, and read who it is; homing has to be confirmed afterwards.
 
         Opens a broken link again. Raises LinkError (SilentArmError: no answer), NoMicroScribeError,
-        UnusableArmError, UnstableUnitError, or ProtocolError for damaged answers.
+        UnusableArmError, or ProtocolError for damaged answers.
         """
-        return self._arm.sign_on().identity
+        return self._sign_on(self._rates, SIGN_ON_S)
 
     def recover(self, timeout_s: float = RECOVER_S) -> Identity:
         """After a loss: wait for port and arm, and sign on again at the rate that worked.
@@ -158,18 +161,52 @@ class MicroScribe:
         ``timeout_s`` have passed; at once what is refused for good, and AnotherArmError for another
         serial number.
         """
-        return self._arm.recover(timeout_s).identity
+        before, deadline = self._info, self._clock.now() + timeout_s
+        try:
+            now = self._sign_on_again(deadline)
+            if before and before.names.serial_number != now.serial_number:
+                self.safe()
+                raise AnotherArmError(
+                    self.who,
+                    f"arm {before.names.serial_number} was lost, and arm {now.serial_number}"
+                    " answers",
+                    hint="Plug the first arm in again, or sign on to the new one",
+                )
+        except BaseException:
+            self._info = before  # still the arm that is waited for
+            raise
+        return now
 
-    def set_baud(self, baud: int) -> None:
-        """Change the rate and check it. Raises LimitError for an unknown rate, else as ``poll``."""
-        self._arm.need_session("another rate")
-        with self._arm.noticing():
-            self._arm.session.ask_baud(baud)
-        self.poll()
+    def _sign_on_again(self, deadline: float) -> Identity:
+        """Try until the deadline; what is refused for good is raised at once."""
+        while True:
+            patience_s = min(_RETRY_SIGN_ON_S, max(_RETRY_S, deadline - self._clock.now()))
+            try:
+                return self._sign_on((self.baud,), patience_s)
+            except UnusableArmError:
+                raise
+            except (LinkError, ProtocolError):
+                if self._clock.now() + _RETRY_S >= deadline:
+                    raise
+            self._clock.sleep(_RETRY_S)
+
+    def _sign_on(self, rates: Sequence[int], patience_s: float) -> Identity:
+        self._lose_homing("the session was opened anew")
+        self._info = None
+        self._arm_time = ArmTime()
+        if self._broken:
+            self._link.reopen()
+            self._broken = False
+        with self._noticing():
+            self._info, baud = open_session(self._arm, rates, patience_s)
+        self._doubt = _DOUBT if baud != rates[0] else ""
+        return self._info.names
 
     def safe(self) -> None:
         """End the session, if any. Raises LinkError when the link is broken."""
-        self._arm.end()
+        self._lose_homing("the session was ended")
+        with self._noticing():
+            self._arm.end()
 
     def close(self) -> None:
         """End the session and close the link; once more is no error."""
@@ -179,112 +216,182 @@ class MicroScribe:
         finally:
             self._link.close()
 
+    @contextlib.contextmanager
+    def _noticing(self) -> Iterator[None]:
+        """A link that breaks in here costs the session and the homing."""
+        try:
+            yield
+        except SilentArmError:
+            raise  # the link is whole
+        except LinkError:
+            self._broken = True
+            self._lose_homing("the link broke, and nobody can tell whether the arm kept its power")
+            self._arm.lose()
+            self._link.close()
+            raise
+
+    def _need_session(self, asked: str) -> None:
+        """Raise NoSessionError without a session, LimitError within a stream."""
+        if not self.live:
+            what = "there is no session with the arm"
+            raise NoSessionError(self.who, what, asked=asked, hint="Sign on first")
+        if self._arm.streaming:
+            raise LimitError(self.who, "a stream runs", asked=asked, hint="End the stream first")
+
     # Homing
 
     def confirm_homed(self) -> None:
         """The operator confirms that the stylus was on its peg at power-up, or was homed since.
         Raises NoSessionError; NotHomedError after a search for the rate, when only homing helps.
         """
-        self._arm.need_session("to confirm homing")
-        self._arm.homing.confirm()
+        self._need_session("to confirm homing")
+        if self._doubt:
+            raise NotHomedError(self.who, self._doubt, asked="to confirm homing", hint=_HOME_HINT)
+        self._set_homed()
 
     def home(self) -> None:
         """Make the arm load its home counts. Only with the stylus on its peg: anywhere else ruins
         every position. Raises NoSessionError, LinkError, or ProtocolError without confirmation.
         """
-        self._arm.need_session("to home")
-        self._arm.homing.lost("the arm was asked to home, and did not confirm it")
-        with self._arm.noticing():
-            self._arm.session.ask_home()
-        self._arm.homing.homed()
+        self._need_session("to home")
+        self._lose_homing("the arm was asked to home, and did not confirm it")
+        with self._noticing():
+            self._arm.ask(Code.HOME, lambda reply: conf.expect_echo(Code.HOME, reply))
+        self._set_homed()
+
+    def _set_homed(self) -> None:
+        self._homed, self._not_homed, self._doubt = True, _AT_FIRST, ""
+
+    def _lose_homing(self, why: str) -> None:
+        if self._homed:
+            self._not_homed = why
+        self._homed = False
+
+    def _need_homing(self, asked: str) -> None:
+        if not self._homed:
+            what = (
+                f"no positions before homing is confirmed: {self._doubt or self._not_homed}. An arm"
+                " that was not homed gives plausible, wrong ones"
+            )
+            hint = _HOME_HINT if self._doubt else _CONFIRM_HINT
+            raise NotHomedError(self.who, what, asked=asked, hint=hint)
 
     # Packets and positions
 
-    def poll(self, *, encoders: int = 6, stamped: bool = False) -> Packet:
-        """One packet of six counts, or five; asked for again when damaged.
+    def poll(self) -> Packet:
+        """One packet of six counts; asked for again when damaged.
 
-        Raises NoSessionError, StreamingError within a stream, ProtocolError when every attempt came
+        Raises NoSessionError, LimitError within a stream, ProtocolError when every attempt came
         damaged; LinkError (SilentArmError: no answer), which loses session and homing.
         """
-        self._arm.need_session("a packet")
-        return self._arm.packet(poll_command(encoders, stamped))
+        self._need_session("a packet")
+        return self._packet()
 
-    def read(
-        self, n: int = 8, max_spread_mm: float = MAX_SPREAD_MM, *, interval_s: float = INTERVAL_S
-    ) -> Reading:
-        """One position from ``n`` packets, ``interval_s`` apart.
+    def _packet(self) -> Packet:
+        seen, start = b"", self._clock.now()
+        for _ in range(ATTEMPTS):
+            with self._noticing():
+                packet, came = self._arm.ask_packet()
+            if packet is not None:
+                return packet
+            seen = came or seen
+        asked, seconds = bytes([wire.POLL]), self._clock.now() - start
+        if seen:
+            what = f"{ATTEMPTS} packets in a row came damaged"
+            raise ProtocolError(self.who, what, asked=asked, seen=seen, hint=CABLE_HINT)
+        self._lose_homing("the arm fell silent: it may have lost its power")
+        self._arm.lose()
+        what = (
+            "the arm has fallen silent: it lost its power or its cable, and with it its session and"
+            " its homing"
+        )
+        raise SilentArmError(
+            self.who, what, asked=asked, seen=b"", seconds=seconds, hint=_BACK_HINT
+        )
+
+    def read(self, n: int = 8, max_spread_mm: float = MAX_SPREAD_MM) -> Reading:
+        """One position from ``n`` packets, 10 ms apart.
 
         Raises NotHomedError, ArmMovesError for a tip further than ``max_spread_mm`` from the
         median, ValueError for n below 1, else as ``poll``.
         """
         if n < 1:
             raise ValueError(f"a reading needs one packet at least, not {n}")
-        self._arm.need_session("a reading")
-        self._arm.homing.require("a reading")
+        self._need_session("a reading")
+        self._need_homing("a reading")
         counts = [self.poll().counts]
         for _ in range(n - 1):
-            self._clock.sleep(interval_s)
+            self._clock.sleep(INTERVAL_S)
             counts.append(self.poll().counts)
-        reading = reading_of(self.geometry, counts)
+        reading = reading_of(self.info.geometry(), counts)
         if not reading.spread_mm <= max_spread_mm:
-            what = (
-                f"the arm moves: {n} packets spread by {reading.spread_mm:.2f} mm, more than"
-                f" {max_spread_mm:g} mm"
-            )
             raise ArmMovesError(
                 self.who,
-                what,
+                f"the arm moves: {n} packets spread by {reading.spread_mm:.2f} mm, more than"
+                f" {max_spread_mm:g} mm",
                 asked="a reading",
                 hint="Hold the tip still in its place and read again",
             )
         return reading
 
-    def wait_for_pedal(
-        self,
-        timeout_s: float,
-        *,
-        debounce_s: float = DEBOUNCE_S,
-        interval_s: float = PEDAL_INTERVAL_S,
-    ) -> PedalEvent | None:
-        """The next press, by the host's clock; None after ``timeout_s``. A pedal that is down has
-        to come up first. Raises ValueError for a negative time, else as ``poll``.
-        """
-        sampler = Sampler(self._arm.arm_time, debounce_s)
-        deadline = self._clock.now() + timeout_s
-        while True:
-            for event in sampler.sample(self.poll(), self._clock.now()).events:
-                if event.pressed:
-                    return event
-            if self._clock.now() >= deadline:
-                return None
-            self._clock.sleep(interval_s)
-
     @contextlib.contextmanager
-    def stream(
-        self,
-        rate_hz: float | None = None,
-        *,
-        encoders: int = 6,
-        stamped: bool = True,
-        debounce_s: float = DEBOUNCE_S,
-    ) -> Iterator[Iterator[Sample]]:
-        """Samples without end, at ``rate_hz`` at least (None: the fastest): ``with arm.stream(50)
-        as samples:``.
+    def stream(self, *, stamped: bool = True) -> Iterator[Iterator[Sample]]:
+        """Samples without end, as fast as the arm sends them: ``with arm.stream() as samples:``.
 
         Ends the stream on the way out and drops what is left. A silent stream is started again if
-        the arm still answers. Raises NoSessionError, StreamingError, ValueError for an impossible
-        rate; while it runs, as ``poll``.
+        the arm still answers. Raises NoSessionError, LimitError within a stream; while it runs, as
+        ``poll``.
         """
-        self._arm.need_session("a stream")
-        request = stream_request(rate_hz, poll_command(encoders, stamped))
-        streaming = Streaming(
-            self._arm, self._clock, request, Sampler(self._arm.arm_time, debounce_s)
-        )
-        streaming.start()
+        self._need_session("a stream")
+        command = wire.POLL | (wire.TIME_STAMP if stamped else 0)
+        self._start_stream(command)
         try:
-            yield streaming.samples()
+            yield self._samples(command)
         finally:
-            streaming.stop()
+            self._stop_stream()
+
+    def _start_stream(self, command: int) -> None:
+        start, seen = self._clock.now(), b""
+        for _ in range(ATTEMPTS):
+            with self._noticing():
+                came = self._arm.start_stream(command)
+            if came is None:
+                return
+            seen = came or seen
+        what = f"{ATTEMPTS} requests for a stream were answered otherwise"
+        kind: type[InstrumentError] = ProtocolError
+        if not seen:
+            # an arm that is still there, but doesn't stream, is told apart from one that is gone
+            self._packet()
+            kind, what = SilentArmError, "the arm answers polls, but no stream"
+        seconds = self._clock.now() - start
+        asked, hint = bytes([Code.STREAM]), f"{CABLE_HINT}; or poll"
+        raise kind(self.who, what, asked=asked, seen=seen[-64:], seconds=seconds, hint=hint)
+
+    def _stop_stream(self) -> None:
+        with self._noticing():
+            self._arm.stop_stream()
+
+    def _samples(self, command: int) -> Iterator[Sample]:
+        while True:
+            if not self._arm.streaming:
+                raise NoSessionError(
+                    self.who,
+                    "the stream has ended",
+                    asked="the next sample",
+                    hint="Start another stream",
+                )
+            with self._noticing():
+                packets = self._arm.stream_packets()
+            if not packets:  # the command may have been lost, or the arm
+                self._stop_stream()
+                self._packet()
+                self._start_stream(command)
+            host_s = self._clock.now()
+            for packet in packets:
+                stamp = packet.ticks
+                t_s = host_s if stamp is None else self._arm_time.seconds(stamp, host_s)
+                yield Sample(t_s, packet.counts, packet.buttons)
 
     def position(self, samples: Sequence[Sample]) -> Reading:
         """The reading of samples, whatever their spread: to show while the arm moves, not to
@@ -292,12 +399,29 @@ class MicroScribe:
         """
         if not samples:
             raise ValueError("a reading needs one sample at least")
-        self._arm.homing.require("a position")
-        return reading_of(self.geometry, [sample.counts for sample in samples])
+        self._need_homing("a position")
+        return reading_of(self.info.geometry(), [sample.counts for sample in samples])
 
-    def _known(self) -> DeviceInfo:
-        if self._arm.info is None:
-            raise NoSessionError(
-                self.who, "who the arm is has not been read yet", hint="Sign on first"
-            )
-        return self._arm.info
+
+SYSFS = Path("/sys")
+WANTED_MS = 1
+
+
+def latency_warning(port: str, sysfs: Path = SYSFS) -> str | None:
+    """Advice about a slow adapter behind a port's path or link; None when fine or unknown."""
+    if not port.startswith("/"):
+        return None
+    name = Path(port).resolve().name
+    timer = sysfs / "bus" / "usb-serial" / "devices" / name / "latency_timer"
+    try:
+        latency_ms = int(timer.read_text(encoding="ascii"))
+    # no USB adapter, one without a timer, or no Linux: nothing is known, so nothing to say
+    except (OSError, ValueError):
+        return None
+    if latency_ms <= WANTED_MS:
+        return None
+    return (
+        f"the USB adapter {name} holds bytes back for {latency_ms} ms, which every poll waits for."
+        f" Set it with: echo {WANTED_MS} | sudo tee {timer.as_posix()} (until it is plugged in"
+        " again), or stream instead of polling"
+    )

@@ -11,8 +11,6 @@ from collections.abc import Callable
 from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
 from instruments.microscribe.protocol import BEGIN, SYNC
 
-# Sign-on
-
 
 class NoMicroScribeError(ProtocolError):
     """Another device, or a loop-back plug, answers the sign-on. Damaged answers of an arm are a
@@ -21,30 +19,13 @@ class NoMicroScribeError(ProtocolError):
 
 
 class UnusableArmError(ProtocolError):
-    """An arm whose positions can't be computed; asking again doesn't help. Raise a subclass."""
-
-
-class InterfaceBoxError(UnusableArmError):
-    """An Immersion Interface Box ("IBOX"): its encoder bits mean something else."""
-
-
-class UnknownFormatError(UnusableArmError):
-    """The arm keeps its parameters in another format than "Format DH0.5"."""
-
-
-class ParameterLengthError(UnusableArmError):
-    """A block of parameters states another length. A short block is damage instead."""
-
-
-class UnstableUnitError(ProtocolError):
-    """No two readings of the arm's data agree. Replies have no checksum, so two have to."""
+    """An arm whose positions can't be computed, or no arm but an interface box; asking again
+    doesn't help.
+    """
 
 
 class AnotherArmError(DeviceError):
     """After a loss, an arm with another serial number answers."""
-
-
-# In session
 
 
 class SilentArmError(LinkError):
@@ -53,10 +34,6 @@ class SilentArmError(LinkError):
 
 class NoSessionError(LimitError):
     """Asked before sign-on, or after the session was lost."""
-
-
-class StreamingError(LimitError):
-    """Asked while a stream runs: its packets can't be told from answers."""
 
 
 class NotHomedError(LimitError):

@@ -54,11 +54,13 @@ AMOUNTS: dict[Fault, float] = {
 
 
 class Faults:
-    """The active faults, and how often each still strikes. ``told`` is called at each change."""
+    """The active faults, and how often each still strikes. ``changed`` is called at each change."""
 
-    def __init__(self, seed: int, told: Callable[[Fault, bool], None] | None = None) -> None:
+    def __init__(
+        self, seed: int, changed: Callable[[Fault, bool], None] = lambda _fault, _on: None
+    ) -> None:
         self._seed = seed
-        self._told = told
+        self._changed = changed
         self._left: dict[Fault, int] = {}
         self._spared: dict[Fault, int] = {}
         self._amounts: dict[Fault, float] = dict(AMOUNTS)
@@ -72,8 +74,7 @@ class Faults:
         amount: float | None = None,
         after: int = 0,
     ) -> None:
-        """Let a fault strike ``times`` times (None: until cleared), after sparing the first
-        ``after`` chances.
+        """Let a fault strike ``times`` times, after sparing the first ``after`` chances.
 
         ``amount`` is as `AMOUNTS` explains. Raises ValueError for an unknown name or a useless
         amount.
@@ -83,13 +84,13 @@ class Faults:
         if known in AMOUNTS:
             self._amounts[known] = AMOUNTS[known] if amount is None else amount
         self._left[known], self._spared[known] = times, after
-        self._tell(known, True)
+        self._changed(known, True)
 
     def clear(self, fault: Fault | str) -> None:
         """End a fault, whether it was on or not. Raises ValueError for a name that isn't one."""
         known = named(fault)
         if self._left.pop(known, None) is not None:
-            self._tell(known, False)
+            self._changed(known, False)
 
     def on(self, fault: Fault) -> bool:
         """Whether the fault would strike; none of its times is used up."""
@@ -109,6 +110,10 @@ class Faults:
         """How much of it, in the unit of `AMOUNTS`."""
         return self._amounts[fault]
 
+    def amount_now(self, fault: Fault) -> float:
+        """As ``amount`` where the fault happens now, as by ``strikes``; else 0."""
+        return self._amounts[fault] if self.strikes(fault) else 0.0
+
     def damage(self, answer: bytes) -> bytes:
         """One answer as the host gets it; the place is chance, and the first byte is only ever
         lost.
@@ -117,11 +122,8 @@ class Faults:
             return answer
         chance = self._chance()
         data = bytearray(answer)
-        at, bit, lost = (
-            int(chance.integers(min(1, len(data) - 1), len(data))),
-            int(chance.integers(0, 7)),
-            int(chance.integers(0, len(data))),
-        )
+        at = int(chance.integers(min(1, len(data) - 1), len(data)))
+        bit, lost = int(chance.integers(0, 7)), int(chance.integers(0, len(data)))
         if self.strikes(Fault.FLIPPED_BIT):
             data[at] ^= 1 << bit
         if self.strikes(Fault.BIT_7):
@@ -158,10 +160,6 @@ class Faults:
         most = int(self._amounts[Fault.NEVER_HOMED])
         sizes = self._chance().integers(most // 2, most + 1, joints)
         return [int(size) if joint % 2 else -int(size) for joint, size in enumerate(sizes)]
-
-    def _tell(self, fault: Fault, came: bool) -> None:
-        if self._told:
-            self._told(fault, came)
 
     def _chance(self) -> np.random.Generator:
         self._hits += 1

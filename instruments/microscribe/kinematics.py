@@ -5,9 +5,7 @@ Modified (Craig) Denavit-Hartenberg, as in the maker's SDK manual, chapter 4.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -37,17 +35,6 @@ class OutOfReachError(ValueError):
     """No pose of the arm, inside its joint ranges, holds the tip there."""
 
 
-class ParameterBlock(Protocol):
-    """What the arm's parameter block says, in angles and millimetres."""
-
-    @property
-    def alpha_rad(self) -> Sequence[float]: ...
-    @property
-    def a_mm(self) -> Sequence[float]: ...
-    @property
-    def d_mm(self) -> Sequence[float]: ...
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmGeometry:
     """alpha (6,) rad, a and d (6,) mm, beta rad, counts per turn (6,), 0 without an encoder."""
@@ -58,42 +45,18 @@ class ArmGeometry:
     beta_rad: float
     turns: Counts
 
-    @classmethod
-    def from_block(
-        cls, block: ParameterBlock, beta_rad: float, turns: Sequence[int]
-    ) -> ArmGeometry:
-        """The shape that the arm itself reports. Raises ValueError unless there are six joints."""
-        columns = [
-            np.array(column, dtype=np.float64)
-            for column in (block.alpha_rad, block.a_mm, block.d_mm)
-        ]
-        if any(column.shape != (JOINTS,) for column in columns) or len(turns) != JOINTS:
-            raise ValueError(
-                f"an arm has {JOINTS} joints; alpha, a, d and counts per turn have"
-                f" {[len(c) for c in columns] + [len(turns)]}"
-            )
-        return cls(
-            columns[0], columns[1], columns[2], float(beta_rad), np.array(turns, dtype=np.int64)
-        )
-
-    def with_tip(self, longer_mm: float) -> ArmGeometry:
-        """The same arm with a tip that is ``longer_mm`` longer: D_5 decreases by it."""
-        return replace(self, d_mm=self.d_mm - np.array([0.0] * (JOINTS - 1) + [longer_mm]))
-
     @property
     def active(self) -> npt.NDArray[np.bool_]:
         """(6,) which joints have an encoder."""
         return self.turns > 0
 
     def angles(self, counts: npt.ArrayLike) -> Floats:
-        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6), or (n, 5) where the sixth has no
-        encoder; such a joint is 0. Raises ValueError for another shape.
+        """Joint angles (n, 6) rad in [0, 2 pi) of counts (n, 6); 0 without an encoder. Raises
+        ValueError for another shape.
         """
-        rows = np.atleast_2d(np.asarray(counts, dtype=np.float64))
-        if rows.ndim == 2 and rows.shape[1] == JOINTS - 1 and not self.active[-1]:
-            rows = np.pad(rows, ((0, 0), (0, 1)))
         per_turn = np.where(self.active, self.turns, 1)
-        return np.where(self.active, np.mod(_rows(rows), per_turn) * (2.0 * np.pi / per_turn), 0.0)
+        turned = np.mod(_rows(counts), per_turn) * (2.0 * np.pi / per_turn)
+        return np.where(self.active, turned, 0.0)
 
     def forward(self, counts: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Tips (n, 3) mm and unit axes (n, 3) up the stylus; counts as for ``angles``."""
@@ -129,27 +92,19 @@ class ArmGeometry:
 
     def frames(self, angles_rad: Floats) -> tuple[Floats, Floats]:
         """Rotations (n, 6, 3, 3) and origins (n, 6, 3) mm of the joints, for angles (n, 6) rad."""
-        n = len(angles_rad)
-        rotation, origin = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
-        rotations, origins = np.empty((n, JOINTS, 3, 3)), np.empty((n, JOINTS, 3))
+        fixed = _turn(0, self.alpha_rad)
+        fixed[BETA_JOINT] = fixed[BETA_JOINT] @ _turn(1, np.array(self.beta_rad))
+        turns = fixed @ _turn(2, angles_rad * self.active)
+        rotations, origins = np.empty_like(turns), np.empty_like(turns[..., 0])
+        rotation, origin = np.eye(3), np.zeros(3)
         for joint in range(JOINTS):
-            origin = origin + rotation[:, :, 0] * self.a_mm[joint]
-            rotation = rotation @ self._turned(joint, angles_rad[:, joint])
-            origin = origin + rotation[:, :, 2] * self.d_mm[joint]
+            origin = origin + rotation[..., 0] * self.a_mm[joint]
+            rotation = rotation @ turns[:, joint]
+            origin = origin + rotation[..., 2] * self.d_mm[joint]
             rotations[:, joint], origins[:, joint] = rotation, origin
         return rotations, origins
 
-    def orientations(self, counts: npt.ArrayLike) -> Floats:
-        """Rotations (n, 3, 3) arm_from_stylus for counts (n, 6); the third column is the axis."""
-        return self.frames(self.angles(counts))[0][:, -1]
-
-    def _turned(self, joint: int, theta: Floats) -> Floats:
-        columns = [
-            self._through(joint, theta, (x, y, z), 0.0) for x, y, z in _unit_columns(len(theta))
-        ]
-        return np.stack([np.stack(column, axis=1) for column in columns], axis=2)
-
-    def jacobian_angles(self, angles_rad: Floats) -> Floats:
+    def jacobian(self, angles_rad: Floats) -> Floats:
         """(n, 6, 6) for angles (n, 6) rad: rows tip (mm/rad) then axis (1/rad), columns joints;
         zero for a joint without an encoder.
         """
@@ -160,18 +115,19 @@ class ArmGeometry:
         styli = np.cross(axes, rotations[:, -1:, :, 2])
         return np.concatenate([tips, styli], axis=2).transpose(0, 2, 1) * self.active
 
-    def jacobian(self, counts: npt.ArrayLike) -> Floats:
-        """As ``jacobian_angles`` for counts (n, 6), per count: mm/count and 1/count."""
-        per_turn = np.where(self.active, self.turns, 1)
-        return self.jacobian_angles(self.angles(counts)) * (2.0 * np.pi / per_turn)
-
 
 _Triple = tuple[Floats, Floats, Floats]
 
 
-def encoded(counts: npt.ArrayLike) -> Counts:
-    """Counts (…, 6) as encoders give them: whole, and in the 14 bits that the wire has room for."""
-    return np.mod(np.rint(np.asarray(counts, dtype=np.float64)).astype(np.int64), COUNT_MODULUS)
+def _turn(axis: int, angles_rad: Floats) -> Floats:
+    """Rotations (..., 3, 3) about x (0), y (1) or z (2)."""
+    turned = np.zeros((*angles_rad.shape, 3, 3))
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    turned[..., axis, axis] = 1.0
+    turned[..., i, i] = turned[..., j, j] = np.cos(angles_rad)
+    turned[..., j, i] = np.sin(angles_rad)
+    turned[..., i, j] = -turned[..., j, i]
+    return turned
 
 
 def inverse(
@@ -203,24 +159,22 @@ def inverse(
     within = (turned >= ranges_rad[:, 0]) & (turned <= ranges_rad[:, 1])
     fits = (misses_mm < _TOLERANCE_MM) & within[:, geometry.active].all(axis=1)
     if not fits.any():
-        raise OutOfReachError(_why_not(goal, stylus, float(misses_mm.min())))
+        where = f"out of reach: the tip at {_shown(goal)} mm"
+        if stylus is not None:
+            where += f" with the stylus along {_shown(stylus)}"
+        if (miss_mm := float(misses_mm.min())) < _TOLERANCE_MM:
+            raise OutOfReachError(
+                f"{where} needs a joint past its range. Hold the stylus another way"
+            )
+        raise OutOfReachError(
+            f"{where}; the nearest pose misses by {miss_mm:.1f} mm. Move the target nearer to the"
+            " arm"
+        )
     nearest = turned[fits][np.argmin(np.linalg.norm(turned[fits], axis=1))]
     counts: Floats = _rows(start)[0] + np.where(
         geometry.active, nearest / (2.0 * np.pi) * geometry.turns, 0.0
     )
     return counts
-
-
-def _why_not(goal: Floats, stylus: Floats | None, miss_mm: float) -> str:
-    where = f"the tip at {_shown(goal)} mm" + (
-        "" if stylus is None else f" with the stylus along {_shown(stylus)}"
-    )
-    if miss_mm < _TOLERANCE_MM:
-        return f"out of reach: {where} needs a joint past its range. Hold the stylus another way"
-    return (
-        f"out of reach: {where}; the nearest pose misses by {miss_mm:.1f} mm. Move the target"
-        " nearer to the arm"
-    )
 
 
 def _starts(
@@ -247,11 +201,9 @@ def _misses(geometry: ArmGeometry, angles: Floats, goal: Floats, stylus: Floats 
     """(n, 3) or (n, 6) mm from the goal: the tip's, then the weighted direction's."""
     tips, axes = geometry.forward_angles(angles)
     misses: Floats = goal - tips
-    return (
-        misses
-        if stylus is None
-        else np.concatenate([misses, _DIRECTION_MM * (stylus - axes)], axis=1)
-    )
+    if stylus is None:
+        return misses
+    return np.concatenate([misses, _DIRECTION_MM * (stylus - axes)], axis=1)
 
 
 def _settle(
@@ -263,27 +215,18 @@ def _settle(
     misses = _misses(geometry, angles, goal, stylus)
     damping = np.full(len(angles), 10.0)
     for _ in range(_STEPS):
-        slopes = geometry.jacobian_angles(angles)[:, :rows] * weights
+        slopes = geometry.jacobian(angles)[:, :rows] * weights
         normal = slopes @ slopes.transpose(0, 2, 1) + (damping**2)[:, None, None] * np.eye(rows)
-        tried = (
-            angles
-            + (slopes.transpose(0, 2, 1) @ np.linalg.solve(normal, misses[..., None]))[..., 0]
-        )
+        steps = slopes.transpose(0, 2, 1) @ np.linalg.solve(normal, misses[..., None])
+        tried = angles + steps[..., 0]
         new = _misses(geometry, tried, goal, stylus)
         better = np.linalg.norm(new, axis=1) < np.linalg.norm(misses, axis=1)
-        angles, misses = (
-            np.where(better[:, None], tried, angles),
-            np.where(better[:, None], new, misses),
-        )
+        angles = np.where(better[:, None], tried, angles)
+        misses = np.where(better[:, None], new, misses)
         damping = np.clip(np.where(better, damping * 0.2, damping * 4.0), 1e-3, 1e4)
         if (np.linalg.norm(misses, axis=1) < _TOLERANCE_MM).all():
             break
     return angles, np.linalg.norm(misses, axis=1)
-
-
-def _unit_columns(n: int) -> list[_Triple]:
-    one, none = np.ones(n), np.zeros(n)
-    return [(one, none, none), (none, one, none), (none, none, one)]
 
 
 def _rows(counts: npt.ArrayLike) -> Floats:

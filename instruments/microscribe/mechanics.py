@@ -15,7 +15,9 @@ import numpy as np
 
 from instruments.microscribe.kinematics import JOINTS, RANGES_RAD, ArmGeometry, Floats, inverse
 
-_CHANCE = 3  # this stream of chance
+_POSES = 4000
+_BLOCK = 1024
+_PARAMETERS, _TREMOR, _CONTACTS = 0, 1, 3  # streams of chance; 2 is that of the faults
 
 
 class Contacts:
@@ -41,13 +43,8 @@ class Contacts:
         """What the contacts show at the ``look``-th look: before they have settled, either."""
         if now_s >= self._settled_s:
             return self._after
-        chance = np.random.default_rng([self._seed, _CHANCE, self._moved, look])
+        chance = np.random.default_rng([self._seed, _CONTACTS, self._moved, look])
         return self._before if chance.random() < 0.5 else self._after
-
-
-_POSES = 4000
-_BLOCK = 1024
-_PARAMETERS, _TREMOR = 0, 1  # which stream of chance
 
 
 class Hand(Protocol):
@@ -104,18 +101,18 @@ class KinematicError:
 
 def workspace(geometry: ArmGeometry, home_rad: Floats, chance: np.random.Generator) -> Floats:
     """Poses (n, 6) rad spread over the joint ranges whose tip is above the table."""
-    poses = (
-        home_rad
-        + chance.uniform(RANGES_RAD[:, 0], RANGES_RAD[:, 1], (_POSES, JOINTS)) * geometry.active
-    )
+    turned = chance.uniform(RANGES_RAD[:, 0], RANGES_RAD[:, 1], (_POSES, JOINTS))
+    poses = home_rad + turned * geometry.active
     tips, _ = geometry.forward_angles(poses)
     return poses[tips[:, 2] > 0.0]
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
-class _Pose:
+class Pose:
+    """Counts that are not rounded, and the least joint motion that moves the tip."""
+
     counts: Floats  # (6,)
-    counts_per_mm: Floats  # (6, 3): the least joint motion that moves the tip
+    counts_per_mm: Floats  # (6, 3)
 
 
 class Mechanics:
@@ -142,59 +139,46 @@ class Mechanics:
         self._error = KinematicError(
             geometry, geometry.angles(self._home)[0], seed=seed, accuracy_mm=accuracy_mm
         )
-        self._held: tuple[bytes, _Pose] | None = None
-        self._block: tuple[_Pose, int, list[list[int]]] | None = None
+        self._held: tuple[bytes, Pose] | None = None
+        self._block: tuple[Pose, int, list[list[int]]] | None = None
 
-    def counts(self, packet: int) -> Floats:
-        """Counts (6,), not rounded, of the ``packet``-th packet. Raises OutOfReachError."""
-        target = self._hand.arm_target()
-        if target is None:
-            return self._home
-        pose = self._pose(*target)
-        block, row = divmod(packet, _BLOCK)
-        counts: Floats = pose.counts + pose.counts_per_mm @ self._tremor(block)[row]
-        return counts
-
-    def whole(self, packet: int) -> list[int]:
-        """As ``counts``, rounded; made a thousand at a time, for hosts that poll fast."""
+    def counts(self, packet: int) -> list[int]:
+        """Counts (6,) of the ``packet``-th packet; made a thousand at a time, for hosts that poll
+        fast. Raises OutOfReachError.
+        """
         target = self._hand.arm_target()
         if target is None:
             return list(self._on_peg)
         pose = self._pose(*target)
         block, row = divmod(packet, _BLOCK)
         if self._block is None or self._block[0] is not pose or self._block[1] != block:
-            rounded = np.rint(pose.counts + self._tremor(block) @ pose.counts_per_mm.T).astype(
-                np.int64
-            )
-            self._block = pose, block, rounded.tolist()
+            counts = np.rint(pose.counts + self.tremor(block) @ pose.counts_per_mm.T)
+            self._block = pose, block, counts.astype(np.int64).tolist()
         return self._block[2][row]
 
-    def _pose(self, point_mm: Floats, direction: Floats | None) -> _Pose:
+    def _pose(self, point_mm: Floats, direction: Floats | None) -> Pose:
         key = point_mm.tobytes() + (b"" if direction is None else direction.tobytes())
         if self._held is None or self._held[0] != key:
             self._held = key, self.solve(point_mm, direction)
         return self._held[1]
 
-    def solve(self, point_mm: Floats, direction: Floats | None) -> _Pose:
+    def solve(self, point_mm: Floats, direction: Floats | None) -> Pose:
         """The pose for this target, the arm's inaccuracy included. Raises OutOfReachError."""
         counts = inverse(self._geometry, point_mm, direction, start=self._home)
-        goal = (
-            np.asarray(point_mm, dtype=np.float64)
-            + self._error.at(self._geometry.angles(counts))[0]
-        )
+        goal = np.asarray(point_mm) + self._error.at(self._geometry.angles(counts))[0]
         # a step of a fraction of a millimetre: Newton is exact to 1e-9 mm after three
         for _ in range(3):
             tip, _ = self._geometry.forward(counts)
             counts = counts + self._counts_per_mm(counts) @ (goal - tip[0])
-        return _Pose(counts, self._counts_per_mm(counts))
+        return Pose(counts, self._counts_per_mm(counts))
 
     def _counts_per_mm(self, counts: Floats) -> Floats:
-        slopes = self._geometry.jacobian_angles(self._geometry.angles(counts))[0, :3]
+        slopes = self._geometry.jacobian(self._geometry.angles(counts))[0, :3]
         per_rad = self._geometry.turns / (2.0 * np.pi)
         moved: Floats = np.linalg.pinv(slopes) * per_rad[:, None]
         return moved
 
-    def _tremor(self, block: int) -> Floats:
+    def tremor(self, block: int) -> Floats:
         """How far the hand is off at each packet of a block, (n, 3) mm."""
         chance = np.random.default_rng([self._seed, _TREMOR, block])
         return chance.normal(0.0, self._tremor_mm / np.sqrt(3.0), (_BLOCK, 3))

@@ -7,8 +7,8 @@ bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import IntEnum, StrEnum
+from typing import NamedTuple
 
 MARK = 0x80  # bit 7: ignored in a command, set in its echo
 CONFIGURE = 0x40  # bit 6: a configuration command
@@ -25,7 +25,7 @@ TICK_S = 0.001111
 TICK_MODULUS = 1 << 14
 
 
-class WireError(Exception):
+class WireError(ValueError):
     """Bytes or an event that the protocol does not allow. The driver adds who spoke."""
 
 
@@ -52,21 +52,10 @@ class Code(IntEnum):
 FORBIDDEN = frozenset({0xC3, 0xC7, 0xD0, 0xD1})  # EEPROM writes behind a password
 # bytes that the host adds; 2 more with seven encoders
 ARGUMENTS: dict[int, int] = {Code.SET_BAUD: 1, Code.MARKER: 1, Code.STREAM: 24}
-BAUD_CODES = {
-    115200: 0x00,
-    57600: 0x01,
-    28800: 0x02,
-    14400: 0x03,
-    38400: 0x10,
-    19200: 0x11,
-    9600: 0x12,
-}
+BAUD_CODES = {115200: 0, 57600: 1, 28800: 2, 14400: 3, 38400: 0x10, 19200: 0x11, 9600: 0x12}
 
 
-# The session
-
-
-class State(Enum):
+class State(StrEnum):
     """Where the arm's side of the conversation stands."""
 
     FINDING_BAUD = "finding the baud rate"
@@ -75,7 +64,7 @@ class State(Enum):
     STREAMING = "streaming"
 
 
-class Event(Enum):
+class Event(StrEnum):
     """What moves it."""
 
     SYNC = "IMMC"
@@ -133,24 +122,17 @@ def refuse_forbidden(data: bytes, state: State) -> None:
     re-home the arm.
     """
     live = state in LIVE
-    for byte in data:
+    for at, byte in enumerate(data):
         if (byte | MARK if live else byte) in FORBIDDEN:
-            raise WireError(
-                f"byte {byte:02X} would start a write to the arm's EEPROM and is never sent"
-            )
-    for byte in data[1:] if live else b"":
-        if byte & CONFIGURE:
-            raise WireError(
-                f"byte {byte:02X} would configure the arm if the byte before it were lost on"
-                " its way"
-            )
+            what = "would start a write to the arm's EEPROM and is never sent"
+        elif live and at and byte & CONFIGURE:
+            what = "would configure the arm if the byte before it were lost on its way"
+        else:
+            continue
+        raise WireError(f"byte {byte:02X} {what}")
 
 
-# Data packets
-
-
-@dataclass(frozen=True, slots=True)
-class Packet:
+class Packet(NamedTuple):
     """One data packet: raw counts 0 to 16383; ticks of 1.111 ms where a stamp was asked for."""
 
     command: int
@@ -158,13 +140,6 @@ class Packet:
     counts: tuple[int, ...]
     ticks: int | None = None
     analogs: tuple[int, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Marker:
-    """A byte that the host sent into the stream, back in its place among the packets."""
-
-    value: int
 
 
 def encoder_count(command: int) -> int:
@@ -180,13 +155,8 @@ def analog_count(command: int) -> int:
 def payload_length(command: int) -> int:
     """Bytes after the header of the packet that answers ``command``."""
     analogs = analog_count(command)
-    return (
-        1
-        + (2 if command & TIME_STAMP else 0)
-        + analogs
-        + (1 if analogs else 0)
-        + 2 * encoder_count(command)
-    )
+    stamp = 2 if command & TIME_STAMP else 0
+    return 1 + stamp + analogs + bool(analogs) + 2 * encoder_count(command)
 
 
 _LENGTHS = tuple(payload_length(command) for command in range(64))
@@ -196,30 +166,22 @@ def encode_packet(packet: Packet) -> bytes:
     """Header and payload. With eight analogs the last one's lowest bit has no room and is dropped.
     Raises WireError when the packet doesn't fit its command.
     """
-    command = packet.command
+    command, ticks, analogs, counts = packet.command, packet.ticks, packet.analogs, packet.counts
     wanted = encoder_count(command), analog_count(command), bool(command & TIME_STAMP)
-    if (len(packet.counts), len(packet.analogs), packet.ticks is not None) != wanted:
+    if (len(counts), len(analogs), ticks is not None) != wanted:
         raise WireError(
             f"a packet for command {command:02X} has {wanted[0]} counts, {wanted[1]} analogs, time"
             f" stamp {wanted[2]}"
         )
-    stamp = b"" if packet.ticks is None else _fourteen(packet.ticks)
-    low_bits = (
-        bytes([sum((value & 1) << 6 >> channel for channel, value in enumerate(packet.analogs))])
-        if packet.analogs
-        else b""
-    )
-    analogs = bytes(value >> 1 for value in packet.analogs) + low_bits
-    return (
-        bytes([command | MARK, packet.buttons & 0x7F])
-        + stamp
-        + analogs
-        + b"".join(map(_fourteen, packet.counts))
-    )
-
-
-def _fourteen(value: int) -> bytes:
-    return bytes([value >> 7 & 0x7F, value & 0x7F])
+    data = [command | MARK, packet.buttons & 0x7F]
+    if ticks is not None:
+        data += ticks >> 7 & 0x7F, ticks & 0x7F
+    if analogs:
+        data += [value >> 1 for value in analogs]
+        data.append(sum((value & 1) << 6 >> channel for channel, value in enumerate(analogs)))
+    for value in counts:
+        data += value >> 7 & 0x7F, value & 0x7F
+    return bytes(data)
 
 
 class PacketDecoder:
@@ -227,15 +189,13 @@ class PacketDecoder:
 
     Bit 7 inside a packet, or a byte without it behind one, is damage; the search goes on there.
     ``withdrawn`` counts packets whose damage showed after they were given out. ``command`` names
-    the only packet accepted (None: any). Markers need ``markers``, since their 8-bit value could be
-    taken for a header.
+    the only packet accepted (None: any).
     """
 
-    def __init__(self, command: int | None = None, *, markers: bool = False) -> None:
+    def __init__(self, command: int | None = None) -> None:
         self.damaged = self.withdrawn = 0
         self._behind_packet = False
         self._wanted = None if command is None else command | MARK
-        self._markers = markers
         self._buffer = b""
 
     @property
@@ -251,24 +211,18 @@ class PacketDecoder:
 
     def feed(self, data: bytes) -> list[Packet]:
         """The packets that ``data`` completes, in order."""
-        return [item for item in self.feed_all(data) if isinstance(item, Packet)]
-
-    def feed_all(self, data: bytes) -> list[Packet | Marker]:
-        """The packets and markers that ``data`` completes, in order."""
         buffer, at, given_to = self._buffer + data, 0, -1
         if self._behind_packet and buffer and not buffer[0] & MARK:
             self.damaged += 1
             self.withdrawn += 1
-        items: list[Packet | Marker] = []
+        packets: list[Packet] = []
         while at < len(buffer):
             header = buffer[at]
-            if self._markers and header == Code.MARKER:
-                if at + 1 == len(buffer):
-                    break
-                items.append(Marker(buffer[at + 1]))
-                at += 2
-                continue
-            if not self._is_header(header):
+            if (
+                header & (MARK | CONFIGURE | UNUSED) != MARK
+                if self._wanted is None
+                else header != self._wanted
+            ):
                 at = _next_marked(buffer, at)
                 continue
             end = at + 1 + _LENGTHS[header & 0x3F]
@@ -282,18 +236,11 @@ class PacketDecoder:
                 self.damaged += 1
                 at = _next_marked(buffer, end)
             else:
-                items.append(_packet(header & 0x7F, payload))
+                packets.append(_packet(header & 0x7F, payload))
                 at = given_to = end
         self._behind_packet = given_to == len(buffer) if buffer else self._behind_packet
         self._buffer = buffer[at:]
-        return items
-
-    def _is_header(self, byte: int) -> bool:
-        return (
-            byte == self._wanted
-            if self._wanted is not None
-            else byte & (MARK | CONFIGURE | UNUSED) == MARK
-        )
+        return packets
 
 
 def _next_marked(buffer: bytes, at: int) -> int:
@@ -308,14 +255,9 @@ def _packet(command: int, payload: bytes) -> Packet:
         low_bits = payload[at + channels] << 1
         analogs = tuple(payload[at + i] << 1 | low_bits >> 7 - i & 1 for i in range(channels))
         at += channels + 1
-    high, low = payload[at::2], payload[at + 1 :: 2]
-    return Packet(
-        command,
-        payload[0],
-        tuple([h << 7 | v for h, v in zip(high, low, strict=True)]),
-        ticks,
-        analogs,
-    )
+    words = zip(payload[at::2], payload[at + 1 :: 2], strict=True)
+    counts = tuple([high << 7 | low for high, low in words])
+    return Packet(command, payload[0], counts, ticks, analogs)
 
 
 LONGEST_DELAY_MS = 0x3FBF  # the longest that is harmless
@@ -340,28 +282,6 @@ def encode_set_baud(baud: int) -> bytes:
             f"an arm has no rate {baud}; it has {', '.join(map(str, sorted(BAUD_CODES)))}"
         )
     return bytes([Code.SET_BAUD, BAUD_CODES[baud]])
-
-
-def decode_set_baud(data: bytes) -> int:
-    """The rate that a whole command asks for. Raises WireError for anything else."""
-    rates = [baud for baud, code in BAUD_CODES.items() if data == bytes([Code.SET_BAUD, code])]
-    if not rates:
-        raise WireError(f"a rate is C4 and one of {bytes(BAUD_CODES.values()).hex(' ').upper()}")
-    return rates[0]
-
-
-def encode_marker(marker: Marker) -> bytes:
-    """A marker, in both directions. Raises WireError unless it is a byte."""
-    if marker.value not in range(256):
-        raise WireError(f"a marker is one byte, not {marker.value}")
-    return bytes([Code.MARKER, marker.value])
-
-
-def decode_marker(reply: bytes) -> Marker:
-    """The marker in a reply of two bytes. Raises WireError for anything else."""
-    if len(reply) != 2 or reply[0] != Code.MARKER:
-        raise WireError("a marker is D2 and one byte")
-    return Marker(reply[1])
 
 
 class ArmTime:

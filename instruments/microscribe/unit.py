@@ -11,15 +11,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from instruments.microscribe import configuration as conf
-from instruments.microscribe.configuration import Identity, Maxima, Parameters
-from instruments.microscribe.kinematics import COUNT_MODULUS, ArmGeometry
-from instruments.microscribe.protocol import Code, WireError
+from instruments.microscribe.configuration import (
+    Counts,
+    DeviceInfo,
+    Identity,
+    Maxima,
+    Parameters,
+    Word,
+)
+from instruments.microscribe.protocol import Code
 
 SHIPPED = Path(__file__).with_name("units")
 
@@ -38,19 +43,10 @@ class UnitError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class ArmIdentity:
-    """One arm: names, full scales, Denavit-Hartenberg parameters, beta, and home counts."""
+class ArmIdentity(DeviceInfo):
+    """All that one arm says of itself, and its counts on the peg."""
 
-    names: Identity
-    maxima: Maxima
-    parameters: Parameters
-    beta: int
     home: tuple[int, ...]
-
-    def geometry(self) -> ArmGeometry:
-        """The shape by the arm's own data. Raises ValueError unless there are six joints."""
-        beta_rad = conf.angle_rad(self.beta) if self.names.has_beta else 0.0
-        return ArmGeometry.from_block(self.parameters, beta_rad, self.maxima.turns)
 
     def replies(self) -> dict[int, bytes]:
         """Reply by code. Extended parameters need "Beta" in the comment. Raises WireError."""
@@ -90,87 +86,39 @@ def shipped_unit(serial_number: str) -> ArmIdentity:
     return load_unit(path)
 
 
-def __getattr__(name: str) -> ArmIdentity:
-    """``UNIT_40937``, the default arm, read when it is first used."""
-    if name == "UNIT_40937":
-        return shipped_unit("40937")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
-def _name(text: str) -> str:
-    try:
-        conf.encode_name(Code.COMMENT, text)
-    except WireError as error:
-        raise ValueError(f"{error}") from error
-    return text
-
-
-def _signed(word: int) -> int:
-    return word - 0x10000 if word > 0x7FFF else word
-
-
-_Name = Annotated[str, AfterValidator(_name)]
-_Byte = Annotated[int, Field(ge=0, le=0xFF)]
-_Count = Annotated[int, Field(ge=0, lt=COUNT_MODULUS)]
-_Word = Annotated[int, Field(ge=-0x8000, le=0xFFFF), AfterValidator(_signed)]
-_Words = tuple[_Word, _Word, _Word, _Word, _Word, _Word]
-_Counts = tuple[_Count, _Count, _Count, _Count, _Count, _Count]
+@dataclass(frozen=True, slots=True)
+class _Parameters(Parameters):
+    beta: Word = 0
 
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _Names(_Table):
-    product: _Name
-    product_id: _Name
-    model: _Name
-    serial_number: _Name
-    comment: _Name
-    format: _Name
-    version: _Name
-
-
-class _Maxima(_Table):
-    button_mask: Annotated[int, Field(ge=0, le=0x7F)]
-    timer: _Count
-    analogs: tuple[_Byte, _Byte, _Byte, _Byte, _Byte, _Byte, _Byte, _Byte]
-    analog_low_bits: _Byte
-    encoders: _Counts
-
-
-class _Parameters(_Table):
-    alpha: _Words
-    a: _Words
-    d: _Words
-    beta: _Word = 0
-
-
 class _Peg(_Table):
-    counts: _Counts
+    counts: Counts
 
 
 class _File(_Table):
-    names: _Names
-    maxima: _Maxima
+    names: Identity
+    maxima: Maxima
     parameters: _Parameters
     peg: _Peg
 
     def arm(self) -> ArmIdentity:
         p = self.parameters
-        names, maxima = Identity(**self.names.model_dump()), Maxima(**self.maxima.model_dump())
-        return ArmIdentity(names, maxima, Parameters(p.alpha, p.a, p.d), p.beta, self.peg.counts)
+        parameters = Parameters(p.alpha, p.a, p.d)
+        return ArmIdentity(self.names, self.maxima, parameters, p.beta, self.peg.counts)
 
     @model_validator(mode="after")
     def _can_measure(self) -> _File:
-        arm = self.arm()
-        if self.parameters.beta and not arm.names.has_beta:
+        if self.parameters.beta and not self.names.has_beta:
             raise ValueError(
                 f'parameters.beta has no meaning without "{conf.BETA_MARK}" in names.comment: such'
                 " an arm never tells it"
             )
-        geometry = arm.geometry()
-        slopes = geometry.jacobian_angles(geometry.angles(arm.home))[0, :3]
+        geometry = self.arm().geometry()
+        slopes = geometry.jacobian(geometry.angles(self.peg.counts))[0, :3]
         if np.linalg.matrix_rank(slopes, tol=1e-3) < 3:
             raise ValueError(
                 "with these parameters and encoders the tip can't be moved in three dimensions from"
@@ -182,9 +130,6 @@ class _File(_Table):
 def _faults(error: ValidationError) -> Iterator[tuple[tuple[str | int, ...], str]]:
     for detail in error.errors():
         message = detail["msg"].removeprefix("Value error, ")
-        shown = (
-            ""
-            if detail["type"] == "missing" or not detail["loc"]
-            else f" (found {detail['input']!r:.60})"
-        )
+        missing = detail["type"] == "missing" or not detail["loc"]
+        shown = "" if missing else f" (found {detail['input']!r:.60})"
         yield detail["loc"], f"{message[0].lower()}{message[1:]}{shown}"

@@ -18,8 +18,7 @@ from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
 from instruments.camera.cameras import CameraSet
 from instruments.camera.emulator import EmulatedCameras
-from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock, VirtualClock
@@ -33,7 +32,7 @@ from instruments.stage.driver import Stage
 from instruments.stage.emulator import StageEmulator
 from instruments.world.plant import Plant
 from tests.instruments.camera.small_world import GalleryWorld
-from tests.instruments.microscribe.driver_rig import Hand
+from tests.instruments.microscribe.rigs import Hand
 
 
 class Instrument(Protocol):

@@ -23,11 +23,11 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Device, Listener
+from instruments.microscribe.connection import ANSWER_S
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.faults import Fault
 from instruments.microscribe.kinematics import Floats
-from instruments.microscribe.session import ANSWER_S
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import StageEmulator
 from instruments.tap import Tap
@@ -58,7 +58,7 @@ def arm_session(url: str, clock: Clock, tap: Tap | None) -> Found:
         answer_s=ANSWER_S if isinstance(clock, VirtualClock) else 30.0,
     )
     try:
-        found: Found = [asdict(arm.sign_on()), asdict(arm.parameters), arm.beta_rad]
+        found: Found = [asdict(arm.sign_on()), asdict(arm.info.parameters), arm.info.beta]
         arm.confirm_homed()
         for _ in range(3):
             reading = arm.read(8)

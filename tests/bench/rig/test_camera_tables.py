@@ -13,7 +13,7 @@ from bench.config import ConfigError
 from bench.rig.loading import LoadedRig, load_rig
 from bench.rig.model import OneCamera, camera_url
 from bench.rig.opening import conversion_of
-from instruments.camera.conversion import Conversion, Radiometry
+from instruments.camera.frame import Conversion, Radiometry
 from instruments.camera.settings import Settings
 from tests.conftest import ROOT
 

@@ -16,8 +16,7 @@ from bench.rig.frame_capture import HINTS, FrameTaker
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Cameras as CamerasTable
 from instruments.camera.emulator import FAULTS, EmulatedCameras
-from instruments.camera.faults import FrameFault
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameFault, FrameSet
 from instruments.camera.recording import Recording, RecordingCameras, RecordingWriter
 from instruments.errors import DeviceError, LinkError
 from tests.bench.rig.test_emulated_faults import with_emulation

@@ -27,8 +27,7 @@ from instruments.camera.emulator import (
     check_camera,
     named,
 )
-from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.recording import Recording
 from instruments.world.situations import situation as drawn_situation
 from tests.instruments.camera.small_world import GalleryWorld, SmallWorld

@@ -19,7 +19,7 @@ from bench.scoring.guard_band import acceptance_limit_mm, leak
 from bench.scoring.rates import guarded_n, shown_falsely
 from bench.truth.uncertainty import end_u_mm, reading_u_mm
 from instruments.microscribe.mechanics import KinematicError, workspace
-from instruments.microscribe.unit import UNIT_40937
+from instruments.microscribe.unit import shipped_unit
 
 MET, NOT_MET, INCONCLUSIVE, NOT_MEASURED = (
     Verdict.MET,
@@ -173,8 +173,9 @@ def of_emulated_arms(rng: np.random.Generator, n: int, arms: int = 80) -> Floats
     """An arm of its own an experiment (of so many), each at n poses near one another, with the
     hand's and the counts' scatter.
     """
-    geometry = UNIT_40937.geometry()
-    home = geometry.angles(UNIT_40937.home)[0]
+    unit = shipped_unit("40937")
+    geometry = unit.geometry()
+    home = geometry.angles(unit.home)[0]
     off = np.empty((arms, n, 3))
     for seed in range(arms):
         at = workspace(geometry, home, rng)[0] + rng.uniform(-0.15, 0.15, (n, 6))

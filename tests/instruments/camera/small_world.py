@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from instruments.camera.emulator import Clock
-from instruments.clock import VirtualClock
+from instruments.clock import Clock, VirtualClock
 from instruments.world.scene import RenderedSet, Renderer
 from instruments.world.state import SceneState
 from tests.conftest import ROOT

@@ -7,8 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from instruments.camera.conversion import Conversion, Radiometry
-from instruments.camera.frame import RawFrame
+from instruments.camera.frame import Conversion, Radiometry, RawFrame
 
 CORNERS = np.array([[10, 20, 30], [40, 50, 60]], dtype=np.uint8)
 

@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from instruments.camera.cameras import Camera, CameraSet
-from instruments.camera.conversion import Conversion, Radiometry
 from instruments.camera.emulator import EmulatedCameras
-from instruments.camera.frame import RawFrame
+from instruments.camera.frame import Conversion, Radiometry, RawFrame
 from instruments.camera.opencv import OpenCvCamera, fourcc_name, is_live
 from instruments.camera.settings import Settings
 from instruments.clock import VirtualClock

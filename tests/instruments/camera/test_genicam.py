@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import RawFrame
+from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.camera.genicam import GenicamCamera, load_aravis
 from instruments.camera.settings import Settings, Trigger
 from instruments.clock import RealClock

@@ -16,8 +16,7 @@ import pytest
 
 from instruments.camera.cameras import CameraSet
 from instruments.camera.emulator import CameraFaults
-from instruments.camera.faults import FrameError, FrameFault
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.settings import Settings
 from instruments.camera.stream import StreamServer, part

@@ -1,5 +1,5 @@
-"""Rigs for the driver's tests. Whatever a test does, no rig has heard a byte that writes, or
-letters without an end before them.
+"""Rigs and hosts. Whatever a test does, no arm on a rig has received a byte that writes, or letters
+without an end before them.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from instruments.microscribe.unit import ArmIdentity
-from tests.instruments.microscribe.driver_rig import Rig
+from tests.instruments.microscribe.rigs import Host, Rig
 
 
 @pytest.fixture
@@ -33,3 +33,18 @@ def make() -> Iterator[Callable[..., Rig]]:
 @pytest.fixture
 def rig(make: Callable[..., Rig]) -> Rig:
     return make()
+
+
+@pytest.fixture
+def fresh() -> Iterator[Host]:
+    """Before any session."""
+    host = Host(tremor_mm=0.0)
+    yield host
+    host.close()
+    assert not [thread.name for thread in threading.enumerate() if thread.name.endswith("emulator")]
+
+
+@pytest.fixture
+def host(fresh: Host) -> Host:
+    fresh.session()
+    return fresh

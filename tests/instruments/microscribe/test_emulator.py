@@ -3,35 +3,24 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from instruments.microscribe.kinematics import OutOfReachError, encoded
+from instruments.clock import RealClock, VirtualClock
+from instruments.link import Link
+from instruments.listener import Listener
+from instruments.microscribe.configuration import StreamRequest
+from instruments.microscribe.emulator import ArmEmulator, Look, Trigger
+from instruments.microscribe.kinematics import OutOfReachError
 from instruments.microscribe.mechanics import KinematicError, Mechanics, workspace
 from instruments.microscribe.protocol import PacketDecoder, State
-from instruments.microscribe.unit import UNIT_40937
-from tests.instruments.microscribe.bare_host import AT_REST, POINT, UP, Hand, Host
+from tests.instruments.microscribe.rigs import AT_REST, POINT, UNIT, UP, Hand, Host
 
-ARM = UNIT_40937.geometry()
-HOME_RAD = ARM.angles(UNIT_40937.home)[0]
-
-
-@pytest.fixture
-def fresh() -> Iterator[Host]:
-    host = Host()
-    yield host
-    host.close()
-    assert not [thread.name for thread in threading.enumerate() if thread.name.endswith("emulator")]
-
-
-@pytest.fixture
-def host(fresh: Host) -> Host:
-    fresh.session()
-    return fresh
+ARM = UNIT.geometry()
+HOME_RAD = ARM.angles(UNIT.home)[0]
 
 
 @pytest.mark.parametrize(
@@ -105,12 +94,12 @@ def test_pedals(host: Host) -> None:
 def test_homing_off_the_peg_ruins_every_later_position(host: Host, asked: str) -> None:
     host.hand.point = POINT
     before = host.counts()
-    assert before != UNIT_40937.home
+    assert before != UNIT.home
     assert host.ask(asked) == "C2"
     # the hand trembles
-    assert np.abs(np.subtract(host.counts()[:5], UNIT_40937.home[:5])).max() <= 3
+    assert np.abs(np.subtract(host.counts()[:5], UNIT.home[:5])).max() <= 3
     host.hand.point = None
-    assert host.counts() != UNIT_40937.home
+    assert host.counts() != UNIT.home
 
 
 def test_begin_in_a_live_session_homes_and_ends_it(host: Host) -> None:
@@ -142,17 +131,12 @@ def test_a_stream_at_a_fixed_rate_until_any_command(host: Host) -> None:
     assert host.ask("C9", 0.5) == "C9 4D 53 43 52 00"
 
 
-def test_a_stream_without_delay_is_as_fast_as_the_wire(host: Host) -> None:
-    packets = PacketDecoder(3).feed(bytes.fromhex(host.ask("CF 00 00 03" + "00" * 21, 1.0)))
-    assert len(packets) == pytest.approx(823, abs=1)
-
-
 def test_power_cycling_off_the_peg_gives_plausible_wrong_counts(host: Host) -> None:
     host.hand.point = POINT
     host.arm.power_cycle()
     assert host.ask("03") == ""
     host.session()
-    assert np.abs(np.subtract(host.counts()[:5], UNIT_40937.home[:5])).max() <= 3
+    assert np.abs(np.subtract(host.counts()[:5], UNIT.home[:5])).max() <= 3
 
 
 def test_without_power_there_is_silence(host: Host) -> None:
@@ -182,25 +166,140 @@ def test_whatever_it_hears_it_can_be_signed_on_again(noise: list[bytes]) -> None
         host.close()
 
 
+# Streams
+
+
+def stream(
+    delay_ms: int, *, command: str = "03", mask: int = 0, deltas: tuple[int, ...] = (0,) * 6
+) -> str:
+    """The stream command, typed field by field as the sheet has it."""
+    return (
+        f"CF {delay_ms:04X} {command} {mask:02X} "
+        + "00 " * 8
+        + " ".join(f"{delta:04X}" for delta in deltas)
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "rate_hz"),
+    [("03", 822.9), ("01", 960.0), ("23", 720.0), ("00", 5760.0)],
+    ids=["six encoders", "five", "time stamps", "buttons alone"],
+)
+def test_without_delay_a_stream_is_as_fast_as_115200_baud(
+    host: Host, command: str, rate_hz: float
+) -> None:
+    assert len(host.packets(stream(0, command=command), 1.0)) == pytest.approx(rate_hz, abs=1)
+
+
+def test_differences_send_when_a_joint_has_moved_so_far_and_not_else(host: Host) -> None:
+    host.hand.point = POINT
+    assert host.ask(stream(0, deltas=(20, 0, 0, 0, 0, 0)), 0.5) == "CF"
+    start, counts = host.counts()[0], []
+    host.ask(stream(0, deltas=(20, 0, 0, 0, 0, 0)))
+    for step in range(60):
+        host.hand.point = POINT + np.array([0.0, 0.5 * step, 0.0])
+        counts += [packet.counts[0] for packet in host.packets("", 0.002)]
+    moved = np.abs(np.diff([start, *counts]))
+    assert len(counts) == 6, "the base turns by 3.1 degrees: 142 counts"
+    assert (moved >= 20).all()
+    assert (moved < 20 + 4).all(), "a step of the hand is 0.5 mm, some 4 counts at most"
+    assert host.arm.state is State.STREAMING
+
+
+def test_differences_respect_the_delay(host: Host) -> None:
+    host.hand.point = POINT
+    host.ask(stream(100, deltas=(1,) * 6))
+    seen = 0
+    for step in range(1, 101):
+        host.hand.point = POINT + np.array([0.0, 0.5 * step, 0.0])
+        seen += len(host.packets("", 0.01))
+    assert seen == pytest.approx(10, abs=1)
+
+
+def test_a_pedal_of_the_mask_sends_when_it_changes(host: Host) -> None:
+    assert host.ask(stream(0, mask=0x01)) == "CF"
+    seen = []
+    for buttons in (1, 1, 0, 2, 3, 2, 0):
+        host.arm.buttons = buttons
+        seen += [packet.buttons & 1 for packet in host.packets("", 0.01)]
+    assert seen == [1, 0, 1, 0]
+
+
+def test_a_slow_drift_is_measured_from_the_last_packet() -> None:
+    drift = [Look(0, (count % 16384,)) for count in range(16380, 16414)]
+    trigger = Trigger(StreamRequest(0, 3, encoder_deltas=(5, 0, 0, 0, 0, 0)), drift[0])
+    fired = [look.counts[0] for look in drift[1:] if trigger.fires(look)]
+    assert fired == [1, 6, 11, 16, 21, 26], "counts go round at 16384"
+
+
+def test_the_marker_comes_back_in_its_place_and_any_command_ends_a_stream(host: Host) -> None:
+    host.ask(stream(10), 0.025)
+    assert host.ask("D2 55", 0.025) == f"D2 55 {AT_REST} {AT_REST}"
+    host.ask("C9", 0.0)
+    assert host.arm.state is State.SESSION
+    assert host.ask("", 1.0) == ""
+
+
+def test_a_second_stream_replaces_the_first(host: Host) -> None:
+    host.ask(stream(1))
+    host.link.drain(0.0)
+    assert len(host.packets(stream(100), 1.05)) == 10
+
+
+def test_a_stream_goes_on_for_the_next_host(host: Host) -> None:
+    host.ask(stream(10))
+    host.plug_in_again()
+    assert host.ask("", 0.105) == " ".join([AT_REST] * 10), (
+        "the arm doesn't notice who is plugged in"
+    )
+    assert host.ask("03") == AT_REST
+    assert host.ask("", 0.1) == ""
+
+
+def test_a_stream_never_outruns_its_line() -> None:
+    clock = RealClock()
+    arm = ArmEmulator(Hand(clock), clock)
+    listener = Listener(arm, clock, lock=threading.RLock(), name="arm", baud=9600)
+    link = Link(listener.url, clock, who="host")
+    for sent, length in (("49 4D 4D 43", 4), ("42 45 47 49 4E", 5), (stream(0), 1)):
+        link.write(bytes.fromhex(sent))
+        assert len(link.read(length, 5.0)) == length
+    start = clock.now()
+    got = link.read(14 * 20, 5.0)
+    made, took_s = arm.packets, clock.now() - start
+    assert made <= took_s / (14 * 10 / 9600) + 3, "what doesn't fit on the line isn't made"
+    link.write(b"\xc5")
+    got += link.read_until(b"\xc5", 5.0)
+    assert len(PacketDecoder(0x03).feed(got)) == arm.packets, "and what was made arrives"
+    link.close()
+    listener.close()
+    clock.close()
+
+
 # Mechanics
 
 
 def mechanics(
     hand: Hand, *, seed: int = 1, accuracy_mm: float = 0.0, tremor_mm: float = 0.0
 ) -> Mechanics:
-    return Mechanics(
-        ARM, UNIT_40937.home, hand, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm
-    )
+    return Mechanics(ARM, UNIT.home, hand, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm)
 
 
-def grip(x: float = -180.0, y: float = 240.0, z: float = 130.0) -> Hand:
-    return Hand(np.array([x, y, z]))
+@pytest.fixture
+def grip() -> Hand:
+    return Hand(VirtualClock(), POINT)
 
 
-def test_a_perfect_arm_stands_where_the_hand_holds_it() -> None:
-    counts = mechanics(grip()).counts(1)
-    np.testing.assert_allclose(ARM.forward(counts)[0], [POINT], atol=1e-6)
-    assert np.linalg.norm(ARM.forward(encoded(counts))[0] - POINT) < 0.4
+def test_a_perfect_arm_stands_where_the_hand_holds_it_and_follows(grip: Hand) -> None:
+    arm = mechanics(grip)
+    for point in (POINT, POINT + 5.0):
+        grip.point = point
+        pose = arm.solve(point, UP)
+        np.testing.assert_allclose(ARM.forward(pose.counts)[0], [point], atol=1e-6)
+        assert arm.counts(1) == np.rint(pose.counts).tolist()
+        assert np.linalg.norm(ARM.forward(arm.counts(2))[0] - point) < 0.4
+    grip.point = None
+    assert arm.counts(3) == list(UNIT.home)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -214,52 +313,33 @@ def test_the_mean_error_over_the_workspace_is_what_was_asked_for(seed: int) -> N
     assert sizes.max() < 1.0
 
 
-def test_the_error_is_a_smooth_function_of_the_pose() -> None:
-    error = KinematicError(ARM, HOME_RAD, seed=3, accuracy_mm=0.23)
+def test_the_error_is_a_smooth_function_of_the_pose_and_not_the_packets(grip: Hand) -> None:
+    error = KinematicError(ARM, HOME_RAD, seed=1, accuracy_mm=0.23)
     poses = workspace(ARM, HOME_RAD, np.random.default_rng(4))
     here, near = error.at(poses), error.at(poses + 0.005)  # about 3 mm at the tip
     assert np.linalg.norm(here - near, axis=1).max() < 0.01
-
-
-def test_the_error_is_the_arms_not_the_packets() -> None:
-    arm = mechanics(grip(), accuracy_mm=0.23)
-    first, tip = arm.counts(1), ARM.forward(arm.counts(2))[0][0]
-    np.testing.assert_array_equal(first, arm.counts(500))
-    expected = KinematicError(ARM, HOME_RAD, seed=1, accuracy_mm=0.23).at(
-        ARM.angles(mechanics(grip()).counts(1))
-    )[0]
+    arm = mechanics(grip, accuracy_mm=0.23)
+    assert arm.counts(1) == arm.counts(500)
+    tip = ARM.forward(arm.solve(POINT, UP).counts)[0][0]
+    expected = error.at(ARM.angles(mechanics(grip).solve(POINT, UP).counts))[0]
     np.testing.assert_allclose(tip - POINT, expected, atol=1e-6)
 
 
-def test_rounded_counts_are_those_that_are_not_rounded_rounded() -> None:
-    arm = mechanics(grip(), accuracy_mm=0.23, tremor_mm=0.05)
-    for packet in (1, 2, 1023, 1024, 5000, 3):
-        assert arm.whole(packet) == np.rint(arm.counts(packet)).tolist()
-    assert mechanics(Hand()).whole(1) == list(UNIT_40937.home)
-
-
-def test_the_tremor_has_the_size_asked_for_and_is_new_with_each_packet() -> None:
-    arm = mechanics(grip(), tremor_mm=0.05)
-    tips = ARM.forward([arm.counts(i) for i in range(3000)])[0]
-    assert np.sqrt(np.mean(np.sum((tips - POINT) ** 2, axis=1))) == pytest.approx(0.05, rel=0.05)
-    assert np.linalg.norm(tips.mean(axis=0) - POINT) < 0.005
-    np.testing.assert_array_equal(arm.counts(7), mechanics(grip(), tremor_mm=0.05).counts(7))
-    assert (arm.counts(7) != mechanics(grip(), seed=2, tremor_mm=0.05).counts(7)).any()
+def test_the_tremor_has_the_size_asked_for_and_is_new_with_each_packet(grip: Hand) -> None:
+    arm = mechanics(grip, tremor_mm=0.05)
+    off = np.concatenate([arm.tremor(block) for block in range(3)])
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) == pytest.approx(0.05, rel=0.05)
+    assert np.linalg.norm(off.mean(axis=0)) < 0.005
+    pose = arm.solve(POINT, UP)
+    for packet in (1, 2, 1023, 1024, 3):
+        shaken = pose.counts + pose.counts_per_mm @ off[packet]
+        assert arm.counts(packet) == np.rint(shaken).tolist()
+        np.testing.assert_allclose(ARM.forward(shaken)[0][0] - POINT, off[packet], atol=1e-3)
+    assert arm.counts(7) == mechanics(grip, tremor_mm=0.05).counts(7)
+    assert (arm.tremor(0) != mechanics(grip, seed=2, tremor_mm=0.05).tremor(0)).any()
 
 
 def test_what_the_arm_cannot_reach_is_told_beforehand(fresh: Host) -> None:
     fresh.arm.check_reach(POINT, UP)
     with pytest.raises(OutOfReachError, match="out of reach"):
         fresh.arm.check_reach(POINT * 5, UP)
-
-
-@pytest.mark.parametrize("move", [lambda hand: None, lambda hand: setattr(hand, "point", None)])
-def test_a_target_that_changes_is_followed(move: Callable[[Hand], None]) -> None:
-    hand = grip()
-    arm = mechanics(hand)
-    arm.counts(1)
-    hand.point = POINT + 5.0
-    np.testing.assert_allclose(ARM.forward(arm.counts(2))[0], [POINT + 5.0], atol=1e-6)
-    move(hand)
-    expected = POINT + 5.0 if hand.point is not None else ARM.forward(UNIT_40937.home)[0][0]
-    np.testing.assert_allclose(ARM.forward(arm.counts(3))[0], [expected], atol=1e-6)

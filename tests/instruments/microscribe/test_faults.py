@@ -2,31 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
 from instruments.errors import LinkError
 from instruments.microscribe.faults import AMOUNTS, Fault, Faults
-from instruments.microscribe.firmware import UnspecifiedBehaviour
 from instruments.microscribe.mechanics import Contacts
 from instruments.microscribe.protocol import State
-from instruments.microscribe.unit import UNIT_40937
-from tests.instruments.microscribe.bare_host import AT_REST, POINT, Host
-
-
-@pytest.fixture
-def fresh() -> Iterator[Host]:
-    host = Host()
-    yield host
-    host.close()
-
-
-@pytest.fixture
-def host(fresh: Host) -> Host:
-    fresh.session()
-    return fresh
+from tests.instruments.microscribe.rigs import AT_REST, POINT, UNIT, Host
 
 
 def bits_apart(a: str, b: str) -> int:
@@ -89,9 +72,7 @@ def test_an_old_session_hears_letters_as_commands(fresh: Host) -> None:
     fresh.hand.point = POINT
     assert fresh.ask("42 45 47 49 4E") == "C2 C5"
     fresh.session()
-    assert np.abs(np.subtract(fresh.counts()[:5], UNIT_40937.home[:5])).max() <= 3, (
-        "re-homed off the peg"
-    )
+    assert np.abs(np.subtract(fresh.counts()[:5], UNIT.home[:5])).max() <= 3, "re-homed off the peg"
 
 
 @pytest.mark.parametrize("letter", ["43", "47", "C3", "C7", "D0", "D1", "50", "51"])
@@ -132,14 +113,6 @@ def test_surplus_echoes(fresh: Host) -> None:
     assert fresh.ask("49 4D 4D 43") == "49 4D 4D 43"
 
 
-def test_an_arm_that_does_not_echo_again() -> None:
-    host = Host(habits=UnspecifiedBehaviour(echoes_again=False))
-    assert host.ask("49 4D 4D 43" * 3) == "49 4D 4D 43"
-    assert host.ask("C5 49 4D 4D 43") == "49 4D 4D 43", "it finds its rate anew"
-    assert host.ask("42 45 47 49 4E") == "4D 53 43 52 00"
-    host.close()
-
-
 def test_power_goes_and_comes_back(host: Host) -> None:
     host.arm.faults.inject("power loss")
     assert host.ask("03") == ""
@@ -148,7 +121,7 @@ def test_power_goes_and_comes_back(host: Host) -> None:
     host.arm.faults.clear("power loss")
     assert host.ask("03") == "", "the session is gone"
     host.session()
-    assert np.abs(np.subtract(host.counts()[:5], UNIT_40937.home[:5])).max() <= 3, (
+    assert np.abs(np.subtract(host.counts()[:5], UNIT.home[:5])).max() <= 3, (
         "home counts, wherever the stylus is"
     )
 
@@ -164,15 +137,15 @@ def test_a_session_left_alive_needs_power(fresh: Host) -> None:
 
 def test_an_arm_that_nobody_homed_gives_plausible_wrong_counts(host: Host) -> None:
     host.arm.faults.inject("never homed")
-    off = np.abs(np.subtract(host.counts(), UNIT_40937.home))
+    off = np.abs(np.subtract(host.counts(), UNIT.home))
     assert (off >= 500).all()
     assert (off <= 1000).all()
     host.arm.power_cycle()
     host.session()
-    assert host.counts() != UNIT_40937.home, "nor at the next power-up, while the fault is on"
+    assert host.counts() != UNIT.home, "nor at the next power-up, while the fault is on"
     host.arm.faults.clear("never homed")
     assert host.ask("C2") == "C2"
-    assert host.counts() == UNIT_40937.home, "homed on the peg"
+    assert host.counts() == UNIT.home, "homed on the peg"
 
 
 def test_a_pedal_bounces_for_a_while(host: Host) -> None:

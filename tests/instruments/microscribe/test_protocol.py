@@ -1,10 +1,11 @@
-"""Bytes of the arm: golden ones typed from the fact sheet, round trips, and garbage."""
+"""Bytes of the arm: golden ones typed from the fact sheet, round trips, and garbage; the states of a
+session; the bytes that are never sent; the arm's own time.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
-import math
 from collections.abc import Callable, Iterable
 
 import pytest
@@ -12,9 +13,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.microscribe import configuration as conf
+from instruments.microscribe import errors
 from instruments.microscribe import protocol as wire
-from instruments.microscribe.configuration import Maxima, Parameters, StreamRequest
-from instruments.microscribe.protocol import Code, Packet, PacketDecoder, WireError
+from instruments.microscribe.configuration import (
+    BlockLengthError,
+    Maxima,
+    Parameters,
+    StreamRequest,
+)
+from instruments.microscribe.protocol import (
+    ArmTime,
+    Code,
+    Event,
+    Packet,
+    PacketDecoder,
+    State,
+    WireError,
+)
 
 AT_REST = bytes.fromhex("83 00 6C 4F 30 5E 35 54 20 02 18 79 41 60")
 MAXIMA = bytes.fromhex("C6 03 3FFF 00 00 00 00 00 00 00 00 00 3FFF 3FFF 1FFF 0FFF 0FFF 0000")
@@ -127,16 +142,20 @@ def test_a_byte_that_comes_twice_costs_its_packet_and_none_is_wrong(place: int) 
         assert decoder.damaged == 1
 
 
-def kept(stream: bytes, cuts: list[int]) -> tuple[list[Packet], int]:
+def kept(
+    stream: bytes, cuts: list[int], decoder: PacketDecoder | None = None
+) -> tuple[list[Packet], int]:
     """The packets of a stream in pieces, without those that were withdrawn; and how many came
-    damaged.
+    damaged. All of a stream that ends with a packet is used up.
     """
-    decoder = PacketDecoder()
+    decoder = decoder or PacketDecoder()
     got: list[Packet] = []
-    for a, b in itertools.pairwise([0, *sorted(cuts), len(stream)]):
+    places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
+    for a, b in itertools.pairwise(places):
         withdrawn = decoder.withdrawn
         came = decoder.feed(stream[a:b])
         got = [*(got[:-1] if decoder.withdrawn > withdrawn else got), *came]
+    assert decoder.pending == 0 or not stream.endswith(AT_REST)
     return got, decoder.damaged
 
 
@@ -149,8 +168,11 @@ def test_an_unfinished_packet_is_given_up_by_reset() -> None:
     assert decoder.damaged == 1
 
 
-def test_configuration_echoes_are_no_packets() -> None:
-    assert PacketDecoder().feed(bytes([Code.HOME]) + bytes([Code.END]) + AT_REST) == [REST]
+@pytest.mark.parametrize("cut", [whole, byte_by_byte])
+def test_echoes_and_markers_are_no_packets(cut: Callable[[bytes], Iterable[bytes]]) -> None:
+    decoder = PacketDecoder()
+    stream = bytes([Code.HOME, Code.END, Code.MARKER, 0x07]) + AT_REST
+    assert [packet for piece in cut(stream) for packet in decoder.feed(piece)] == [REST]
 
 
 @st.composite
@@ -173,47 +195,37 @@ def packets(draw: st.DrawFn) -> Packet:
     )
 
 
-@given(st.lists(packets(), max_size=8), st.data())
-def test_any_packets_cut_anywhere_come_back(sent: list[Packet], data: st.DataObject) -> None:
+@given(st.lists(packets(), max_size=8), st.lists(st.integers(0, 200), max_size=10))
+def test_any_packets_cut_anywhere_come_back(sent: list[Packet], cuts: list[int]) -> None:
     stream = b"".join(map(wire.encode_packet, sent))
-    cuts = [0, *sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10))), len(stream)]
-    decoder = PacketDecoder()
-    assert [p for a, b in itertools.pairwise(cuts) for p in decoder.feed(stream[a:b])] == sent
-    assert (decoder.damaged, decoder.pending) == (0, 0)
+    assert kept(stream, cuts) == (sent, 0)
 
 
 @given(st.binary(max_size=200), st.lists(st.integers(0, 200), max_size=5))
 def test_after_any_garbage_the_second_packet_is_right(garbage: bytes, cuts: list[int]) -> None:
-    stream = garbage + AT_REST + AT_REST
-    places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
-    decoder = PacketDecoder(0x03)
-    got = [p for a, b in itertools.pairwise(places) for p in decoder.feed(stream[a:b])]
+    got, _ = kept(garbage + AT_REST + AT_REST, cuts, PacketDecoder(0x03))
     assert got[-1] == REST
-    assert decoder.pending == 0
 
 
 @given(
     st.lists(st.one_of(st.binary(max_size=20), packets().map(wire.encode_packet)), max_size=6).map(
         b"".join
     ),
-    st.data(),
+    st.lists(st.integers(0, 200), max_size=4),
 )
-def test_cutting_changes_nothing(data: bytes, drawn: st.DataObject) -> None:
-    assert kept(data, []) == kept(data, drawn.draw(st.lists(st.integers(0, len(data)), max_size=4)))
+def test_cutting_changes_nothing(data: bytes, cuts: list[int]) -> None:
+    assert kept(data, []) == kept(data, cuts)
 
 
 # Configuration
 
 
 @pytest.mark.parametrize(("code", "name"), NAMES.items())
-def test_names(code: int, name: str) -> None:
+def test_names_in_the_makers_order(code: int, name: str) -> None:
     reply = bytes([code]) + name.encode("ascii") + b"\0"
     assert conf.decode_name(code, reply) == name
     assert conf.encode_name(code, name) == reply
-
-
-def test_the_names_are_asked_in_the_makers_order() -> None:
-    assert bytes(conf.NAMES) == bytes.fromhex("C8 C9 CA CB CC CD CE")
+    assert bytes(conf.NAMES) == bytes(NAMES)
 
 
 @pytest.mark.parametrize(
@@ -243,15 +255,14 @@ def test_parameters() -> None:
     parameters = conf.decode_parameters(PARAMETERS)
     assert conf.encode_parameters(parameters) == PARAMETERS
     assert parameters.d == (8300, -878, -3, 9244, 320, -5274)
-    assert parameters.d_mm[0] == pytest.approx(210.82)
-    assert parameters.alpha_rad[4] == pytest.approx(-16382 / 32768 * math.pi)
-    assert parameters.a_mm[2] == pytest.approx(260.5024)
 
 
 def test_extended_parameters() -> None:
     assert conf.decode_extended(EXTENDED) == 3
     assert conf.encode_extended(3) == EXTENDED
     assert conf.decode_extended(bytes.fromhex("D3 02 FFFD")) == -3
+    with pytest.raises(WireError, match="doesn't fit"):
+        conf.encode_extended(40000)
 
 
 @pytest.mark.parametrize("reply", [MAXIMA[:-1], MAXIMA + b"\0", b"\xc0" + MAXIMA[1:], b""])
@@ -299,11 +310,6 @@ def test_garbage_raises_nothing_but_ours(
         decode(head + rest)
 
 
-def test_a_value_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(WireError, match="doesn't fit"):
-        conf.encode_extended(40000)
-
-
 def test_the_stream_command_has_25_bytes_or_27() -> None:
     fixed = StreamRequest(10, 0x03)
     assert conf.encode_stream(fixed) == bytes.fromhex("CF 000A 03") + bytes(21)
@@ -313,3 +319,162 @@ def test_the_stream_command_has_25_bytes_or_27() -> None:
     assert len(data) == 27
     assert conf.decode_stream(data) == sevenfold
     assert not sevenfold.fixed_rate
+
+
+REPLIES = {
+    **{code: bytes([code]) + name.encode("ascii") + b"\0" for code, name in NAMES.items()},
+    0xC6: MAXIMA,
+    0xC0: PARAMETERS,
+    0xD3: EXTENDED,
+    **{code: bytes([code]) for code in (0xC2, 0xC4, 0xC5, 0xCF)},
+}
+
+
+@pytest.mark.parametrize(
+    ("code", "reply"), REPLIES.items(), ids=[f"{code:02X}" for code in REPLIES]
+)
+def test_where_a_reply_ends_whole_byte_by_byte_and_with_what_follows(
+    code: int, reply: bytes
+) -> None:
+    assert conf.reply_length(code, reply) == len(reply)
+    assert {conf.reply_length(code, reply[:end]) for end in range(len(reply))} == {None}
+    assert conf.reply_length(code, reply + AT_REST) == len(reply)
+
+
+def test_a_name_without_an_end_is_given_up_after_its_longest() -> None:
+    assert conf.reply_length(0xC8, b"\xc8" + b"A" * 31) is None
+    assert conf.reply_length(0xC8, b"\xc8" + b"A" * 40) == 33
+    with pytest.raises(WireError, match="32 bytes at most"):
+        conf.decode_name(0xC8, b"\xc8" + b"A" * 32)
+
+
+def test_another_length_of_a_block_is_told_from_a_short_one() -> None:
+    with pytest.raises(BlockLengthError, match="38 bytes; 36 are understood"):
+        conf.decode_parameters(b"\xc0\x26" + bytes(38))
+    with pytest.raises(WireError) as short:
+        conf.decode_parameters(b"\xc0\x24" + bytes(35))
+    assert not isinstance(short.value, BlockLengthError)
+
+
+# The session
+
+F, Y, S, M = State.FINDING_BAUD, State.SYNCED, State.SESSION, State.STREAMING
+
+
+@pytest.mark.parametrize(
+    ("event", "after"),
+    [
+        (Event.SYNC, {F: Y, Y: Y}),
+        (Event.BEGIN, {Y: S}),
+        (Event.POLL, {S: S, M: S}),
+        (Event.CONFIGURE, {S: S, M: S}),
+        (Event.STREAM, {S: M, M: M}),
+        (Event.MARKER, {S: S, M: M}),
+        (Event.END, {F: F, Y: F, S: F, M: F}),
+        (Event.POWER_LOST, {F: F, Y: F, S: F, M: F}),
+    ],
+)
+def test_the_table_of_states(event: Event, after: dict[State, State]) -> None:
+    for state in State:
+        if state in after:
+            assert wire.next_state(state, event) is after[state]
+        else:
+            with pytest.raises(
+                WireError, match=f"{event.value} is not allowed while {state.value}"
+            ):
+                wire.next_state(state, event)
+
+
+@pytest.mark.parametrize(
+    ("byte", "event"),
+    [
+        (0x03, Event.POLL),
+        (0x83, Event.POLL),
+        (0x42, Event.CONFIGURE),
+        (0xC5, Event.END),
+        (0x45, Event.END),
+        (0x4F, Event.STREAM),
+        (0xD2, Event.MARKER),
+    ],
+)
+def test_bit_7_of_a_command_means_nothing(byte: int, event: Event) -> None:
+    assert wire.event_of(byte) is event
+
+
+@pytest.mark.parametrize("byte", [0xC3, 0xC7, 0xD0, 0xD1])
+def test_eeprom_writes_are_refused_with_bit_7_and_without(byte: int) -> None:
+    for state in State:
+        with pytest.raises(WireError, match="EEPROM"):
+            wire.refuse_forbidden(bytes([0xC5, byte]), state)
+    for state in (S, M):
+        with pytest.raises(WireError, match="EEPROM"):
+            wire.refuse_forbidden(bytes([byte & 0x7F]), state)
+    wire.refuse_forbidden(wire.SYNC + wire.BEGIN, F)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [bytes.fromhex("CF 0042 03") + bytes(21), b"\xd2\x45", b"\xcf\x00\x0a\x03\x00\xc2" + bytes(19)],
+)
+def test_what_follows_a_command_in_a_session_may_not_configure(data: bytes) -> None:
+    for state in (S, M):
+        with pytest.raises(WireError, match="if the byte before it were lost"):
+            wire.refuse_forbidden(data, state)
+    wire.refuse_forbidden(bytes([Code.END]) + wire.SYNC, F)
+
+
+# Who else may answer
+
+
+@pytest.mark.parametrize(
+    ("seen", "hint"),
+    [
+        (b"\r\nGrbl 1.1h ['$' for help]\r\n", "GRBL board"),
+        (b"\xc5IMMC", "sends back what it hears"),
+        (b"ok\r\nok\r\n", "motion controller"),
+        (bytes.fromhex("01 83 02 C0 F1"), "Modbus"),
+        (bytes.fromhex("FE FE 01 04 02 FF FF B8 80"), "Modbus"),
+        (b"23.05\r\n", "plain text"),
+        (bytes.fromhex("F8 80 00 FC FE"), "baud rate"),
+        (b"A", "baud rate"),
+    ],
+)
+def test_a_guess_at_who_answers(seen: bytes, hint: str) -> None:
+    assert hint in errors.what_to_try(seen)
+    assert errors.known(seen) is (hint != "baud rate")
+
+
+# The 14-bit clock
+
+TICK_S, WRAP = 0.001111, 16384  # of the sheet
+
+
+def test_a_wrap_is_some_eighteen_seconds() -> None:
+    arm = ArmTime()
+    assert arm.seconds(16000, 100.0) == 0.0
+    assert arm.seconds(16383, 100.4) == pytest.approx(383 * TICK_S)
+    assert arm.seconds(0, 100.5) == pytest.approx(384 * TICK_S)
+    assert arm.seconds(0, 118.7) == pytest.approx((384 + WRAP) * TICK_S)
+
+
+def test_a_long_pause_loses_no_wrap() -> None:
+    arm = ArmTime()
+    arm.seconds(5, 0.0)
+    ticks = round(3600.0 / TICK_S)
+    assert arm.seconds((5 + ticks) % WRAP, 3600.0) == pytest.approx(3600.0, abs=0.002)
+
+
+@given(
+    st.integers(0, WRAP - 1),
+    st.lists(st.tuples(st.integers(0, 200_000), st.floats(0.0, 4.0)), min_size=1, max_size=30),
+)
+def test_any_steps_add_up_whatever_the_hosts_delays(
+    first: int, steps: list[tuple[int, float]]
+) -> None:
+    arm, made = ArmTime(), 0
+    assert arm.seconds(first, 0.0) == 0.0
+    for step, late_s in steps:
+        made += step
+        assert arm.seconds((first + made) % WRAP, made * TICK_S + late_s) == pytest.approx(
+            made * TICK_S
+        )

@@ -1,5 +1,5 @@
-"""Streams: at the rate that was asked for, in the arm's own time, ended as the maker's host does,
-and restarted.
+"""Streams: in the arm's own time, ended as the maker's host does, and restarted; pedal events
+without bounce.
 """
 
 from __future__ import annotations
@@ -7,15 +7,18 @@ from __future__ import annotations
 import itertools
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from instruments.errors import LinkError, ProtocolError
-from instruments.microscribe.errors import NoSessionError, SilentArmError, StreamingError
+from instruments.errors import LimitError, LinkError, ProtocolError
+from instruments.listener import Connection
+from instruments.microscribe.errors import NoSessionError, SilentArmError
 from instruments.microscribe.protocol import State
-from instruments.microscribe.stream import Pedal
-from instruments.microscribe.unit import UNIT_40937
-from tests.instruments.microscribe.driver_rig import POINT, Rig
+from instruments.microscribe.stream import Debouncer, Pedal, PedalEvent
+from tests.instruments.microscribe.rigs import POINT, UNIT, Ear, Rig
 
-START = bytes.fromhex("CF 000A 23") + bytes(21)
+START = bytes.fromhex("CF 0000 23") + bytes(21)
+FASTEST_HZ = 720.0  # of the sheet, with stamps
 
 
 def state(rig: Rig) -> State:
@@ -25,7 +28,7 @@ def state(rig: Rig) -> State:
 def test_a_stream_is_asked_for_and_ended_as_the_sheet_says(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.ear.heard = b""
-    with driver.stream(100.0) as samples:
+    with driver.stream() as samples:
         got = list(itertools.islice(samples, 50))
         assert state(rig) is State.STREAMING
         ended = rig.clock.now()
@@ -33,75 +36,30 @@ def test_a_stream_is_asked_for_and_ended_as_the_sheet_says(rig: Rig) -> None:
     assert len(START) == 25
     assert rig.clock.now() - ended == pytest.approx(0.05)
     assert state(rig) is State.SESSION
-    assert {sample.counts for sample in got} == {UNIT_40937.home}
+    assert {sample.counts for sample in got} == {UNIT.home}
     gaps_s = [b.t_s - a.t_s for a, b in itertools.pairwise(got)]
-    assert sum(gaps_s) / len(gaps_s) == pytest.approx(0.01, rel=0.02)
+    assert sum(gaps_s) / len(gaps_s) == pytest.approx(1 / FASTEST_HZ, rel=0.02)
     assert got[0].t_s == 0.0
 
 
 def test_the_same_session_goes_on_behind_a_stream(rig: Rig) -> None:
     driver = rig.signed_on()
-    with driver.stream(100.0) as samples:
+    with driver.stream() as samples:
         next(samples)
     rig.hand.point = POINT
     assert driver.homed
     asked = rig.clock.now()
     # nothing that the stream left is taken for the answer
-    assert driver.poll().counts != UNIT_40937.home
+    assert driver.poll().counts != UNIT.home
     assert rig.clock.now() == asked
 
 
-def test_time_goes_on_past_the_wrap_of_the_stamps(rig: Rig) -> None:
+def test_without_a_stamp_samples_take_the_hosts_time(rig: Rig) -> None:
     driver = rig.signed_on()
-    with driver.stream(10.0) as samples:
-        first = next(samples)
-        start = rig.clock.now()
-        last = first
-        while rig.clock.now() < start + 60.0:
-            sample = next(samples)
-            assert sample.t_s >= last.t_s
-            last = sample
-    assert last.t_s - first.t_s == pytest.approx(rig.clock.now() - start, abs=0.1)
-
-
-def test_five_encoders_without_a_stamp_take_the_hosts_time(rig: Rig) -> None:
-    driver = rig.signed_on()
-    with driver.stream(50.0, encoders=5, stamped=False) as samples:
+    with driver.stream(stamped=False) as samples:
         sample = next(samples)
-        assert sample.counts == UNIT_40937.home[:5]
         assert sample.t_s == rig.clock.now()
         assert driver.position([sample]).tip_mm[2] == pytest.approx(212.2005, abs=1e-3)
-
-
-def test_as_fast_as_it_goes(rig: Rig) -> None:
-    driver = rig.signed_on()
-    with driver.stream() as samples:
-        start = rig.clock.now()
-        list(itertools.islice(samples, 500))
-        assert 500 / (rig.clock.now() - start) > 600
-
-
-def test_what_a_pedal_does_comes_with_the_samples(rig: Rig) -> None:
-    driver = rig.signed_on()
-    rig.clock.call_at(rig.clock.now() + 0.5, lambda: setattr(rig.arm, "buttons", 0x02))
-    rig.clock.call_at(rig.clock.now() + 0.8, lambda: setattr(rig.arm, "buttons", 0x00))
-    with driver.stream(100.0) as samples:
-        events = [event for sample in itertools.islice(samples, 150) for event in sample.events]
-    assert [(event.pedal, event.pressed) for event in events] == [
-        (Pedal.LEFT, True),
-        (Pedal.LEFT, False),
-    ]
-    assert events[1].t_s - events[0].t_s == pytest.approx(0.3, abs=0.02)
-
-
-@pytest.mark.parametrize("rate_hz", [15.0, 12.5, 10.0, 8.0])
-def test_no_delay_is_asked_for_that_would_be_a_command_by_itself(rig: Rig, rate_hz: float) -> None:
-    driver = rig.signed_on()
-    rig.ear.heard = b""
-    with driver.stream(rate_hz) as samples:
-        next(samples)
-    # 63 ms: the next shorter one that is harmless
-    assert rig.ear.heard[:4] == bytes.fromhex("CF 003F 23")
 
 
 @pytest.mark.parametrize("lost", range(25))
@@ -110,7 +68,7 @@ def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig, lost: i
     rig.hand.point = POINT  # off the peg: homing would show
     before = driver.poll().counts
     rig.ear.lose = {lost}
-    with driver.stream(100.0) as samples:
+    with driver.stream() as samples:
         got = list(itertools.islice(samples, 30))
     assert all(
         abs(a - b) < 20
@@ -124,27 +82,21 @@ def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig, lost: i
 @pytest.mark.parametrize("fault", ["lost byte", "bit 7 in payload", "garbage between packets"])
 def test_damage_costs_packets_and_nothing_else(rig: Rig, fault: str) -> None:
     driver = rig.signed_on()
-    with driver.stream(100.0) as samples:
+    with driver.stream() as samples:
         # one at a time: a byte lost in one packet and the header of the next make a packet that no
         # rule refuses
         for _ in range(20):
             rig.arm.faults.inject(fault, 1)
-            assert {sample.counts for sample in itertools.islice(samples, 5)} == {UNIT_40937.home}
+            assert {sample.counts for sample in itertools.islice(samples, 5)} == {UNIT.home}
     assert driver.damaged >= (0 if fault == "garbage between packets" else 10)
-    assert driver.poll().counts == UNIT_40937.home
+    assert driver.poll().counts == UNIT.home
 
 
 def test_questions_within_a_stream_are_refused(rig: Rig) -> None:
     driver = rig.signed_on()
-    with driver.stream(100.0) as samples:
-        for ask in (
-            driver.poll,
-            driver.read,
-            driver.home,
-            lambda: driver.wait_for_pedal(1.0),
-            lambda: driver.stream(10.0).__enter__(),
-        ):
-            with pytest.raises(StreamingError, match="End the stream first"):
+    with driver.stream() as samples:
+        for ask in (driver.poll, driver.read, driver.home, lambda: driver.stream().__enter__()):
+            with pytest.raises(LimitError, match=r"a stream runs .*End the stream first"):
                 ask()
         next(samples)
     with pytest.raises(NoSessionError, match="the stream has ended"):
@@ -153,7 +105,7 @@ def test_questions_within_a_stream_are_refused(rig: Rig) -> None:
 
 def test_a_stream_that_something_ended_is_started_again(rig: Rig) -> None:
     driver = rig.signed_on()
-    with driver.stream(100.0) as samples:
+    with driver.stream() as samples:
         next(samples)
         with rig.lock:
             rig.arm.receive(rig.ear.hosts[-1], b"\x00")  # as noise on the cable would
@@ -161,48 +113,23 @@ def test_a_stream_that_something_ended_is_started_again(rig: Rig) -> None:
     assert rig.ear.heard.count(START) == 2
 
 
-def test_power_loss_within_a_stream(rig: Rig) -> None:
+@pytest.mark.parametrize(
+    ("error", "message"), [(SilentArmError, "fallen silent"), (LinkError, "the link broke")]
+)
+def test_power_or_cable_lost_within_a_stream(
+    rig: Rig, error: type[Exception], message: str
+) -> None:
     driver = rig.signed_on()
-    with (  # noqa: PT012
-        pytest.raises(SilentArmError, match="fallen silent"),
-        driver.stream(100.0) as samples,
-    ):
+    with pytest.raises(error, match=message), driver.stream() as samples:  # noqa: PT012
         next(samples)
-        rig.arm.power_cycle()
+        if error is SilentArmError:
+            rig.arm.power_cycle()
+        else:
+            rig.ear.hosts[-1].hang_up()
         list(itertools.islice(samples, 100))
     assert not driver.homed
-    driver.sign_on()
-
-
-def test_a_cable_pulled_within_a_stream(rig: Rig) -> None:
-    driver = rig.signed_on()
-    with (  # noqa: PT012
-        pytest.raises(LinkError, match="the link broke"),
-        driver.stream(100.0) as samples,
-    ):
-        next(samples)
-        rig.ear.hosts[-1].hang_up()
-        list(itertools.islice(samples, 100))
     driver.recover()
-    assert driver.poll().counts == UNIT_40937.home
-
-
-class Deaf:
-    """Keeps stream requests from the arm, and answers them with ``answer``."""
-
-    def __init__(self, rig: Rig, answer: bytes) -> None:
-        self.inner = rig.arm
-        self.answer = answer
-        rig.ear.arm = self  # type: ignore[assignment]
-
-    def receive(self, connection: object, data: bytes) -> None:
-        if data[0] == 0xCF:
-            connection.send(self.answer)  # type: ignore[attr-defined]
-        else:
-            self.inner.receive(connection, data)  # type: ignore[arg-type]
-
-    def connect(self, connection: object) -> None: ...
-    def disconnect(self, connection: object) -> None: ...
+    assert driver.poll().counts == UNIT.home
 
 
 @pytest.mark.parametrize(
@@ -215,15 +142,86 @@ class Deaf:
 def test_an_arm_that_does_not_stream_is_told_apart_from_one_that_is_gone(
     rig: Rig, answer: bytes, error: type[Exception], message: str
 ) -> None:
+    class Deaf(Ear):
+        """Keeps stream requests from the arm, and answers them with ``answer``."""
+
+        def receive(self, connection: Connection, data: bytes) -> None:
+            if data[0] == 0xCF:
+                connection.send(answer)
+            else:
+                super().receive(connection, data)
+
     driver = rig.signed_on()
-    Deaf(rig, answer)
-    with pytest.raises(error, match=message), driver.stream(100.0):
+    rig.ear.device = Deaf(rig.arm)
+    with pytest.raises(error, match=message), driver.stream():
         pass
     driver.read()
 
 
-@pytest.mark.parametrize("rate_hz", [0.0, -1.0, 0.01, 1001.0, float("nan")])
-def test_a_rate_that_cannot_be_had(rig: Rig, rate_hz: float) -> None:
+# Pedals
+
+
+@pytest.mark.parametrize(
+    ("levels", "events"),
+    [
+        (
+            [(0, 0), (10, 1), (20, 1), (29, 1), (30, 1), (100, 0), (119, 0), (121, 0)],
+            [PedalEvent(Pedal.RIGHT, True, 0.01), PedalEvent(Pedal.RIGHT, False, 0.1)],
+        ),
+        ([(0, 0), (10, 1), (15, 0), (20, 1), (35, 1)], []),
+        ([(0, 0), (10, 1), (15, 0), (20, 1), (40, 1)], [PedalEvent(Pedal.RIGHT, True, 0.02)]),
+        ([(0, 0), (100, 2), (200, 0), (300, 0)], []),
+        ([(0, 0), (100, 2), (200, 2)], [PedalEvent(Pedal.LEFT, True, 0.1)]),
+        ([(0, 1), (50, 1), (100, 0), (150, 0)], [PedalEvent(Pedal.RIGHT, False, 0.1)]),
+        (
+            [(0, 0), (10, 1), (20, 3), (31, 3), (40, 3)],
+            [PedalEvent(Pedal.RIGHT, True, 0.01), PedalEvent(Pedal.LEFT, True, 0.02)],
+        ),
+        ([(0, 0), (10, 0x7C), (100, 0x7C)], []),
+    ],
+    ids=[
+        "once they have lasted",
+        "a bounce starts anew",
+        "and then lasts",
+        "one packet at a slow rate",
+        "two packets at a slow rate",
+        "down at first",
+        "two pedals",
+        "other bits",
+    ],
+)
+def test_events_of_milliseconds_and_buttons(
+    levels: list[tuple[int, int]], events: list[PedalEvent]
+) -> None:
+    debouncer = Debouncer()
+    seen = [event for t_ms, buttons in levels for event in debouncer.feed(t_ms / 1000, buttons)]
+    assert seen == events
+
+
+@given(st.lists(st.tuples(st.integers(1, 50), st.integers(0, 3)), max_size=80))
+def test_events_alternate_and_agree_with_what_is_down(steps: list[tuple[int, int]]) -> None:
+    debouncer, now_ms = Debouncer(), 0
+    events: dict[Pedal, list[bool]] = {pedal: [] for pedal in Pedal}
+    debouncer.feed(0.0, 0)
+    for step_ms, buttons in steps:
+        now_ms += step_ms
+        for event in debouncer.feed(now_ms / 1000, buttons):
+            assert now_ms / 1000 - event.t_s >= 0.02 - 1e-6
+            events[event.pedal].append(event.pressed)
+        for pressed in events.values():
+            assert pressed == [at % 2 == 0 for at in range(len(pressed))]
+
+
+def test_a_bouncing_contact_is_one_press(rig: Rig) -> None:
     driver = rig.signed_on()
-    with pytest.raises(ValueError, match="packets a second"), driver.stream(rate_hz):
-        pass
+    rig.arm.faults.inject("pedal bounce", amount=0.05)
+    start = rig.clock.now()
+    rig.clock.call_at(start + 0.2, lambda: setattr(rig.arm, "buttons", 1))
+    rig.clock.call_at(start + 0.6, lambda: setattr(rig.arm, "buttons", 0))
+    with driver.stream() as samples:
+        got = list(itertools.islice(samples, 720))
+    # the contacts did bounce
+    assert sum(a.buttons != b.buttons for a, b in itertools.pairwise(got)) > 2
+    debouncer = Debouncer()
+    events = [event for sample in got for event in debouncer.feed(sample.t_s, sample.buttons)]
+    assert [event.pressed for event in events] == [True, False]

@@ -1,0 +1,319 @@
+"""Readings: right when the arm is still and homed, refused when it isn't; power that goes and cables
+that are pulled, noticed and brought back without a position that could be wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from instruments.errors import LimitError, LinkError, ProtocolError
+from instruments.microscribe.emulator import ArmEmulator
+from instruments.microscribe.errors import (
+    AnotherArmError,
+    ArmMovesError,
+    NoSessionError,
+    NotHomedError,
+    SilentArmError,
+    UnusableArmError,
+)
+from instruments.microscribe.faults import Fault
+from instruments.microscribe.protocol import State
+from tests.instruments.microscribe.rigs import POINT, UNIT, UP, Rig, renamed
+
+
+def test_at_rest_the_recorded_counts_and_the_position_of_the_sheet(rig: Rig) -> None:
+    driver = rig.signed_on()
+    assert driver.poll().counts == (13903, 6238, 6868, 4098, 3193, 8416)
+    reading = driver.read()
+    assert np.hypot(*reading.tip_mm[:2]) == pytest.approx(np.hypot(73.6746, 14.0353), abs=1e-3)
+    assert reading.tip_mm[2] == pytest.approx(212.2005, abs=1e-3)
+    assert reading.axis[2] == pytest.approx(0.99996, abs=1e-5)
+    assert (reading.n, reading.counts[3]) == (8, 4098)
+    assert reading.spread_mm < 1e-9
+
+
+def test_a_touch_is_right_within_the_stated_accuracy_and_repeatable(
+    make: Callable[..., Rig],
+) -> None:
+    seen = []
+    for _ in range(2):
+        rig = make()
+        driver = rig.signed_on()
+        rig.hand.point = POINT
+        reading = driver.read(32)
+        assert np.linalg.norm(reading.tip_mm - POINT) < 0.8
+        assert 0.0 < reading.spread_mm < 0.6
+        np.testing.assert_allclose(reading.axis, UP, atol=0.01)
+        seen.append((reading.tip_mm.tobytes(), rig.clock.now()))
+    assert seen[0] == seen[1]
+
+
+@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize("place", range(1, 14))
+def test_a_byte_that_comes_twice_gives_no_wrong_packet(rig: Rig, place: int, apart: bool) -> None:
+    driver = rig.signed_on()
+    right = driver.poll().counts
+    left = 1
+
+    def spoil(data: bytes) -> list[bytes]:
+        nonlocal left
+        if not left or len(data) != 14:
+            return [data]
+        left -= 1
+        doubled = data[: place + 1] + data[place:]
+        return [doubled[:14], doubled[14:]] if apart else [doubled]
+
+    rig.ear.spoil = spoil
+    assert driver.poll().counts == right
+    assert (left, driver.damaged) == (0, 1)
+    assert driver.poll().counts == right
+
+
+def test_one_wrong_packet_among_eight_does_not_move_a_reading(rig: Rig) -> None:
+    driver = rig.signed_on()
+    right = driver.read()
+    answers = 0
+
+    def spoil(data: bytes) -> list[bytes]:
+        nonlocal answers
+        answers += 1
+        return [data[:5] + bytes([data[5] ^ 0x06]) + data[6:]] if answers == 3 else [data]
+
+    rig.ear.spoil = spoil
+    reading = driver.read()
+    assert 0.1 < reading.spread_mm < 1.0
+    np.testing.assert_allclose(reading.tip_mm, right.tip_mm, atol=1e-9)
+    np.testing.assert_allclose(reading.axis, right.axis, atol=1e-9)
+
+
+def test_no_position_before_homing_is_confirmed_in_each_session(rig: Rig) -> None:
+    driver = rig.driver()
+    driver.sign_on()
+    assert driver.poll().counts == UNIT.home
+    first = (
+        r"before homing is confirmed: it has not been confirmed since sign-on.*stylus on its peg"
+    )
+    with pytest.raises(NotHomedError, match=first):
+        driver.read()
+    driver.confirm_homed()
+    driver.read()
+    driver.sign_on()
+    assert not driver.homed
+    with pytest.raises(NotHomedError, match="the session was opened anew"):
+        driver.read()
+
+
+def test_home_reloads_the_counts_on_the_peg(make: Callable[..., Rig]) -> None:
+    rig = make(accuracy_mm=0.0)
+    rig.hand.point = POINT
+    rig.arm.power_cycle()
+    rig.hand.point = None
+    driver = rig.driver()
+    driver.sign_on()
+    assert driver.poll().counts != UNIT.home
+    driver.home()
+    assert driver.homed
+    assert driver.poll().counts == UNIT.home
+    rig.hand.point = POINT
+    assert np.linalg.norm(driver.read(32).tip_mm - POINT) < 0.3
+
+
+def test_homing_that_is_not_confirmed_by_the_arm_does_not_count(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.arm.faults.inject("silent", 1)
+    with pytest.raises(LinkError, match=r"does not answer \(asked C2"):
+        driver.home()
+    with pytest.raises(NotHomedError, match="asked to home, and did not confirm it"):
+        driver.read()
+
+
+def test_a_reading_is_refused_while_the_arm_moves_and_of_nothing(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.hand.point, rig.hand.drift = POINT, 100.0
+    with pytest.raises(
+        ArmMovesError, match=r"the arm moves: 8 packets spread by \d\.\d+ mm, more than 1 mm.*still"
+    ):
+        driver.read()
+    rig.hand.drift = 0.0
+    driver.read()
+    with pytest.raises(ValueError, match="one packet at least"):
+        driver.read(0)
+    with pytest.raises(ValueError, match="one sample at least"):
+        driver.position([])
+
+
+@pytest.mark.parametrize("fault", [Fault.BIT_7, Fault.LOST_BYTE, Fault.GARBAGE, Fault.SILENT])
+def test_a_damaged_packet_is_asked_for_again(rig: Rig, fault: Fault) -> None:
+    driver = rig.signed_on()
+    for _ in range(20):
+        rig.arm.faults.inject(fault, 1)
+        assert driver.poll().counts == UNIT.home
+    # a lost header leaves no packet to call damaged
+    assert driver.damaged >= (15 if fault in (Fault.BIT_7, Fault.LOST_BYTE) else 0)
+
+
+def test_packets_that_are_always_damaged_are_refused(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.arm.faults.inject("bit 7 in payload")
+    with pytest.raises(ProtocolError, match=r"3 packets in a row came damaged \(asked 03, got 83"):
+        driver.poll()
+    rig.arm.faults.clear("bit 7 in payload")
+    driver.read()
+
+
+def test_a_flipped_bit_shows_as_motion(rig: Rig) -> None:
+    driver = rig.signed_on()
+    refused = 0
+    for _ in range(30):
+        rig.arm.faults.inject("flipped bit", 1)
+        try:
+            tip = driver.read().tip_mm
+        except LimitError:
+            refused += 1
+        # a low bit, a joint that is none, or the buttons: no further off than the spread allows
+        else:
+            assert np.hypot(*tip[:2]) == pytest.approx(75, abs=1)
+    assert refused > 5
+
+
+def test_a_late_answer_is_not_taken_for_the_next_one(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.ear.late_s = 0.15  # after the time-out, before the silence that the driver then waits for
+    assert driver.poll().counts == UNIT.home
+    rig.clock.sleep(0.1)  # by now the late answer, from the peg, has come in any case
+    rig.hand.point = POINT
+    assert driver.poll().counts != UNIT.home
+
+
+def test_a_hand_that_reaches_too_far_breaks_the_link_rather_than_lies(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.hand.point = POINT * 10
+    with pytest.raises(LinkError, match="hung up"):
+        driver.read()
+    assert "out of reach" in str(rig.arm.unreachable)
+
+
+# Power and cables
+
+
+def test_power_loss_is_noticed_and_costs_the_homing(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.hand.point = POINT
+    driver.read()
+    start = rig.clock.now()
+    rig.arm.power_cycle()
+    with pytest.raises(SilentArmError, match=r"fallen silent.*lost its power.*on its peg"):
+        driver.read()
+    assert rig.clock.now() - start < 1.0
+    assert not driver.homed
+    with pytest.raises(NoSessionError, match="no session"):
+        driver.read()
+    driver.sign_on()
+    with pytest.raises(NotHomedError, match="the arm fell silent: it may have lost its power"):
+        driver.read()
+
+
+def test_recovering_waits_for_the_power_gives_up_in_time_and_can_be_asked_again(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.arm.power_off()
+    with pytest.raises(SilentArmError):
+        driver.poll()
+    start = rig.clock.now()
+    with pytest.raises(SilentArmError, match="nothing answers the sign-on"):
+        driver.recover(5.0)
+    assert rig.clock.now() - start == pytest.approx(5.0, abs=0.5)
+    back = rig.clock.now() + 8.0
+    with rig.lock:
+        rig.clock.call_at(back, rig.arm.power_on)
+    assert driver.recover(30.0) == driver.identity
+    assert rig.clock.now() - back < 2.0
+    assert driver.poll().counts == UNIT.home
+    assert not driver.homed
+    driver.confirm_homed()
+    driver.read()
+
+
+def test_a_cable_that_is_pulled_is_noticed_and_back_within_two_seconds(rig: Rig) -> None:
+    driver = rig.signed_on()
+    port = rig.unplug()
+    with pytest.raises(LinkError, match="the link broke"):
+        driver.poll()
+    with pytest.raises(NoSessionError, match="no session"):
+        driver.read()
+    with pytest.raises(LinkError, match="nothing takes the connection"):
+        driver.sign_on()
+    back = rig.clock.now() + 10.0
+    rig.clock.call_at(back, lambda: rig.plug_in(port))
+    driver.recover(60.0)
+    assert 0.0 <= rig.clock.now() - back < 2.0
+    assert rig.arm.state is State.SESSION
+    with pytest.raises(
+        NotHomedError, match="the link broke, and nobody can tell whether the arm kept its power"
+    ):
+        driver.read()
+    driver.confirm_homed()
+    driver.read()
+
+
+def test_sign_on_opens_a_broken_link_again(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.ear.hosts[-1].hang_up()
+    with pytest.raises(LinkError):
+        driver.poll()
+    driver.sign_on()
+    assert driver.poll().counts == UNIT.home
+
+
+def test_nothing_read_before_counts_as_read_after(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.hand.point = POINT
+    rig.ear.late_s = 0.01
+    # a question is on its way: its answer is from the point
+    rig.clock.call_at(rig.clock.now() + 0.005, rig.ear.hosts[-1].hang_up)
+    with pytest.raises(LinkError):
+        driver.read()
+    rig.hand.point = None
+    driver.recover()
+    driver.confirm_homed()
+    assert driver.poll().counts == UNIT.home
+    assert np.hypot(*driver.read().tip_mm[:2]) == pytest.approx(75, abs=0.1)
+
+
+def test_another_arm_on_the_port_is_refused(rig: Rig) -> None:
+    driver = rig.signed_on()
+    port = rig.unplug()
+    with pytest.raises(LinkError):
+        driver.poll()
+    rig.plug_in(port, ArmEmulator(rig.hand, rig.clock, unit=renamed(serial_number="51234"), seed=1))
+    for _ in range(2):
+        with pytest.raises(AnotherArmError, match="arm 40937 was lost, and arm 51234 answers"):
+            driver.recover()
+        assert not driver.live
+    assert driver.sign_on().serial_number == "51234"
+
+
+def test_what_is_refused_for_good_is_not_tried_again(rig: Rig) -> None:
+    driver = rig.signed_on()
+    rig.arm.power_cycle()
+    with pytest.raises(SilentArmError):
+        driver.poll()
+    rig.arm.faults.inject("IBOX")
+    start = rig.clock.now()
+    with pytest.raises(UnusableArmError):
+        driver.recover(60.0)
+    assert rig.clock.now() - start < 2.0
+
+
+def test_safe_ends_the_session_once(rig: Rig) -> None:
+    driver = rig.signed_on()
+    assert not driver.moves
+    driver.safe()
+    heard = rig.ear.heard
+    driver.safe()
+    assert rig.ear.heard == heard
+    assert heard.endswith(b"\xc5")
+    with pytest.raises(NoSessionError, match="no session"):
+        driver.poll()

@@ -1,0 +1,220 @@
+"""Driver and emulated arm over pyserial and a pseudo-terminal, paced as a real line is, in real time:
+what loopback can't show.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from instruments.clock import RealClock
+from instruments.errors import LinkError
+from instruments.link import Link
+from instruments.microscribe.driver import MicroScribe
+from instruments.microscribe.emulator import ArmEmulator
+from instruments.microscribe.errors import NotHomedError
+from instruments.microscribe.faults import Fault
+from instruments.microscribe.protocol import State
+from instruments.pty_listener import PtyListener
+from tests.instruments.microscribe.rigs import POINT, UNIT, UP, Hand
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them"
+)
+POLL_S = 15 * 10 / 115200
+STREAMED_S = 14 * 10 / 115200
+
+
+class Bench:
+    """An arm without errors of its own, on a port whose name, as under /dev/serial/by-id, stays when
+    the adapter comes back under another.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.clock = RealClock()
+        self.lock = threading.RLock()
+        self.hand = Hand(self.clock)
+        self.arm = ArmEmulator(self.hand, self.clock, accuracy_mm=0.0)
+        self.name = folder / "by-id"
+        self.listener: PtyListener | None = None
+        self.drivers: list[MicroScribe] = []
+        self.plug_in()
+
+    def plug_in(self, *, baud: int = 115200, latency_s: float = 0.0) -> None:
+        self.unplug()
+        self.listener = PtyListener(
+            self.arm, self.clock, lock=self.lock, name="arm", baud=baud, latency_s=latency_s
+        )
+        self.name.symlink_to(self.listener.url)
+
+    def unplug(self) -> None:
+        if self.listener:
+            self.name.unlink()
+            self.listener.close()
+        self.listener = None
+
+    def signed_on(self, baud: int = 115200) -> MicroScribe:
+        link = Link(str(self.name), self.clock, who="arm", baud=baud)
+        self.drivers.append(MicroScribe(link, self.clock))
+        self.drivers[-1].sign_on()
+        return self.drivers[-1]
+
+    def close(self) -> None:
+        for driver in self.drivers:
+            driver.close()
+        self.unplug()
+        self.clock.close()
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(tmp_path)
+    yield bench
+    bench.close()
+    assert bench.arm.eeprom_attempts == 0
+
+
+def test_a_touch_over_a_real_port(bench: Bench) -> None:
+    driver = bench.signed_on()
+    assert driver.identity == UNIT.names
+    assert driver.warnings == ()
+    driver.confirm_homed()
+    assert driver.poll().counts == UNIT.home
+    with bench.lock:
+        bench.hand.point = POINT
+    reading = driver.read()
+    assert np.linalg.norm(reading.tip_mm - POINT) < 0.5
+    assert reading.axis @ UP > 0.999
+
+    start = time.monotonic()
+    for _ in range(100):
+        driver.poll()
+    assert time.monotonic() - start >= 100 * POLL_S, "no faster than the wire"
+
+    with driver.stream(stamped=False) as samples:
+        next(samples)
+        start = time.monotonic()
+        assert len(list(itertools.islice(samples, 200))) == 200
+        took_s = time.monotonic() - start
+    assert took_s >= 150 * STREAMED_S, "what had come before the first look is there at once"
+    assert driver.poll().counts != UNIT.home
+    assert driver.damaged == 0
+
+
+def test_the_slowest_line_behind_the_slowest_adapter(bench: Bench) -> None:
+    bench.plug_in(baud=9600, latency_s=0.016)
+    driver = bench.signed_on(9600)
+    assert driver.baud == 9600
+    driver.confirm_homed()
+    assert driver.read().n == 8
+    with driver.stream(stamped=False) as samples:
+        assert {sample.counts for sample in itertools.islice(samples, 30)} == {UNIT.home}
+    assert driver.poll().counts == UNIT.home
+    assert driver.damaged == 0
+
+
+def test_an_adapter_of_one_millisecond_polls_as_the_sheet_says_at_best(bench: Bench) -> None:
+    bench.plug_in(latency_s=0.001)
+    driver = bench.signed_on()
+    start = time.monotonic()
+    for _ in range(100):
+        driver.poll()
+    rate_hz = 100 / (time.monotonic() - start)
+    assert 20.0 < rate_hz <= 434.4, "a loaded machine is slower, the wire never faster"
+
+
+def test_a_session_that_was_left_at_another_rate_is_found_on_a_serial_port(bench: Bench) -> None:
+    bench.arm.faults.inject(Fault.WRONG_BAUD, 1, amount=38400)
+    driver = bench.signed_on()
+    assert driver.baud == 38400
+    assert driver.poll().counts == UNIT.home
+    with pytest.raises(NotHomedError, match="another baud rate"):
+        driver.confirm_homed()
+    driver.close()  # the end of the session is received: the arm finds its rate anew
+    assert bench.arm.state is State.FINDING_BAUD
+
+
+def test_the_arm_changes_its_rate_with_the_host_and_takes_no_other(bench: Bench) -> None:
+    bench.arm.faults.inject(Fault.WRONG_BAUD, 1, amount=9600)
+    link = Link(str(bench.name), bench.clock, who="host", baud=38400)
+    link.drain(0.1)
+    link.write(b"\x03\xc5")
+    assert len(link.read(2, 1.0)) == 2, "noise"
+    assert (bench.arm.state, bench.arm.packets) == (State.SESSION, 0)
+    link.set_baud(9600)
+    link.write(b"\x03")
+    assert len(link.read(14, 1.0)) == 14
+    link.write(b"\xc4\x10")
+    assert link.read(1, 1.0) == b"\xc4", "at the old rate"
+    link.set_baud(38400)
+    link.write(b"\x03")
+    assert len(link.read(14, 1.0)) == 14
+    assert bench.arm.packets == 2
+    link.close()
+
+
+def test_unplugged_and_plugged_in_again(bench: Bench) -> None:
+    driver = bench.signed_on()
+    driver.confirm_homed()
+    bench.unplug()
+    with pytest.raises(LinkError, match="the link broke"):
+        driver.read()
+    with pytest.raises(LinkError, match=r"can't be opened.*Serial ports on this machine"):
+        driver.recover(0.5)
+    back = bench.clock.now() + 1.0
+    plugging = threading.Timer(1.0, bench.plug_in)
+    plugging.start()
+    driver.recover(10.0)
+    plugging.join()
+    assert bench.clock.now() - back < 2.0
+    assert driver.poll().counts == UNIT.home
+    with pytest.raises(NotHomedError, match="nobody can tell whether the arm kept its power"):
+        driver.read()
+
+
+def test_a_cable_that_breaks_within_a_packet_comes_back_elsewhere(bench: Bench) -> None:
+    driver = bench.signed_on()
+    assert bench.listener is not None
+    before = bench.listener.url
+    with bench.lock:
+        bench.arm.faults.inject("disconnect", amount=20)
+    with pytest.raises(LinkError):  # noqa: PT012 - once so many bytes have passed
+        for _ in range(100):
+            driver.poll()
+    driver.close()
+    deadline = time.monotonic() + 60.0
+    while bench.listener.url == before and time.monotonic() < deadline:
+        time.sleep(0.005)
+    bench.name.unlink()
+    bench.name.symlink_to(bench.listener.url)
+    assert bench.signed_on().poll().counts == UNIT.home
+
+
+def test_a_port_that_another_program_has_open(bench: Bench) -> None:
+    bench.signed_on()
+    with pytest.raises(
+        LinkError, match=r"can't be opened.*Another program has the port open: close it.*fuser"
+    ):
+        Link(str(bench.name), bench.clock, who="arm")
+
+
+def test_a_port_that_is_not_there(bench: Bench) -> None:
+    there = r"Is the adapter plugged in, and the port's name right\? Serial ports on this machine"
+    with pytest.raises(LinkError, match=there):
+        Link(str(bench.name.with_name("ttyUSB9")), bench.clock, who="arm")
+
+
+def test_a_port_that_one_may_not_use(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "could not open port: Permission denied")
+
+    monkeypatch.setattr("serial.serial_for_url", refuse)
+    with pytest.raises(LinkError, match=rf"belongs to the group '{bench.name.group()}'.*usermod"):
+        Link(str(bench.name), bench.clock, who="arm")

@@ -1,0 +1,381 @@
+"""Sign-on: by the sheet, in spite of what may be on the line, at other rates, and refused with what
+to try.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from instruments.errors import InstrumentError, LimitError, LinkError, ProtocolError
+from instruments.link import Link
+from instruments.listener import Connection, Listener
+from instruments.microscribe.driver import MicroScribe, latency_warning
+from instruments.microscribe.errors import (
+    NoMicroScribeError,
+    NotHomedError,
+    SilentArmError,
+    UnusableArmError,
+)
+from instruments.microscribe.faults import Fault
+from instruments.microscribe.protocol import State
+from tests.instruments.microscribe.rigs import UNIT, Ear, Parrot, Rig, driver_of, ghost, renamed
+
+MAKERS_ORDER = bytes.fromhex("C8 C9 CA CB CC CD CE C6 C0 D3")
+
+
+def test_sign_on_goes_by_the_sheet_and_reads_who_it_is_twice(rig: Rig) -> None:
+    driver = rig.driver()
+    identity = driver.sign_on()
+    assert rig.ear.heard == b"\xc5\xc5IMMCBEGIN" + MAKERS_ORDER + MAKERS_ORDER
+    assert dataclasses.astuple(identity) == (
+        "MicroScribe3D",
+        "MSCR",
+        "DX",
+        "40937",
+        "Standard+Beta",
+        "Format DH0.5",
+        "HCI 2.0",
+    )
+    assert driver.identity == identity
+    assert driver.info.maxima.turns == (16384, 16384, 8192, 4096, 4096, 0)
+    assert driver.info.parameters.d == (8300, -878, -3, 9244, 320, -5274)
+    assert driver.info.geometry().beta_rad == pytest.approx(3 / 32768 * np.pi)
+    # the pause after an end, and the silence that surplus echoes are waited for
+    assert rig.clock.now() == pytest.approx(0.115)
+    assert driver.warnings == ()
+
+
+def test_what_a_run_records_is_enough_to_compute_positions_anew(rig: Rig) -> None:
+    driver = rig.driver()
+    driver.sign_on()
+    record = driver.record()
+    assert (record["serial_number"], record["beta"], record["baud"]) == ("40937", 3, 115200)
+    assert record["parameters"] == dataclasses.asdict(UNIT.parameters)
+    assert record["maxima"] == dataclasses.asdict(UNIT.maxima)
+
+
+@pytest.mark.parametrize("echo_after", [2, 6])
+def test_an_arm_that_wants_it_several_times(rig: Rig, echo_after: int) -> None:
+    rig.arm.faults.inject(Fault.LATE_ECHO, amount=echo_after)
+    rig.driver().sign_on()
+    assert rig.ear.heard.startswith(b"\xc5" + b"\xc5IMMC" * echo_after + b"BEGIN" + MAKERS_ORDER)
+
+
+@pytest.mark.parametrize("fault", [Fault.OLD_SESSION, Fault.SURPLUS_ECHOES, Fault.BLOCK_LENGTH])
+def test_sign_on_in_spite_of(rig: Rig, fault: Fault) -> None:
+    rig.arm.faults.inject(fault, 1)
+    driver = rig.signed_on()
+    assert driver.info.parameters == UNIT.parameters
+    assert driver.poll().counts == UNIT.home
+
+
+def test_a_second_host_takes_over_a_session_that_was_left_streaming(rig: Rig) -> None:
+    link = Link(rig.listener.url, rig.clock, who="other host")
+    for words in (b"IMMC", b"BEGIN", bytes.fromhex("CF 000A 03") + bytes(21)):
+        link.write(words)
+        link.receive(1.0)
+    link.drain(0.2, at_most_s=0.05)
+    link.close()
+    rig.ear.heard = b""
+    assert rig.arm.state is State.STREAMING
+    assert rig.signed_on().poll().counts == UNIT.home
+
+
+def test_an_arm_without_beta_is_not_asked_for_it(make: Callable[..., Rig]) -> None:
+    rig = make(renamed(comment="Standard"))
+    driver = rig.driver()
+    driver.sign_on()
+    assert driver.info.beta == 0
+    assert b"\xd3" not in rig.ear.heard
+
+
+def test_a_joint_that_loses_count_is_told(make: Callable[..., Rig]) -> None:
+    maxima = dataclasses.replace(UNIT.maxima, encoders=(0x3FFF, 0x3FFF, 0x1FFF, 4999, 0x0FFF, 0))
+    driver = make(dataclasses.replace(UNIT, maxima=maxima)).driver()
+    driver.sign_on()
+    assert len(driver.warnings) == 1
+    assert "joint 3 has 5000 counts a turn" in driver.warnings[0]
+
+
+@pytest.mark.parametrize("hit", range(10))
+@pytest.mark.parametrize("bit", [0x01, 0x10])
+def test_a_flipped_bit_in_any_reply_is_outvoted(hit: int, bit: int) -> None:
+    replies, turn = UNIT.replies(), iter(range(100))
+
+    def answer(code: int) -> bytes:
+        reply = bytearray(replies.get(code, b""))
+        if reply and next(turn) == hit:
+            reply[-2] ^= bit
+        return bytes(reply)
+
+    with driver_of(ghost(answer)) as driver:
+        driver.sign_on()
+        assert (driver.info.names, driver.info.maxima) == (UNIT.names, UNIT.maxima)
+        assert (driver.info.parameters, driver.info.beta) == (UNIT.parameters, UNIT.beta)
+
+
+@pytest.mark.parametrize("lost", range(30))
+def test_whichever_byte_of_sign_on_is_lost_an_old_session_comes_to_no_harm(
+    rig: Rig, lost: int
+) -> None:
+    rig.arm.faults.inject(Fault.OLD_SESSION, 1)
+    driver = rig.driver()
+    rig.ear.lose = {lost}
+    with contextlib.suppress(InstrumentError):  # a BEGIN that arrives maimed is not sent again
+        driver.sign_on()
+    assert rig.arm.eeprom_attempts == 0
+    driver.sign_on()
+    assert driver.poll().counts == UNIT.home
+
+
+# What is refused
+
+
+def test_silence_at_sign_on(rig: Rig) -> None:
+    rig.arm.faults.inject("silent")
+    driver = rig.driver()
+    with pytest.raises(
+        SilentArmError,
+        match=(
+            r"nothing answers the sign-on \(asked C5 49 4D 4D 43, got nothing, after 3"
+            r" s\).*switched on"
+        ),
+    ):
+        driver.sign_on()
+    assert rig.clock.now() == pytest.approx(3.0, abs=0.02)
+    assert b"BEGIN" not in rig.ear.heard
+
+
+@pytest.mark.parametrize(
+    ("unit", "fault", "message"),
+    [
+        (UNIT, "IBOX", "Immersion Interface Box"),
+        (UNIT, "parameter block of another length", "says it has 34 bytes; 36 are understood"),
+        (
+            renamed(format="Format DH1.0"),
+            "",
+            r"not understood: 'Format DH1.0', not 'Format DH0.5'",
+        ),
+    ],
+    ids=["interface box", "block length", "format"],
+)
+def test_an_arm_that_cannot_be_measured_with_is_refused_and_let_go(
+    make: Callable[..., Rig], unit: object, fault: str, message: str
+) -> None:
+    rig = make(unit)
+    if fault:
+        rig.arm.faults.inject(fault)
+    with pytest.raises(UnusableArmError, match=message):
+        rig.driver().sign_on()
+    assert rig.ear.heard.endswith(b"\xc5")
+    assert (b"\xc0" in rig.ear.heard) == ("block" in fault)
+    assert rig.arm.state is State.FINDING_BAUD
+
+
+def refused(
+    device: Parrot, error: type[Exception], message: str, *, answer_s: float = 0.12
+) -> None:
+    """A sign-on that has to fail and leaves no session."""
+    with driver_of(device, answer_s=answer_s) as driver:
+        with pytest.raises(error, match=message):
+            driver.sign_on()
+        with pytest.raises(LimitError, match="no session"):
+            driver.poll()
+
+
+@pytest.mark.parametrize(("answer_s", "waited"), [(0.12, "3 s"), (20.0, "20 s")])
+def test_an_arm_that_has_echoed_is_waited_for_as_long_as_is_asked(
+    answer_s: float, waited: str
+) -> None:
+    echoing = Parrot(lambda data: data if b"IMMC" in data else b"")
+    message = rf"echoed, then fell silent \(.*after {waited}\)"
+    refused(echoing, SilentArmError, message, answer_s=answer_s)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (
+            bytes,
+            NoMicroScribeError,
+            r"not that of a MicroScribe \(asked 42 45 47 49 4E, got 42 45 47 49 4E\).*loop-back",
+        ),
+        (
+            lambda _: b"ERROR\r\n",
+            NoMicroScribeError,
+            "something answers, but not as a MicroScribe.*plain text",
+        ),
+        (lambda _: b"\r\nGrbl 1.1h ['$' for help]\r\n", NoMicroScribeError, "GRBL board.*stage"),
+        (lambda _: b"error:20\r\n", NoMicroScribeError, "motion controller"),
+        (lambda _: bytes.fromhex("01 83 02 C0 F1"), NoMicroScribeError, "Modbus frames.*bath"),
+        (lambda _: bytes.fromhex("F8 00 80 FC"), NoMicroScribeError, "baud rate right"),
+        (
+            lambda data: b"IMMC" if b"IMMC" in data else b"IMMCMSCR\0" if data == b"BEGIN" else b"",
+            LinkError,
+            "does not answer .asked C8",
+        ),
+        (
+            lambda data: (
+                b"IMMC" if b"IMMC" in data else b"MSCR\0" if data == b"BEGIN" else b"\xc9X\0"
+            ),
+            ProtocolError,
+            "doesn't begin with C8 .asked C8, got C9 58 00",
+        ),
+    ],
+    ids=[
+        "loop-back",
+        "text",
+        "GRBL",
+        "controller",
+        "Modbus",
+        "noise",
+        "silent after a late echo",
+        "wrong reply",
+    ],
+)
+def test_what_is_no_arm_is_refused_with_a_guess(
+    change: Callable[[bytes], bytes], error: type[Exception], message: str
+) -> None:
+    refused(Parrot(change), error, message)
+
+
+def test_an_arm_that_never_says_the_same_twice_is_refused() -> None:
+    replies, turn = UNIT.replies(), iter(range(100))
+
+    def answer(code: int) -> bytes:
+        if code == 0xCB:
+            return bytes([code]) + str(next(turn)).encode("ascii") + b"\0"
+        return replies.get(code, b"")
+
+    refused(ghost(answer), ProtocolError, r"differently each of 3 times.*cable")
+
+
+def test_nothing_is_known_before_sign_on(rig: Rig) -> None:
+    driver = rig.driver()
+    asks: list[Callable[[], object]] = [lambda: driver.identity, lambda: driver.info]
+    asks += [driver.poll, driver.read, driver.confirm_homed, driver.home, driver.record]
+    for ask in asks:
+        with pytest.raises(LimitError, match="Sign on first"):
+            ask()
+    assert rig.ear.heard == b""
+
+
+# At other rates
+
+
+class AtRate(Ear):
+    """An arm whose session was left at another rate than the link's: it understands only that."""
+
+    def __init__(self, rig: Rig, baud: int) -> None:
+        super().__init__(rig.arm)
+        self.baud = baud
+        self.spoken: list[int] = []
+        rig.listener.close()
+        rig.listener = Listener(self, rig.clock, lock=rig.lock, name="arm")
+        self.link = Link(rig.listener.url, rig.clock, who="arm", baud=115200)
+        self.driver = MicroScribe(self.link, rig.clock, rates=(115200, 38400, 9600))
+        rig.drivers.append(self.driver)
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        if self.link.baud not in self.spoken:
+            self.spoken.append(self.link.baud)
+        if self.link.baud == self.baud:
+            super().receive(connection, data)
+        else:
+            connection.send(b"\xf8\x80")  # what comes back at the wrong rate is noise
+
+
+def test_a_session_at_another_rate_is_found_and_then_only_homing_helps(rig: Rig) -> None:
+    rig.arm.faults.inject(Fault.OLD_SESSION, 1)
+    device = AtRate(rig, 9600)
+    driver = device.driver
+    driver.sign_on()
+    assert device.spoken == [115200, 38400, 9600]
+    assert (driver.baud, driver.record()["baud"]) == (9600, 9600)
+    assert driver.warnings == ("the arm answers at 9600 baud, not at 115200",)
+    assert driver.poll().counts == UNIT.home
+    with pytest.raises(NotHomedError, match=r"may have re-homed it.*on its peg and home the arm"):
+        driver.confirm_homed()
+    with pytest.raises(NotHomedError, match="may have re-homed it"):
+        driver.read()
+    driver.home()
+    driver.read()
+
+
+def test_no_rate_that_works_is_told_with_all_that_were_tried(rig: Rig) -> None:
+    device = AtRate(rig, 57600)
+    with pytest.raises(NoMicroScribeError, match="at 115200 or 38400 or 9600 baud"):
+        device.driver.sign_on()
+    assert rig.clock.now() == pytest.approx(4.0, abs=0.1)
+    assert device.link.baud == 115200
+
+
+def test_a_neighbour_that_is_known_ends_the_search() -> None:
+    grbl = Parrot(lambda _: b"Grbl 1.1h\r\n")
+    with (
+        driver_of(grbl, rates=(115200, 9600)) as driver,
+        pytest.raises(NoMicroScribeError, match=r"not as a MicroScribe \(.*GRBL"),
+    ):
+        driver.sign_on()
+
+
+# The adapter's latency timer
+
+
+def shown(root: Path, name: str, text: str) -> None:
+    folder = root / "bus" / "usb-serial" / "devices" / name
+    folder.mkdir(parents=True)
+    (folder / "latency_timer").write_text(text, encoding="ascii")
+
+
+def test_a_slow_adapter_is_told_with_the_command_that_helps(tmp_path: Path) -> None:
+    shown(tmp_path, "ttyUSB0", "16\n")
+    warning = latency_warning("/dev/ttyUSB0", tmp_path)
+    assert warning is not None
+    assert "ttyUSB0 holds bytes back for 16 ms" in warning
+    timer = f"{tmp_path.as_posix()}/bus/usb-serial/devices/ttyUSB0/latency_timer"
+    assert f"echo 1 | sudo tee {timer}" in warning
+
+
+@pytest.mark.skipif(
+    sys.platform == "win32",
+    reason="needs links between files: Windows gives them to administrators only",
+)
+def test_a_link_to_the_port_is_followed(tmp_path: Path) -> None:
+    shown(tmp_path / "sys", "ttyUSB3", "2\n")
+    (tmp_path / "ttyUSB3").touch()
+    (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB3")
+    warning = latency_warning(str(tmp_path / "by-id"), tmp_path / "sys")
+    assert "holds bytes back for 2 ms" in str(warning)
+
+
+@pytest.mark.parametrize(
+    ("port", "latency"),
+    [
+        ("/dev/ttyUSB0", "1\n"),
+        ("/dev/ttyUSB0", "fast\n"),
+        ("/dev/ttyACM0", "16\n"),
+        ("COM5", "16\n"),
+        ("socket://127.0.0.1:5001", "16\n"),
+        ("rfc2217://lab:2217", "16\n"),
+    ],
+)
+def test_nothing_is_said_where_nothing_is_wrong_or_known(
+    tmp_path: Path, port: str, latency: str
+) -> None:
+    shown(tmp_path, "ttyUSB0", latency)
+    assert latency_warning(port, tmp_path) is None
+
+
+def test_the_driver_tells_it(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = rig.driver()
+    monkeypatch.setattr("instruments.microscribe.driver.latency_warning", lambda url: f"slow {url}")
+    # before sign-on already, which a slow adapter makes harder
+    assert driver.warnings == (f"slow {rig.listener.url}",)
