@@ -26,8 +26,8 @@ class Pictures:
 
     left: NDArray[Any]
     right: NDArray[Any]
-    thermal: NDArray[Any] | None
-    thermal_k: NDArray[Any] | None
+    thermal: NDArray[Any] | None = None
+    thermal_k: NDArray[Any] | None = None
 
 
 def serve(name: str, questions: IO[bytes], answers: IO[bytes]) -> None:

@@ -78,22 +78,12 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
         p: _share(good[:, :, part == p], open_[:, :, part == p]) for p in (SIDE_A, END, SIDE_B)
     }
     optical = weight[:, :2].reshape(m, -1)
-    misfit = np.sqrt(
-        (offset[:, :2].reshape(m, -1) ** 2 * optical).sum(axis=1)
-        / np.maximum(optical.sum(axis=1), 1e-9)
-    )
+    squares = (offset[:, :2].reshape(m, -1) ** 2 * optical).sum(axis=1)
+    misfit = np.sqrt(squares / np.maximum(optical.sum(axis=1), 1e-9))
     sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
     largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
-    return Evidence(
-        shares[END],
-        sides.max(axis=0),
-        sides.min(axis=0),
-        misfit,
-        warmth,
-        largest,
-        fitted.followed,
-        _thermal_offsets(fitted),
-    )
+    better, other, thermal = sides.max(axis=0), sides.min(axis=0), _thermal_offsets(fitted)
+    return Evidence(shares[END], better, other, misfit, warmth, largest, fitted.followed, thermal)
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
@@ -109,19 +99,14 @@ def _thermal_offsets(fitted: Fitted) -> Array:
     """Median offsets (m, 3 parts) of thermal edges, sensor px; NaN where few edges are clear."""
     part = FINE_OUTLINE.part
     thermal = slice(2 * len(part), 3 * len(part))
-    open_ = ~fitted.hidden[:, thermal]
-    clear = (
-        open_
-        & (fitted.seen.clarity[:, thermal] > CLEAR)
-        & np.isfinite(fitted.seen.offset_px[:, thermal])
-    )
+    open_, offset = ~fitted.hidden[:, thermal], fitted.seen.offset_px[:, thermal]
+    clear = open_ & (fitted.seen.clarity[:, thermal] > CLEAR) & np.isfinite(offset)
     medians = np.full((len(clear), 3), np.nan)
     for p in (SIDE_A, END, SIDE_B):
         at = part == p
-        for i in np.flatnonzero(
-            clear[:, at].sum(axis=1) > 0.5 * np.maximum(open_[:, at].sum(axis=1), 0.3 * at.sum())
-        ):
-            medians[i, p] = np.median(fitted.seen.offset_px[i, thermal][at & clear[i]])
+        enough = 0.5 * np.maximum(open_[:, at].sum(axis=1), 0.3 * at.sum())
+        for i in np.flatnonzero(clear[:, at].sum(axis=1) > enough):
+            medians[i, p] = np.median(offset[i][at & clear[i]])
     return medians
 
 
@@ -131,19 +116,12 @@ def warmth_inside(
     """Medians (m, 3) of the thermal picture along three lines down teats (m, 8); NaN outside."""
     axis = axes(teats)
     line = teats[:, None, None, :3] + _ALONG_MM[:, None] * axis[:, None, None]
-    aside = (
-        np.array(_ACROSS)[:, None, None]
-        * teats[:, None, None, RADIUS, None]
-        * np.cross(axis, [0.0, 0.0, -1.0])[:, None, None]
-    )
-    pixels = (
-        lens.project(thermal_from_right.apply((line + aside).reshape(-1, 3))) + 0.5
-    ) / px_a_sensor_px - 0.5
-    at = (
-        np.rint(np.nan_to_num(pixels, nan=-1.0))
-        .astype(int)
-        .reshape(len(teats), len(_ACROSS), len(_ALONG_MM), 2)
-    )
+    across = np.cross(axis, [0.0, 0.0, -1.0])[:, None, None]
+    aside = np.array(_ACROSS)[:, None, None] * teats[:, None, None, RADIUS, None] * across
+    points = (line + aside).reshape(-1, 3)
+    pixels = (lens.project(thermal_from_right.apply(points)) + 0.5) / px_a_sensor_px - 0.5
+    shape = (len(teats), len(_ACROSS), len(_ALONG_MM), 2)
+    at = np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(int).reshape(shape)
     rows, columns = warm.shape
     inside = (at[..., 0] >= 0) & (at[..., 0] < columns) & (at[..., 1] >= 0) & (at[..., 1] < rows)
     values = warm[np.clip(at[..., 1], 0, rows - 1), np.clip(at[..., 0], 0, columns - 1)]

@@ -27,7 +27,7 @@ SIDE_A, END, SIDE_B = range(3)
 class Rows:
     """A dataclass of arrays, and of such dataclasses, with one row a thing in each."""
 
-    __slots__ = ()
+    __slots__: tuple[str, ...] = ()
 
     def take(self, which: NDArray[np.intp] | list[int]) -> Self:
         """Some of the things."""

@@ -124,10 +124,8 @@ def _find_in_thermal(picture: Grey, p: Parameters, trace: list[Stage]) -> tuple[
     trace.append(
         Stage("edges", {"mask": edges.mask, "thresholds": np.array([edges.low, edges.high])})
     )
-    verticals, horizontals = (
-        order_filter(edges.mask, p.vertical_domain),
-        order_filter(edges.mask, p.horizontal_domain),
-    )
+    verticals = order_filter(edges.mask, p.vertical_domain)
+    horizontals = order_filter(edges.mask, p.horizontal_domain)
     trace.append(Stage("verticals", {"mask": verticals}))
     trace.append(Stage("horizontals", {"mask": horizontals}))
     ends = vertical_ends(verticals, p)
@@ -181,17 +179,9 @@ def _locate(
     refined = [look(left, n, p) for n in nominated[0]], [look(right, n, p) for n in nominated[1]]
     trace.append(Stage("regions", {**_seen("left", refined[0]), **_seen("right", refined[1])}))
     left_px, right_px = (np.array([r.end_px for r in side]) for side in refined)
-    trace.append(
-        Stage(
-            "ends",
-            {
-                "left_px": left_px,
-                "right_px": right_px,
-                "left_moved": np.array([r.moved for r in refined[0]]),
-                "right_moved": np.array([r.moved for r in refined[1]]),
-            },
-        )
-    )
+    left_moved, right_moved = (np.array([r.moved for r in side]) for side in refined)
+    moved = {"left_moved": left_moved, "right_moved": right_moved}
+    trace.append(Stage("ends", {"left_px": left_px, "right_px": right_px, **moved}))
     right_mm, gap_mm = triangulate(
         left_px, right_px, calibration.left, calibration.right, calibration.right_from_left
     )
@@ -199,29 +189,19 @@ def _locate(
     trace.append(
         Stage("triangulation", {"right_mm": right_mm, "gap_mm": gap_mm, "world_mm": world_mm})
     )
-    usable = (
-        _inside(left_px, left) & _inside(right_px, right) & np.all(np.isfinite(world_mm), axis=1)
-    )
-    teats = tuple(
-        Teat(world_mm[i], None, left_px[i], right_px[i], thermal_px[i])
-        for i in np.flatnonzero(usable)
-    )
+    usable = _inside(left_px, left) & _inside(right_px, right) & np.isfinite(world_mm).all(axis=1)
+    rows = zip(world_mm, left_px, right_px, thermal_px, usable, strict=True)
+    teats = tuple(Teat(world, None, *pixels) for world, *pixels, kept in rows if kept)
     lost = int(np.count_nonzero(~usable))
-    return teats, (
-        f"{lost} of {len(usable)} nominated teats lie outside of an optical picture"
-        if lost
-        else None
-    )
+    reason = f"{lost} of {len(usable)} nominated teats lie outside of an optical picture"
+    return teats, reason if lost else None
 
 
 def _homographies(calibration: Calibration, p: Parameters) -> Homographies:
     if p.homographies == "calibration":
         return calibration.homographies
-    sizes = (
-        calibration.thermal.image_size,
-        calibration.left.image_size,
-        calibration.right.image_size,
-    )
+    cameras = calibration.thermal, calibration.left, calibration.right
+    sizes = tuple(camera.image_size for camera in cameras)
     if sizes != (THERMAL_IMAGE_SIZE, IMAGE_SIZE, IMAGE_SIZE):
         raise _NoAnswer(
             "the published homographies are for pictures of 640 x 480 and 1360 x 1024, not for the"

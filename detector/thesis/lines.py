@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.geometry import Array
-from detector.thesis.canny import Mask
 from detector.thesis.parameters import Parameters
+from detector.thesis.thermal import Mask
 
 Run = tuple[int, int]  # a column, and how many successive points have it
 

@@ -27,9 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.geometry import Array, apply_homography
-from detector.thesis.canny import Mask
 from detector.thesis.parameters import Parameters
-from detector.thesis.thermal import Grey
+from detector.thesis.thermal import Grey, Mask
 
 _REGION_SLIP_PX = 1  # see above
 

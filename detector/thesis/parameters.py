@@ -37,7 +37,7 @@ class Parameters:
     # Middles of horizontals: appendix A.2.3
     window_rows: tuple[int, int] = (65, 50)
     window_columns: tuple[int, int] = (250, 280)
-    # the original stopped with an error there: see horizontals.py
+    # the original stopped with an error there: see lines.py
     window_outside: Literal["clip", "refuse"] = "clip"
     horizontal_merge_rows: int = 2
     horizontal_merge_columns: int = 15

@@ -86,6 +86,9 @@ class Backdrop:
             )
 
 
+Corners = tuple[Point, Point, Point, Point]  # the first fields of a patch
+
+
 @dataclass(frozen=True, slots=True)
 class Patch:
     """A rectangle: a corner and two edges, mm; across x along points to the visible side."""
@@ -107,21 +110,20 @@ def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
     wide, deep = b.board_x_mm[1] - b.board_x_mm[0], b.board_y_mm - b.table_front_y_mm
     reach = (2.0 * b.table_reach_mm, 0.0, 0.0)
     edge = (-b.table_reach_mm - 190.0, b.table_front_y_mm, 0.0)
-    back, up = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)
+    back = (0.0, -1.0, 0.0)
 
-    def upright(x: float, z: float, width: float, height: float) -> tuple[Point, ...]:
+    def upright(x: float, z: float, width: float, height: float) -> Corners:
         return (x, b.board_y_mm, z), (width, 0.0, 0.0), (0.0, 0.0, height), back
 
     board = upright(b.board_x_mm[0], 0.0, wide, b.board_top_mm)
-    board_look = b.board_albedo, b.board_texture, b.board_weave, seed, b.board_k
-    table_look = b.table_albedo, b.table_texture, b.table_weave, seed + 1, b.table_k
+    table: Corners = (edge, reach, (0.0, deep, 0.0), (0.0, 0.0, 1.0))
     return (
-        Patch(*board, *board_look),
+        Patch(*board, b.board_albedo, b.board_texture, b.board_weave, seed, b.board_k),
         *(
             Patch(*upright(p.x_mm, p.z_mm, p.width_mm, p.height_mm), p.albedo, warmer_k=b.board_k)
             for p in b.posters
         ),
-        Patch(edge, reach, (0.0, deep, 0.0), up, *table_look),
+        Patch(*table, b.table_albedo, b.table_texture, b.table_weave, seed + 1, b.table_k),
         Patch(edge, reach, (0.0, 0.0, -b.table_drop_mm), back, b.front_albedo, warmer_k=b.table_k),
     )
 
@@ -195,8 +197,8 @@ def _texture(patch: Patch, points_mm: NDArray[np.float32]) -> Image:
         unit = np.asarray(edge, dtype=np.float32) / np.float32(length * TEXEL_MM)
         places.append((unit @ off)[:, None])
         sizes.append(round(length / TEXEL_MM))
-    cloth = woven(patch.weave, patch.seed, *sizes)
-    values = cv2.remap(cloth, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    (u, v), cloth = places, woven(patch.weave, patch.seed, *sizes)
+    values = cv2.remap(cloth, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(values.reshape(-1), dtype=np.float32)
 
 
@@ -319,7 +321,9 @@ def shade(
     table_x, table_y = camera.centre_mm[0] + depth * to_x, camera.centre_mm[1] + depth * to_y
     on_x = ((table_x - shadows.x_mm) / SHADOW_TEXEL_MM).astype(np.float32)
     on_y = ((table_y - shadows.y_mm) / SHADOW_TEXEL_MM).astype(np.float32)
-    border = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": 1.0}
-    share = np.asarray(cv2.remap(shadows.share, on_x, on_y, cv2.INTER_LINEAR, **border))
+    looked_up = cv2.remap(
+        shadows.share, on_x, on_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0
+    )
+    share = np.asarray(looked_up, dtype=np.float32)
     share[(table_y > high[1]) | (table_y < low[1]) | (to_z > -1e-6)] = 1.0
     return Shade(slice(int(top), int(bottom)), slice(int(left), int(right)), share)

@@ -51,26 +51,17 @@ def lay_over(
     """
     flat, width = image.reshape(-1), image.shape[1]
     for together in _far_to_near(layers):
-        pixels = [
-            (layers[i].row - corner[0]) * width + layers[i].column - corner[1] for i in together
-        ]
+        part = [layers[i] for i in together]
+        pixels = [(each.row - corner[0]) * width + each.column - corner[1] for each in part]
         if len(together) == 1:
-            pixel, share, value = pixels[0], layers[together[0]].share, values[together[0]]
+            pixel, share, value = pixels[0], part[0].share, values[together[0]]
             flat[pixel] += share * (value - flat[pixel])
         else:
-            owner = np.repeat(np.arange(len(together)), [len(pixel) for pixel in pixels])
-            share, depth = (
-                np.concatenate([getattr(layers[i], name) for i in together])
-                for name in ("share", "depth_mm")
-            )
-            _lay_mixed(
-                flat,
-                np.concatenate(pixels),
-                share,
-                depth,
-                owner,
-                np.concatenate([values[i] for i in together]),
-            )
+            owner = np.repeat(np.arange(len(part)), [len(pixel) for pixel in pixels])
+            share = np.concatenate([each.share for each in part])
+            depth = np.concatenate([each.depth_mm for each in part])
+            value = np.concatenate([values[i] for i in together])
+            _lay_mixed(flat, np.concatenate(pixels), share, depth, owner, value)
 
 
 def _far_to_near(layers: Sequence[Layer]) -> Iterator[list[int]]:
@@ -155,17 +146,15 @@ def merged(
     if len(many) == 0:
         return Layer(row, column, share, depth_mm, value, along)
     once = np.flatnonzero(~often)
-    stack = _stacked(
-        pixel[many], share[many], depth_mm[many], np.zeros(len(many), dtype=np.intp), value[many]
-    )
-    first = many[stack.nearest]
-    keep = np.concatenate([once, first])
-    covered = np.concatenate([share[once], 1.0 - stack.behind])
-    mean = np.concatenate([value[once], stack.light / np.maximum(1.0 - stack.behind, 1e-12)])
+    owner = np.zeros(len(many), dtype=np.intp)
+    stack = _stacked(pixel[many], share[many], depth_mm[many], owner, value[many])
+    keep = np.concatenate([once, many[stack.nearest]])
+    seen = 1.0 - stack.behind
+    mean = np.concatenate([value[once], stack.light / np.maximum(seen, 1e-12)])
     return Layer(
         row[keep],
         column[keep],
-        covered,
+        np.concatenate([share[once], seen]),
         depth_mm[keep],
         mean.astype(value.dtype),
         None if along is None else along[keep],
@@ -213,11 +202,8 @@ def cover_outlines(outlines: Sequence[Floats], camera: CameraModel) -> Cover:
     """The same for flat polygons, each (m, 3) mm in the camera's frame, before the camera."""
     for outline in outlines:
         _refuse_near(float(outline[:, 2].min()), camera)
-    return _of_corners(
-        [outline[:, :2] / outline[:, 2:] for outline in outlines],
-        list(range(len(outlines))),
-        camera,
-    )
+    flat = [outline[:, :2] / outline[:, 2:] for outline in outlines]
+    return _of_corners(flat, list(range(len(flat))), camera)
 
 
 def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
@@ -245,9 +231,7 @@ def _outlines(solids: Solids, camera: CameraModel) -> tuple[list[Floats], list[i
     owners: list[int] = []
     for points, above, up_to in RING_POINTS:
         which = np.flatnonzero((size_px > above) & (size_px <= up_to))
-        rings = np.concatenate(
-            [_ring(solids, which, points, True), _ring(solids, which, points, False)], axis=1
-        )
+        rings = np.concatenate([_ring(solids, which, points, end) for end in (True, False)], axis=1)
         for solid, cloud in zip(which, rings[..., :2] / rings[..., 2:], strict=True):
             hull = cv2.convexHull(cloud.astype(np.float32), returnPoints=False)
             corners.append(cloud[hull[:, 0]])
@@ -267,9 +251,7 @@ def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
     # A polygon inscribed in a circle is a little small; this one has the circle's area.
     step = 2.0 * np.pi / points
     radius = radius * np.sqrt(1.0 - shrink) * np.sqrt(step / np.sin(step))
-    helper = np.where(
-        np.abs(across[:, :1]) < 0.7, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-    )
+    helper = np.where(np.abs(across[:, :1]) < 0.7, np.eye(3)[0], np.eye(3)[1])
     u = np.cross(across, helper)
     u /= np.linalg.norm(u, axis=1)[:, None]
     v = np.cross(across, u)
@@ -313,15 +295,11 @@ def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraMo
     """Signed areas in one flat buffer of windows; a closed outline's rows sum to zero, so one
     running sum does.
     """
-    left, top = np.full(count, np.inf), np.full(count, np.inf)
-    right, bottom = np.full(count, -np.inf), np.full(count, -np.inf)
-    np.minimum.at(left, owner, start[:, 0])
-    np.minimum.at(top, owner, start[:, 1])
-    np.maximum.at(right, owner, start[:, 0])
-    np.maximum.at(bottom, owner, start[:, 1])
-    x0, y0 = np.floor(left).astype(np.intp), np.floor(top).astype(np.intp)
-    width = np.floor(right).astype(np.intp) - x0 + 2
-    height = np.floor(bottom).astype(np.intp) - y0 + 1
+    low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
+    np.minimum.at(low, owner, start)
+    np.maximum.at(high, owner, start)
+    (x0, y0), (right, bottom) = np.floor(low).astype(np.intp).T, np.floor(high).astype(np.intp).T
+    width, height = right - x0 + 2, bottom - y0 + 1
     offset = np.concatenate([[0], np.cumsum(width * height)])
     edge, here, there = _split_at_pixels(start, end)
     who = owner[edge]
@@ -342,9 +320,7 @@ def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraMo
     row = local // across
     column = local - row * across + np.repeat(x0, cells)
     row += np.repeat(y0, cells)
-    inside: Bools = (
-        (row >= 0) & (column >= 0) & (row < camera.height_px) & (column < camera.width_px)
-    )
+    inside = (row >= 0) & (column >= 0) & (row < camera.height_px) & (column < camera.width_px)
     return Cover(solid[inside], row[inside], column[inside], share[flat[inside]])
 
 

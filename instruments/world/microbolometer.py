@@ -107,10 +107,8 @@ class ThermalReadout:
         rng = np.random.Generator(np.random.SFC64(seed))
         shape = (sensor.height_px, sensor.width_px)
         self.sensor = sensor
-        rows, columns = (
-            sensor.row_k * rng.standard_normal((shape[0], 1)),
-            sensor.column_k * rng.standard_normal((1, shape[1])),
-        )
+        rows = sensor.row_k * rng.standard_normal((shape[0], 1))
+        columns = sensor.column_k * rng.standard_normal((1, shape[1]))
         self._pattern_k: Floats = sensor.fixed_k * rng.standard_normal(shape) + rows + columns
         seed_of_drift = int(rng.integers(2**63))
         # no reference to self: no cycle
@@ -118,15 +116,11 @@ class ThermalReadout:
 
     def gathered(self, radiance: Floats) -> Floats:
         """Radiance on the fine grid (oversample x) through lens and pixels: (height, width)."""
-        fine = self.sensor.oversample
-        blurred = cv2.GaussianBlur(
-            radiance, (0, 0), self.sensor.blur_px * fine, borderType=cv2.BORDER_REPLICATE
-        )
-        return np.asarray(
-            blurred.reshape(self.sensor.height_px, fine, self.sensor.width_px, fine).mean(
-                axis=(1, 3)
-            )
-        )
+        sensor, fine = self.sensor, self.sensor.oversample
+        sigma = sensor.blur_px * fine
+        blurred = cv2.GaussianBlur(radiance, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        pixels = blurred.reshape(sensor.height_px, fine, sensor.width_px, fine)
+        return np.asarray(pixels.mean(axis=(1, 3)))
 
     def drift_k(self, time_s: float) -> Floats:
         """How far each pixel has gone astray since the last flat-field event, (height, width)."""
@@ -160,14 +154,10 @@ class ThermalReadout:
     ) -> NDArray[np.uint8]:
         """The 8-bit picture: automatic gain, enlarged smoothly, mirrored, hot is black."""
         low, high = np.percentile(centikelvin, [1.0, 99.5]) / 100.0
-        span = max(float(high - low), self.sensor.least_span_k)
-        grey = (centikelvin / 100.0 - low + self.sensor.headroom * span) / (
-            span * (1.0 + 2.0 * self.sensor.headroom)
-        )
-        grey = 1.0 - grey if self.sensor.hot_is_black else grey
-        picture = cv2.resize(
-            (255.0 * grey).astype(np.float32), (width_px, height_px), interpolation=cv2.INTER_LINEAR
-        )
+        span, room = max(float(high - low), self.sensor.least_span_k), self.sensor.headroom
+        grey = (centikelvin / 100.0 - low + room * span) / (span * (1.0 + 2.0 * room))
+        grey = (255.0 * (1.0 - grey if self.sensor.hot_is_black else grey)).astype(np.float32)
+        picture = cv2.resize(grey, (width_px, height_px), interpolation=cv2.INTER_LINEAR)
         picture = picture[:, ::-1] if self.sensor.mirrored else picture
         return np.ascontiguousarray(np.clip(np.rint(picture), 0.0, 255.0).astype(np.uint8))
 

@@ -181,10 +181,8 @@ def make_object(kind: str, **params: Any) -> SceneObject:
         elif type(value) not in (int, float) or not math.isfinite(value):
             raise ValueError(f"{kind}: {name} must be a finite number, is {value!r}")
     shape, usual = KINDS[kind]
-    look = {
-        **dict(zip(LOOK, usual, strict=True)),
-        **{n: params.pop(n) for n in LOOK if n in params},
-    }
+    look: dict[str, Any] = dict(zip(LOOK, usual, strict=True))
+    look |= {name: params.pop(name) for name in LOOK if name in params}
     warmth, offset_k = look.pop("temperature"), look.pop("offset_k")
     try:
         return SceneObject(kind, shape(**params), Paint(**look), warmth, offset_k)

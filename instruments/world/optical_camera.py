@@ -52,18 +52,14 @@ class Surfaces:
     ) -> list[Layer]:
         """A layer for each of ``count`` things, from a value for each pair."""
         ends = np.searchsorted(self.owner, np.arange(count + 1))
-        seen = self.cover
-        return [
-            merged(
-                seen.row[part],
-                seen.column[part],
-                seen.share[part],
-                self.depth_mm[part],
-                value[part],
-                None if along is None else along[part],
-            )
-            for part in (slice(start, end) for start, end in pairwise(ends))
-        ]
+        at = self.cover.row, self.cover.column, self.cover.share, self.depth_mm
+        layers = []
+        for start, end in pairwise(ends):
+            part = slice(start, end)
+            row, column, share, depth_mm = at[0][part], at[1][part], at[2][part], at[3][part]
+            place = None if along is None else along[part]
+            layers.append(merged(row, column, share, depth_mm, value[part], place))
+        return layers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,18 +84,15 @@ class View:
         """Every surface of every thing in every pixel that it covers."""
         solids = stage.solids.in_camera(self.camera)
         covered = cover(solids, self.camera)
-        x, y = self._rays(covered)
-        depth, normals, _ = meet(solids, covered.solid, x, y)
-        return Surfaces(
-            covered, stage.owner[covered.solid], np.stack([x, y, np.ones_like(x)]), depth, normals
-        )
+        rays = self._rays(covered)
+        depth, normals, _ = meet(solids, covered.solid, rays[0], rays[1])
+        return Surfaces(covered, stage.owner[covered.solid], rays, depth, normals)
 
     def heights(self, stage: Stage, seen: Surfaces) -> Floats:
         """Place of each surface along its solid, 0 to 1, (n,)."""
         solids = stage.solids.in_camera(self.camera)
-        reach = np.linalg.norm(solids.b - solids.a, axis=1) + np.where(
-            solids.flat_b, 0.0, solids.radius_b
-        )
+        round_end = np.where(solids.flat_b, 0.0, solids.radius_b)
+        reach = np.linalg.norm(solids.b - solids.a, axis=1) + round_end
         which = seen.cover.solid
         off = seen.depth_mm * seen.rays - solids.a[which].T
         return np.asarray(np.clip(dot(off, solids.axis[which].T) / reach[which], 0.0, 1.0))
@@ -107,37 +100,30 @@ class View:
     def board(self, board: Board) -> BoardSurface:
         """A board; from behind it is plain."""
         camera = self.camera
-        whole = cover_outlines([camera.camera_from_world(board.outline_mm)], camera)
+        outline = camera.camera_from_world(board.outline_mm)
+        whole = cover_outlines([outline], camera)
         facing = bool(board.normal @ (camera.centre_mm - np.asarray(board.corner_mm)) > 0.0)
-        dark = self._dark(board, whole) if facing else np.zeros(len(whole.share))
+        dark, parts = np.zeros(len(whole.share)), dark_parts_mm(board.pattern)
+        if facing and parts:
+            placed = [camera.camera_from_world(board.placed(part)) for part in parts]
+            seen = cover_outlines(placed, camera)
+            area = np.zeros((camera.height_px, camera.width_px))
+            np.add.at(area, (seen.row, seen.column), seen.share)
+            dark = np.clip(area[whole.row, whole.column] / whole.share, 0.0, 1.0)
         normal = camera.R @ board.normal
-        x, y = self._rays(whole)
-        towards = normal @ np.stack([x, y, np.ones_like(x)])
+        rays = self._rays(whole)
+        towards = normal @ rays
         # A pixel at the board's edge may look past it: its depth stays within the board's.
-        corners = camera.camera_from_world(board.outline_mm)[:, 2]
         plane = float(normal @ camera.camera_from_world(np.asarray(board.corner_mm)[None, :])[0])
-        depth = np.clip(
-            plane / np.where(np.abs(towards) > 1e-9, towards, 1e-9), corners.min(), corners.max()
-        )
-        points = (
-            camera.R.T @ (depth * np.stack([x, y, np.ones_like(x)])) + camera.centre_mm[:, None]
-        )
+        ahead = np.where(np.abs(towards) > 1e-9, towards, 1e-9)
+        depth = np.clip(plane / ahead, outline[:, 2].min(), outline[:, 2].max())
+        points = camera.R.T @ (depth * rays) + camera.centre_mm[:, None]
         return BoardSurface(whole, dark, depth, points, facing)
 
-    def _dark(self, board: Board, whole: Cover) -> Floats:
-        parts = dark_parts_mm(board.pattern)
-        if not parts:
-            return np.zeros(len(whole.share))
-        seen = cover_outlines(
-            [self.camera.camera_from_world(board.placed(part)) for part in parts], self.camera
-        )
-        area = np.zeros((self.camera.height_px, self.camera.width_px))
-        np.add.at(area, (seen.row, seen.column), seen.share)
-        return np.asarray(np.clip(area[whole.row, whole.column] / whole.share, 0.0, 1.0))
-
-    def _rays(self, covered: Cover) -> tuple[Floats, Floats]:
+    def _rays(self, covered: Cover) -> Floats:
         pixel = covered.row * self.camera.width_px + covered.column
-        return self.rays[0].reshape(-1)[pixel], self.rays[1].reshape(-1)[pixel]
+        x, y = (ray.reshape(-1)[pixel] for ray in self.rays)
+        return np.stack([x, y, np.ones_like(x)])
 
 
 class KeptLayers:
@@ -154,16 +140,14 @@ class KeptLayers:
         missing = [i for i, key in enumerate(keys) if key not in self._layers]
         fresh = dict(zip(missing, make(missing), strict=True)) if missing else {}
         for i, key in enumerate(keys):
-            self._put(key, fresh[i] if i in fresh else self._layers[key])
+            layer = fresh[i] if i in fresh else self._layers[key]
+            before = self._layers.pop(key, None)
+            self._pixels += len(layer) - (len(before) if before is not None else 0)
+            self._layers[key] = layer
         found = [self._layers[key] for key in keys]
         while self._pixels > KEPT_PIXELS and len(self._layers) > 1:
             self._pixels -= len(self._layers.pop(next(iter(self._layers))))
         return found
-
-    def _put(self, key: Hashable, layer: Layer) -> None:
-        before = self._layers.pop(key, None)
-        self._pixels += len(layer) - (len(before) if before is not None else 0)
-        self._layers[key] = layer
 
 
 BACKDROPS_KEPT = 2
@@ -204,15 +188,8 @@ class OpticalCamera:
     def _parts(self, state: SceneState, shadows: ShadowMap | None) -> list[Expected]:
         """The empty scene, and over it the part where things stand or throw shadows."""
         looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
-        key = (
-            looks,
-            state.boards,
-            state.lighting,
-            state.backdrop,
-            state.exposure,
-            state.velocity_mm_s,
-            shadows is None,
-        )
+        fixed = state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s
+        key = (looks, fixed, shadows is None)
         if self._latest[0] != key:
             self._latest = None, []  # let go before the next is drawn
             self._latest = key, self._drawn(state, shadows)
@@ -222,32 +199,24 @@ class OpticalCamera:
         empty, soft, whole = self._backdrop(state)
         moments = self._moments(state)
         layers = [self._seen(moment) for moment in moments]
-        dark = (
-            None
-            if shadows is None
-            else shade(shadows, state.backdrop, self.view.camera, self.view.rays)
-        )
-        around = _bounds(
-            [layer for seen in layers for layer in seen], dark, empty.shape, self._reach(layers)
-        )
+        view = self.view
+        dark = shade(shadows, state.backdrop, view.camera, view.rays) if shadows else None
+        everything = [layer for seen in layers for layer in seen]
+        extra = max((self._defocus(layer) for layer in everything), default=0.0)
+        reach = reach_px(float(np.hypot(extra, self.readout.sensor.blur_px)))
+        around = _bounds(everything, dark, empty.shape, reach)
         if around is None:
             return [whole]
-        light = sum(self._lens(around, empty, soft, dark, seen) for seen in layers) / np.float32(
-            len(layers)
-        )
-        return [
-            whole,
-            self.readout.expected(np.asarray(light, dtype=np.float32), *around, state.exposure),
-        ]
+        light = sum(self._lens(around, empty, soft, dark, seen) for seen in layers)
+        mean = np.asarray(light / np.float32(len(layers)), dtype=np.float32)
+        return [whole, self.readout.expected(mean, *around, state.exposure)]
 
     def _moments(self, state: SceneState) -> list[SceneState]:
         """Even moments of the exposure, less than half a pixel of motion apart."""
         if not state.moves:
             return [state]
-        speed = max(
-            float(np.linalg.norm(v))
-            for v in (state.velocity_mm_s, *(board.velocity_mm_s for board in state.boards))
-        )
+        velocities = state.velocity_mm_s, *(board.velocity_mm_s for board in state.boards)
+        speed = max(float(np.linalg.norm(v)) for v in velocities)
         ends = [state.phantom.ends_mm, *(board.outline_mm for board in state.boards)]
         nearest = float(self.view.camera.camera_from_world(np.concatenate(ends))[:, 2].min())
         smear_px = speed * state.exposure.time_s * self._focal_px / max(nearest, 1.0)
@@ -286,41 +255,28 @@ class OpticalCamera:
         sharp = self.readout.sensor.blur_px
         return sigma if np.hypot(sigma, sharp) - sharp > SHARP_PX else 0.0
 
-    def _reach(self, layers: Sequence[Sequence[Layer]]) -> int:
-        extra = max((self._defocus(layer) for seen in layers for layer in seen), default=0.0)
-        return reach_px(float(np.hypot(extra, self.readout.sensor.blur_px)))
-
     def _backdrop(self, state: SceneState) -> tuple[Image, Image, Expected]:
         """The empty scene's light before the lens, out of focus, and on the sensor."""
         key = (state.backdrop, state.lighting, state.exposure)
         if key not in self._backdrops:
             while len(self._backdrops) >= BACKDROPS_KEPT:
                 self._backdrops.pop(next(iter(self._backdrops)))
-            sensor = self.readout.sensor
-            empty, depth = backdrops.draw(
-                state.backdrop, state.lighting, self.view.camera, self.view.rays
-            )
+            sharp, view = self.readout.sensor.blur_px, self.view
+            empty, depth = backdrops.draw(state.backdrop, state.lighting, view.camera, view.rays)
             # blur grows both ways from what is in focus
-            ends = np.array([depth.min(), depth.max()])
-            out_of_focus = (
-                float(np.hypot(sensor.focus.sigma_px(ends, self._focal_px), sensor.blur_px).max())
-                - sensor.blur_px
-                > SHARP_PX
-            )
-            soft = blurred_by_depth(empty, self._sigma(depth)) if out_of_focus else empty
-            whole = soft if out_of_focus else blurred(empty, sensor.blur_px)
-            self._backdrops[key] = (
-                empty,
-                soft,
-                self.readout.expected(whole, slice(None), slice(None), state.exposure),
-            )
+            ends = self._sigma(np.array([depth.min(), depth.max()]))
+            if float(ends.max()) - sharp > SHARP_PX:
+                soft = whole = blurred_by_depth(empty, self._sigma(depth).astype(np.float32))
+            else:
+                soft, whole = empty, blurred(empty, sharp)
+            every = slice(None)
+            expected = self.readout.expected(whole, every, every, state.exposure)
+            self._backdrops[key] = empty, soft, expected
         return self._backdrops[key]
 
-    def _sigma(self, depth_mm: Image) -> Image:
+    def _sigma(self, depth_mm: NDArray[np.floating]) -> Floats:
         sensor = self.readout.sensor
-        return np.hypot(sensor.focus.sigma_px(depth_mm, self._focal_px), sensor.blur_px).astype(
-            np.float32
-        )
+        return np.hypot(sensor.focus.sigma_px(depth_mm, self._focal_px), sensor.blur_px)
 
     def _seen(self, state: SceneState) -> list[Layer]:
         """The layer of each thing and each board."""
@@ -330,12 +286,9 @@ class OpticalCamera:
             keys, lambda which: self._things([things[i] for i in which], lighting)
         )
         boards = [(board, lighting) for board in state.boards]
-        return [
-            *layers,
-            *self._layers.of(
-                boards, lambda which: [self._board(state.boards[i], lighting) for i in which]
-            ),
-        ]
+        return layers + self._layers.of(
+            boards, lambda which: [self._board(state.boards[i], lighting) for i in which]
+        )
 
     def _things(self, things: Sequence[SceneObject], lighting: Lighting) -> list[Layer]:
         stage = Stage.of_things(things)
@@ -346,14 +299,8 @@ class OpticalCamera:
         """Light from each surface towards this camera, (n,)."""
         turn = self.view.camera.R.T.astype(np.float32)
         eye = self.view.camera.centre_mm.astype(np.float32)[:, None]
-        paints = (
-            np.array(
-                [(thing.paint.albedo, thing.paint.gloss) for thing in stage.things],
-                dtype=np.float32,
-            )
-            .reshape(-1, 2)
-            .T
-        )
+        looks = [(thing.paint.albedo, thing.paint.gloss) for thing in stage.things]
+        paints = np.array(looks, dtype=np.float32).reshape(-1, 2).T
         light = np.empty(len(seen.owner), dtype=np.float32)
         for start in range(0, len(light), BLOCK):
             part = slice(start, start + BLOCK)
@@ -385,15 +332,14 @@ def _bounds(
     if dark is not None:
         rows.append((dark.rows.start, dark.rows.stop))
         columns.append((dark.columns.start, dark.columns.stop))
-    return (_around(rows, shape[0], reach), _around(columns, shape[1], reach)) if rows else None
-
-
-def _around(spans: list[tuple[int, int]], size: int, reach: int) -> slice:
+    if not rows:
+        return None
     # Twice the reach: what is cut off there would otherwise be mirrored into the part.
-    return slice(
-        max(min(low for low, _ in spans) - 2 * reach, 0),
-        min(max(high for _, high in spans) + 2 * reach, size),
-    )
+    around = []
+    for spans, size in ((rows, shape[0]), (columns, shape[1])):
+        low, high = min(low for low, _ in spans), max(high for _, high in spans)
+        around.append(slice(max(low - 2 * reach, 0), min(high + 2 * reach, size)))
+    return around[0], around[1]
 
 
 def _within(part: slice, whole: slice) -> slice:

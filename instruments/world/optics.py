@@ -7,7 +7,7 @@ undoes distortion.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -97,10 +97,7 @@ class CameraModel:
         scale = np.array([width_px / self.width_px, height_px / self.height_px])
         # The corner of the first pixel is at (-0.5, -0.5) on either grid.
         cc = (self.cc + 0.5) * scale - 0.5
-        alpha_c = self.alpha_c
-        return CameraModel(
-            self.name, width_px, height_px, self.fc * scale, cc, alpha_c, self.kc, self.R, self.t_mm
-        )
+        return replace(self, width_px=width_px, height_px=height_px, fc=self.fc * scale, cc=cc)
 
 
 def _distort(x: Floats, y: Floats, kc: Floats) -> tuple[Floats, Floats]:
@@ -130,10 +127,8 @@ def _undistort(x_d: Floats, y_d: Floats, kc: Floats, name: str) -> tuple[Floats,
         yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
         cross = slope * xy + 2.0 * p1 * x + 2.0 * p2 * y
         scale = 1.0 / (xx * yy - cross * cross)
-        step_x, step_y = (
-            (yy * miss_x - cross * miss_y) * scale,
-            (xx * miss_y - cross * miss_x) * scale,
-        )
+        step_x = (yy * miss_x - cross * miss_y) * scale
+        step_y = (xx * miss_y - cross * miss_x) * scale
         x, y = x - step_x, y - step_y
         if max(float(np.abs(step_x).max()), float(np.abs(step_y).max())) < CONVERGED:
             return x, y
@@ -151,9 +146,10 @@ def cameras_from_calibration(
     X_right = R X_left + T, X_thermal = R X_left + T (un-mirrored), X_world = R X_right + T. Raises
     ValueError with the key at fault.
     """
-    right_from_left = _motion(table, "stereo")
-    thermal_from_left = _motion(table, "thermal")
-    world_from_right = _motion(table, "world")
+    right_from_left, thermal_from_left, world_from_right = (
+        (rotation_from_vector(_numbers(table, (block, "om"), 3)), _numbers(table, (block, "T"), 3))
+        for block in ("stereo", "thermal", "world")
+    )
     right = _inverse(world_from_right)
     left = _after(_inverse(right_from_left), right)
     thermal = _after(thermal_from_left, left)
@@ -174,10 +170,6 @@ def _inverse(motion: Motion) -> Motion:
 
 def _after(second: Motion, first: Motion) -> Motion:
     return second[0] @ first[0], second[0] @ first[1] + second[1]
-
-
-def _motion(table: Mapping[str, Any], block: str) -> Motion:
-    return rotation_from_vector(_numbers(table, (block, "om"), 3)), _numbers(table, (block, "T"), 3)
 
 
 def _camera(table: Mapping[str, Any], name: str, camera_from_world: Motion) -> CameraModel:

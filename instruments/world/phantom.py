@@ -15,7 +15,7 @@ import numpy as np
 
 from instruments.teat_end import apex_mm
 from instruments.world.optics import Floats
-from instruments.world.solids import Hull, Point, cylinder
+from instruments.world.solids import Hull, Point, as_point, cylinder
 
 # the middle of the four teats of table 5.1: where the stage's turntable has its axis
 PIVOT_MM = (-189.4, 235.8)
@@ -105,17 +105,14 @@ class Phantom:
     @property
     def bases_mm(self) -> Floats:
         """Where the axes meet the plate, world frame, (n, 3) mm."""
-        flat = np.array([(*teat.base_mm, 0.0) for teat in self.teats], dtype=np.float64).reshape(
-            -1, 3
-        )
-        return self._placed(flat)
+        flat = [(*teat.base_mm, 0.0) for teat in self.teats]
+        return self._placed(np.array(flat, dtype=np.float64).reshape(-1, 3))
 
     @property
     def axes(self) -> Floats:
         """Unit vectors from base to end, world frame, (n, 3). Tangents of the two leans add up."""
-        lean = np.array(
-            [(*np.tan(teat.tilt_rad), 1.0) for teat in self.teats], dtype=np.float64
-        ).reshape(-1, 3)
+        leans = [(*np.tan(teat.tilt_rad), 1.0) for teat in self.teats]
+        lean = np.array(leans, dtype=np.float64).reshape(-1, 3)
         return np.asarray(lean / np.linalg.norm(lean, axis=1)[:, None] @ self._turn().T)
 
     @property
@@ -136,7 +133,7 @@ class Phantom:
                 base + 0.5 * FLANGE_HEIGHT_MM * axis,
                 base + (teat.shape.length_mm - radius) * axis,
             )
-            hulls.append(Hull(_point(foot), _point(top), radius, radius, flat_a=True))
+            hulls.append(Hull(as_point(foot), as_point(top), radius, radius, flat_a=True))
         return tuple(hulls)
 
     def flange_hulls(self) -> tuple[Hull, ...]:
@@ -144,17 +141,15 @@ class Phantom:
         tops = self.bases_mm + np.array([0.0, 0.0, FLANGE_HEIGHT_MM])
         radii = [max(FLANGE_RADIUS_MM, teat.shape.radius_mm + 4.0) for teat in self.teats]
         return tuple(
-            cylinder((top[0], top[1], 0.0), _point(top), radius)
+            cylinder((top[0], top[1], 0.0), as_point(top), radius)
             for top, radius in zip(tops, radii, strict=True)
         )
 
     def hose_hulls(self) -> tuple[tuple[Hull, ...], ...]:
         """Hoses between flanges in the order of the teats, supply first, return last."""
-        bases = np.array(
-            [(*teat.base_mm, HOSE_RADIUS_MM) for teat in self.teats], dtype=np.float64
-        ).reshape(-1, 3)
-        if len(bases) == 0:
+        if not self.teats:
             return ()
+        bases = np.array([(*teat.base_mm, HOSE_RADIUS_MM) for teat in self.teats])
         middle = bases.mean(axis=0)
         away = np.array([[70.0, 25.0, 0.0]]) * np.where(
             bases[[0, -1]][:, :1] >= middle[0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]
@@ -169,7 +164,8 @@ class Phantom:
         bow = out / max(float(np.linalg.norm(out)), 1.0) * 24.0 + np.array([0.0, 0.0, 14.0])
         path = self._placed(start + t * (end - start) + 4.0 * t * (1.0 - t) * bow)
         return tuple(
-            Hull(_point(a), _point(b), HOSE_RADIUS_MM, HOSE_RADIUS_MM) for a, b in pairwise(path)
+            Hull(as_point(a), as_point(b), HOSE_RADIUS_MM, HOSE_RADIUS_MM)
+            for a, b in pairwise(path)
         )
 
     def _turn(self) -> Floats:
@@ -180,10 +176,6 @@ class Phantom:
         pivot = np.array([*PIVOT_MM, 0.0])
         shift = np.array([self.pose.x_mm, self.pose.y_mm, self.pose.z_mm])
         return np.asarray((plate_mm - pivot) @ self._turn().T + pivot + shift)
-
-
-def _point(vector: Floats) -> Point:
-    return float(vector[0]), float(vector[1]), float(vector[2])
 
 
 def upright(ends_mm: Sequence[Point], radius_mm: float = 11.0, name: str = "") -> Phantom:

@@ -26,10 +26,8 @@ NOISE_LEVELS = 65536
 @cache
 def _normal_levels() -> Image:
     """Quantiles of the unit normal at (k + 1/2) / 65536, scaled to unit variance."""
-    half = [
-        NormalDist().inv_cdf((k + 0.5) / NOISE_LEVELS)
-        for k in range(NOISE_LEVELS // 2, NOISE_LEVELS)
-    ]
+    places = (np.arange(NOISE_LEVELS // 2, NOISE_LEVELS) + 0.5) / NOISE_LEVELS
+    half = [NormalDist().inv_cdf(place) for place in places.tolist()]
     levels = np.concatenate([-np.array(half)[::-1], half])
     return np.asarray(levels / levels.std(), dtype=np.float32)
 
@@ -92,12 +90,9 @@ def blurred_by_depth(image: Image, sigma_px: Image) -> Image:
     if high - low < 1e-3:
         return blurred(image, high)
     result = np.zeros_like(image)
+    per_px = np.float32((count - 1) / (high - low))
     for level in levels:
-        share = np.clip(
-            1.0 - np.abs(sigma_px - np.float32(level)) * np.float32((count - 1) / (high - low)),
-            0.0,
-            1.0,
-        )
+        share = np.clip(1.0 - np.abs(sigma_px - np.float32(level)) * per_px, 0.0, 1.0)
         result += share * blurred(image, float(level))
     return result
 
@@ -112,11 +107,8 @@ class Focus:
     distance_mm: float = 1080.0
 
     def __post_init__(self) -> None:
-        if not (
-            self.aperture_mm >= 0.0
-            and self.distance_mm > 0.0
-            and np.isfinite([self.aperture_mm, self.distance_mm]).all()
-        ):
+        finite = np.isfinite([self.aperture_mm, self.distance_mm]).all()
+        if not (finite and self.aperture_mm >= 0.0 and self.distance_mm > 0.0):
             raise ValueError(
                 f"a lens needs an aperture of 0 mm or more and a distance above zero, has {self}"
             )
@@ -125,12 +117,8 @@ class Focus:
         """Blur at a depth: circle of confusion aperture f |1/z - 1/z_focus|; a disc's sigma is a
         quarter of it.
         """
-        across = (
-            self.aperture_mm
-            * focal_px
-            * np.abs(1.0 / np.asarray(depth_mm, dtype=np.float64) - 1.0 / self.distance_mm)
-        )
-        return np.asarray(0.25 * across)
+        nearer = np.abs(1.0 / np.asarray(depth_mm, dtype=np.float64) - 1.0 / self.distance_mm)
+        return np.asarray(0.25 * (self.aperture_mm * focal_px * nearer))
 
 
 NORMAL_EXPOSURE_S = 0.02
@@ -216,15 +204,15 @@ class OpticalReadout:
         """
         shutter = exposure or Exposure()
         sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
+        full, dark = (
+            np.float32(sensor.full_well_e),
+            np.float32(sensor.dark_e_per_s * shutter.time_s),
+        )
         filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
-        dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
-        electrons = np.minimum(
-            light * self._response[rows, columns] * filled + dark, np.float32(sensor.full_well_e)
-        )
+        electrons = np.minimum(light * self._response[rows, columns] * filled + dark, full)
         spread = cv2.sqrt(np.float32(gain**2) * (electrons + np.float32(sensor.read_noise_e**2)))
-        mean = np.float32(gain) * (electrons + self._dark_e[rows, columns]) + np.float32(
-            sensor.offset_dn
-        )
+        mean = np.float32(gain) * (electrons + self._dark_e[rows, columns])
+        mean += np.float32(sensor.offset_dn)
         return Expected(rows, columns, mean, np.asarray(spread, dtype=np.float32))
 
     def expose(self, parts: Sequence[Expected], rng: np.random.Generator) -> Grey:
@@ -233,17 +221,9 @@ class OpticalReadout:
         """
         shape = (parts[0].mean.shape[0], parts[0].mean.shape[1])
         noise = normal_noise(rng, shape)
-        deep = self.sensor.bits > 8
-        exposed = np.empty(shape, dtype=np.uint16 if deep else np.uint8)
+        depth, kind = (cv2.CV_16U, np.uint16) if self.sensor.bits > 8 else (cv2.CV_8U, np.uint8)
+        exposed: Grey = np.empty(shape, dtype=kind)
         for part in parts:
             at = (part.rows, part.columns)
-            exposed[at] = cv2.add(
-                cv2.multiply(noise[at], part.spread),
-                part.mean,
-                dtype=cv2.CV_16U if deep else cv2.CV_8U,
-            )
-        return (
-            np.minimum(exposed, exposed.dtype.type(2**self.sensor.bits - 1))
-            if self.sensor.bits not in (8, 16)
-            else exposed
-        )
+            exposed[at] = cv2.add(cv2.multiply(noise[at], part.spread), part.mean, dtype=depth)
+        return np.minimum(exposed, kind(2**self.sensor.bits - 1))

@@ -54,12 +54,8 @@ class SceneState:
                 f"the phantom has {len(self.phantom.teats)} teats, but there are"
                 f" {len(self.teat_temps_c)} teat temperatures"
             )
-        temps = {
-            "a teat": self.teat_temps_c,
-            "the hoses": (self.hose_temp_c,),
-            "the room": (self.ambient_c,),
-        }
-        for what, values in temps.items():
+        rest = {"the hoses": (self.hose_temp_c,), "the room": (self.ambient_c,)}
+        for what, values in {"a teat": self.teat_temps_c, **rest}.items():
             if not all(-60.0 <= value <= 200.0 for value in values):
                 raise ValueError(
                     f"the temperature of {what} must be from -60 to 200 degC, is {values}"
@@ -73,27 +69,20 @@ class SceneState:
 
     def later(self, seconds: float) -> SceneState:
         """The same with everything that moves a little farther on its way."""
-        pose, (vx, vy, vz) = self.phantom.pose, self.velocity_mm_s
-        there = replace(
-            pose,
-            x_mm=pose.x_mm + vx * seconds,
-            y_mm=pose.y_mm + vy * seconds,
-            z_mm=max(pose.z_mm + vz * seconds, 0.0),
+        pose = self.phantom.pose
+        x, y, z = np.array([pose.x_mm, pose.y_mm, pose.z_mm]) + seconds * np.array(
+            self.velocity_mm_s
         )
+        there = replace(pose, x_mm=float(x), y_mm=float(y), z_mm=max(float(z), 0.0))
         boards = tuple(board.moved(seconds) for board in self.boards)
-        return replace(
-            self, phantom=self.phantom.moved(there), boards=boards, time_s=self.time_s + seconds
-        )
+        phantom = self.phantom.moved(there)
+        return replace(self, phantom=phantom, boards=boards, time_s=self.time_s + seconds)
 
     def temperature_c(self, warmth: Warmth) -> float:
         """degC of "teat" (mean of the teats, else the room), "ambient", or a number."""
-        if isinstance(warmth, str):
-            return (
-                float(np.mean(self.teat_temps_c))
-                if warmth == "teat" and self.teat_temps_c
-                else self.ambient_c
-            )
-        return warmth
+        if warmth == "teat" and self.teat_temps_c:
+            return float(np.mean(self.teat_temps_c))
+        return self.ambient_c if isinstance(warmth, str) else warmth
 
     def everything(self) -> tuple[SceneObject, ...]:
         """All that stands on the table: the teats first, in their order."""
@@ -120,11 +109,8 @@ class Stage:
     def of_things(cls, things: Sequence[SceneObject]) -> Stage:
         """Just these."""
         solids = Solids.from_hulls([hull for thing in things for hull in thing.hulls])
-        return cls(
-            tuple(things),
-            solids,
-            np.repeat(np.arange(len(things)), [len(thing.hulls) for thing in things]),
-        )
+        owner = np.repeat(np.arange(len(things)), [len(thing.hulls) for thing in things])
+        return cls(tuple(things), solids, owner)
 
 
 def _refuse_outside(stage: Stage, backdrop: Backdrop) -> None:
@@ -133,12 +119,10 @@ def _refuse_outside(stage: Stage, backdrop: Backdrop) -> None:
         raise ValueError(
             f"{stage.things[stage.owner[low[0]]].name} reaches below the table (z = 0): raise it"
         )
-    far = np.flatnonzero(
-        np.maximum(stage.solids.a[:, 1], stage.solids.b[:, 1]) > backdrop.board_y_mm
-    )
+    farthest = np.maximum(stage.solids.a[:, 1], stage.solids.b[:, 1])
+    far = np.flatnonzero(farthest > backdrop.board_y_mm)
     if len(far):
-        name = stage.things[stage.owner[far[0]]].name
         raise ValueError(
-            f"{name} stands behind the board (y = {backdrop.board_y_mm:g} mm), where no camera"
-            " sees it"
+            f"{stage.things[stage.owner[far[0]]].name} stands behind the board"
+            f" (y = {backdrop.board_y_mm:g} mm), where no camera sees it"
         )

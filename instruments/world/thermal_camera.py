@@ -31,11 +31,8 @@ class ThermalCamera:
         self, camera: CameraModel, sensor: ThermalSensor, seed: np.random.SeedSequence
     ) -> None:
         self.camera = camera
-        self.view = View(
-            camera.resized(
-                sensor.width_px * sensor.oversample, sensor.height_px * sensor.oversample
-            )
-        )
+        fine = sensor.oversample
+        self.view = View(camera.resized(sensor.width_px * fine, sensor.height_px * fine))
         self.readout = ThermalReadout(sensor, seed)
         self._layers = KeptLayers()
         # no reference to self: no cycle
@@ -52,10 +49,8 @@ class ThermalCamera:
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
         """One frame: 8-bit as delivered, and centi-kelvin."""
         centikelvin = self.readout.expose(self.expected_k(state), state.time_s, rng)
-        return (
-            self.readout.delivered(centikelvin, self.camera.width_px, self.camera.height_px),
-            centikelvin,
-        )
+        size = self.camera.width_px, self.camera.height_px
+        return self.readout.delivered(centikelvin, *size), centikelvin
 
     def _moments(self, state: SceneState) -> list[SceneState]:
         """The past of a pixel that follows exponentially, as moments of equal weight."""
@@ -71,43 +66,31 @@ class ThermalCamera:
         boards = self._layers.of(
             [*state.boards], lambda which: [self._board(state.boards[i]) for i in which]
         )
-        room = float(radiance_from_c(state.ambient_c))
-        own = [
-            _own(state, i, thing, layer)
-            for i, (thing, layer) in enumerate(zip(things, layers, strict=True))
-        ]
-        own += [
-            _own_of_board(state, board, layer)
-            for board, layer in zip(state.boards, boards, strict=True)
-        ]
-        seen = [*layers, *boards]
+        own = [_own(state, i, *each) for i, each in enumerate(zip(things, layers, strict=True))]
+        own += [_own_of_board(state, *each) for each in zip(state.boards, boards, strict=True)]
+        room, seen = float(radiance_from_c(state.ambient_c)), [*layers, *boards]
         radiance = radiance_from_c(state.ambient_c + self._warmer(state.backdrop))
-        lay_over(
-            radiance,
-            seen,
-            [room + layer.value * (black - room) for layer, black in zip(seen, own, strict=True)],
-        )
+        values = [
+            room + layer.value * (black - room) for layer, black in zip(seen, own, strict=True)
+        ]
+        lay_over(radiance, seen, values)
         return radiance
 
     def _things(self, things: Sequence[SceneObject]) -> list[Layer]:
         stage = Stage.of_things(things)
         seen = self.view.surfaces(stage)
         facing = np.abs(dot(seen.rays, seen.normals)) / np.sqrt(dot(seen.rays, seen.rays))
-        emissivity = np.array([thing.paint.emissivity for thing in things], dtype=np.float64)[
-            seen.owner
-        ]
-        return seen.by_thing(
-            len(things), directional_emissivity(emissivity, facing), self.view.heights(stage, seen)
-        )
+        own = np.array([thing.paint.emissivity for thing in things], dtype=np.float64)
+        value = directional_emissivity(own[seen.owner], facing)
+        return seen.by_thing(len(things), value, self.view.heights(stage, seen))
 
     def _board(self, board: Board) -> Layer:
         seen = self.view.board(board)
         away = seen.points_mm - self.view.camera.centre_mm[:, None]
         facing = np.abs(board.normal @ away) / np.sqrt(dot(away, away))
         value = directional_emissivity(np.full(len(facing), board.emissivity), facing)
-        return Layer(
-            seen.cover.row, seen.cover.column, seen.cover.share, seen.depth_mm, value, seen.dark
-        )
+        at = seen.cover
+        return Layer(at.row, at.column, at.share, seen.depth_mm, value, seen.dark)
 
 
 def _drawn_warmer(camera: CameraModel, backdrop: Backdrop) -> Floats:

@@ -15,9 +15,10 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from detector.calibration import Calibration, load_calibration
 from detector.external import ExternalDetector
+from detector.external.serve import Pictures
 from tests.benchmarks.figures import figure
 from tests.detector.children import GOOD, child
-from tests.detector.conftest import ROOT, Pictures
+from tests.detector.conftest import ROOT
 
 
 @pytest.fixture(scope="module")

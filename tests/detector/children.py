@@ -12,8 +12,8 @@ import pytest
 
 from detector.calibration import Calibration
 from detector.external import ExternalDetector, Limits
+from detector.external.serve import Pictures
 from detector.protocol import Detection, DetectionFailure
-from tests.detector.conftest import Pictures
 
 Start = Callable[..., ExternalDetector]
 PICTURES = Pictures(

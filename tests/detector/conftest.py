@@ -5,9 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -15,18 +13,9 @@ import pytest
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration, load_calibration
+from detector.external.serve import Pictures, read_pictures
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """A frame set made of four arrays."""
-
-    left: NDArray[Any]
-    right: NDArray[Any]
-    thermal: NDArray[Any] | None = None
-    thermal_k: NDArray[Any] | None = None
 
 
 Draw = Callable[..., Pictures]
@@ -48,6 +37,19 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip(f"needs ../shared: absent on this machine ({folder})")
     return folder
+
+
+@pytest.fixture(scope="session")
+def path_traced(shared: Path) -> Path:
+    folder = shared / "data" / "path_traced"
+    if not folder.is_dir():
+        pytest.skip(f"needs ../shared/data/path_traced: absent on this machine ({folder})")
+    return folder
+
+
+def recorded(folder: Path) -> Pictures:
+    """One frame set of a recording."""
+    return read_pictures({path.stem: str(path) for path in folder.glob("*.png")})
 
 
 @pytest.fixture(scope="session")
@@ -82,9 +84,8 @@ def draw(rig: Calibration) -> Draw:
         )
         left = teats_picture(rig.left.image_size, left_px, 11 * rig.left.fc[0] / in_right[:, 2])
         right = teats_picture(rig.right.image_size, right_px, 11 * rig.right.fc[0] / in_right[:, 2])
-        return Pictures(
-            left, right, np.ascontiguousarray(thermal[:, ::-1]) if mirrored else thermal
-        )
+        thermal = np.ascontiguousarray(thermal[:, ::-1]) if mirrored else thermal
+        return Pictures(left, right, thermal)
 
     return pictures
 

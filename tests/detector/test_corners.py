@@ -9,8 +9,16 @@ import numpy as np
 import pytest
 
 from detector.calibration.boards import Board
-from detector.calibration.corners import Found, Gray, ViewRefusedError, find_board, order_alike
-from detector.geometry import Array, apply_homography
+from detector.calibration.corners import (
+    Found,
+    Gray,
+    ViewRefusedError,
+    between_neighbours,
+    find_board,
+    order_alike,
+    strays,
+)
+from detector.geometry import Array, Camera, Motion, apply_homography
 
 SUPER = 8  # samples a pixel and side
 SIZE = (640, 480)
@@ -181,3 +189,30 @@ class TestRefusals:
         } | faulty
         with pytest.raises(ValueError, match=said):
             Board(**wanted)  # type: ignore[arg-type]
+
+
+WIDE = Camera((1360, 1024), (800.0, 800.0), (680.0, 512.0), 0.0, (-0.3, 0.1, 0.0, 0.0, 0.0))
+
+
+def wide_grid(om: list[float]) -> Array:
+    """The corners (6, 9, 2) of a near board in a wide lens."""
+    pose = Motion.from_vectors(om, [-160.0, -100.0, 420.0])
+    return WIDE.project(pose.apply(Board("chessboard", 9, 6, 40.0).points_mm)).reshape(6, 9, 2)
+
+
+@pytest.mark.parametrize(
+    "om", [[0.0, 0.0, 0.0], [0.0, 0.7, 0.0], [-0.7, 0.0, 0.2], [0.4, 0.5, 0.0]]
+)
+def test_a_wide_lens_and_a_strong_tilt_make_none(om: list[float]) -> None:
+    assert not strays(wide_grid(om)).any()
+
+
+@pytest.mark.parametrize("at", [(0, 0), (0, 4), (3, 8), (2, 5), (5, 0)])
+def test_one_beside_its_place_is_told_and_its_neighbours_are_not(at: tuple[int, int]) -> None:
+    grid = wide_grid([0.3, -0.3, 0.1])
+    beside = grid.copy()
+    beside[at] += (15.0, -21.0)
+    assert np.argwhere(strays(beside)).tolist() == [list(at)]
+    assert np.linalg.norm(between_neighbours(beside)[at] - grid[at]) < 6.0, (
+        "near enough for a sub-pixel window"
+    )

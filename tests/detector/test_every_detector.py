@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.calibration.thesis_rig import thesis_published
+from detector.external.serve import Pictures
 from detector.protocol import Detection
 from detector.registry import available, create
-from tests.detector.conftest import Draw, Pictures
+from tests.detector.conftest import Draw
 
 NAMES = list(available([]))
 

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.external import ExternalDetector
-from detector.external.serve import read_pictures, serve
+from detector.external.serve import Pictures, read_pictures, serve
 from detector.protocol import DetectionFailure
 from detector.registry import create
 from tests.conftest import ROOT
-from tests.detector.conftest import Draw, Pictures
+from tests.detector.conftest import Draw
 
 
 def test_the_thesis_gives_the_same_ends_from_a_process_of_its_own(

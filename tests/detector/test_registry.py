@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from detector.calibration import Calibration
+from detector.external.serve import Pictures
 from detector.registry import (
     GROUP,
     BrokenDetectorError,
@@ -23,7 +24,6 @@ from detector.registry import (
     create,
 )
 from tests.conftest import ROOT
-from tests.detector.conftest import Pictures
 
 PACKAGE = """
 import numpy

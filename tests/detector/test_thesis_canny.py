@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from detector.thesis.canny import (
+from detector.thesis.thermal import (
     Edges,
     automatic_threshold,
     canny,

@@ -16,23 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration.thesis_rig import thesis_published
+from detector.external.serve import Pictures
 from detector.thesis.detector import published_homography
-from tests.detector.conftest import Pictures, teats_picture
+from tests.detector.conftest import teats_picture
 
 GOLDEN = Path(__file__).parent / "golden"
-TABLE_4_1 = np.array(
-    [
-        [104, 126],
-        [148, 116],
-        [182, 140],
-        [222, 145],
-        [272, 129],
-        [316, 134],
-        [359, 110],
-        [407, 121],
-    ],
-    dtype=np.float64,
-)
+TABLE_4_1_COLUMNS = (104, 148, 182, 222, 272, 316, 359, 407)
+TABLE_4_1_ROWS = (126, 116, 140, 145, 129, 134, 110, 121)
+TABLE_4_1 = np.column_stack([TABLE_4_1_COLUMNS, TABLE_4_1_ROWS]).astype(np.float64)
 TABLE_4_2 = np.array([[373, 88], [126, 100], [288, 107], [186, 112]], dtype=np.float64)
 SECTION_4_1_7 = np.array([[126, 100], [186, 112], [288, 107], [373, 88]], dtype=np.float64)
 HOMOGRAPHIES = {  # section 3.2.2

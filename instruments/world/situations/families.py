@@ -1,5 +1,5 @@
-"""The eleven families, and what they share (udders, paints, light and backgrounds, drawn at random):
-each draws, from name and seed alone, until a scene can be set up and fits its name.
+"""The eleven families, and what they share: udders, paints, light and backgrounds. Each draws, from
+name and seed alone, until a scene can be set up and fits its name.
 """
 
 from __future__ import annotations

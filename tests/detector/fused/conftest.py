@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,20 +16,11 @@ import pytest
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
+from detector.external.serve import Pictures
 from detector.geometry import Camera, Motion
 
 Array = NDArray[np.float64]
 FINE = 12  # sub-pixels a pixel and axis
-
-
-@dataclass(frozen=True)
-class Frames:
-    """A frame set made of arrays."""
-
-    left: NDArray[Any]
-    right: NDArray[Any]
-    thermal: NDArray[Any] | None = None
-    thermal_k: NDArray[Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -98,7 +88,7 @@ def coverage(
     return (slice(low[1], low[1] + size[1]), slice(low[0], low[0] + size[0])), cover
 
 
-Draw = Callable[..., Frames]
+Draw = Callable[..., Pictures]
 
 
 @pytest.fixture(scope="session")
@@ -129,7 +119,7 @@ def draw_scene(rig: Calibration) -> Draw:
         ground: float = 190.0,
         noise: float = 1.5,
         netd_k: float = 0.08,
-    ) -> Frames:
+    ) -> Pictures:
         rng = np.random.default_rng(seed)
         pictures = {}
         for eye, (camera, motion) in eyes.items():
@@ -144,7 +134,7 @@ def draw_scene(rig: Calibration) -> Draw:
             grain = rng.standard_normal(picture.shape, dtype=np.float32)
             pictures[eye] = picture + (netd_k if eye == "T" else noise) * grain
         left, right = (np.clip(np.rint(pictures[eye]), 0, 255).astype(np.uint8) for eye in "LR")
-        return Frames(left, right, None, np.rint(pictures["T"] * 100) / 100)
+        return Pictures(left, right, None, np.rint(pictures["T"] * 100) / 100)
 
     return scene
 

@@ -8,9 +8,7 @@ import csv
 from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,18 +17,9 @@ from scipy.stats import chi2
 
 from detector.calibration import load_calibration
 from detector.fused.detector import FusedDetector
+from tests.detector.conftest import recorded
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """One folder of a recording."""
-
-    left: NDArray[Any]
-    right: NDArray[Any]
-    thermal: NDArray[Any] | None
-    thermal_k: NDArray[Any] | None
 
 
 @dataclass
@@ -45,22 +34,9 @@ class Tally:
     normalised: list[float] = field(default_factory=list)
 
 
-def read(folder: Path) -> Recorded:
-    names = ("left", "right", "thermal", "thermal_radiometric")
-    left, right, thermal, centikelvin = (
-        cv2.imread(str(folder / f"{name}.png"), cv2.IMREAD_UNCHANGED) for name in names
-    )
-    assert left is not None
-    assert right is not None
-    assert centikelvin is not None
-    return Recorded(left, right, thermal, centikelvin / 100.0)
-
-
 @pytest.fixture(scope="module")
-def tallies(shared: Path) -> dict[str, Tally]:
-    folder = shared / "data" / "path_traced"
-    if not folder.is_dir():
-        pytest.skip(f"needs ../shared/data/path_traced: absent on this machine ({folder})")
+def tallies(path_traced: Path) -> dict[str, Tally]:
+    folder = path_traced
     truth: dict[str, list[dict[str, str]]] = defaultdict(list)
     with (folder / "truth.csv").open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
@@ -68,7 +44,7 @@ def tallies(shared: Path) -> dict[str, Tally]:
     calibration = load_calibration(folder / "calibration.toml")
     found: dict[str, Tally] = defaultdict(Tally)
     for frame, rows in truth.items():
-        answer = FusedDetector().detect(read(folder / "frames" / frame), calibration)
+        answer = FusedDetector().detect(recorded(folder / "frames" / frame), calibration)
         tally = found[rows[0]["situation"]]
         count(tally, rows, [(t.world_mm, t.covariance_mm2) for t in answer.teats])
         tally.imagined += max(0, answer.hidden - sum(row["visible"] == "0" for row in rows))

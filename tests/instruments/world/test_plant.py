@@ -1,10 +1,12 @@
 """The heated circuit against its physics, and against the figures of the fact sheet's own
-simulation (section 5).
+simulation (section 5); what its controller knows of, and what works without it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +15,28 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from instruments.world.plant import Plant, PlantConstants
-from tests.instruments.world.plants import NO_CUT_OUT, seconds_until, settled
 
 CW_12_L = 49_800.0  # J/K
+NO_CUT_OUT = PlantConstants(cut_out_c=1000.0)
+
+
+def settled(seed: int = 1, constants: PlantConstants = NO_CUT_OUT) -> Plant:
+    """Held at 33 degC for an hour."""
+    plant = Plant(seed, start_c=33.0, constants=constants)
+    plant.run(33.0)
+    plant.advance_to(3600.0)
+    return plant
+
+
+def seconds_until(plant: Plant, done: Callable[[Plant], bool], at_most_s: float = 3600.0) -> float:
+    start = plant.t_s
+    while not done(plant):
+        plant.advance_to(plant.t_s + plant.constants.step_s)
+        assert plant.t_s - start < at_most_s
+    return plant.t_s - start
+
+
+TUNED = ("band_k", "integral_s", "derivative_s")
 
 
 def heated(
@@ -99,32 +120,23 @@ def test_free_cooling_has_the_time_constant_of_bath_and_loss() -> None:
 # Fact sheet, section 5: band K, integral s, derivative s; overshoot K, in +-0.1 K from, in +-0.05 K
 # from (minutes).
 @pytest.mark.parametrize(
-    (
-        "band_k",
-        "integral_s",
-        "derivative_s",
-        "overshoot_k",
-        "within_100_mk_min",
-        "within_50_mk_min",
-    ),
+    ("tuning", "overshoot_k", "within_100_mk_min", "within_50_mk_min"),
     [
-        (4.0, 240.0, 40.0, 0.99, 35.0, 37.0),
-        (4.0, 900.0, 40.0, 0.38, 40.0, 48.0),
-        (2.0, 600.0, 30.0, 0.16, 22.0, 29.0),
-        (1.0, 600.0, 20.0, 0.05, 8.7, 20.0),
-        (1.0, 1200.0, 20.0, 0.02, 8.9, 9.2),
+        ((4.0, 240.0, 40.0), 0.99, 35.0, 37.0),
+        ((4.0, 900.0, 40.0), 0.38, 40.0, 48.0),
+        ((2.0, 600.0, 30.0), 0.16, 22.0, 29.0),
+        ((1.0, 600.0, 20.0), 0.05, 8.7, 20.0),
+        ((1.0, 1200.0, 20.0), 0.02, 8.9, 9.2),
     ],
 )
 def test_the_table_of_tunings_within_20_percent(
-    band_k: float,
-    integral_s: float,
-    derivative_s: float,
+    tuning: tuple[float, float, float],
     overshoot_k: float,
     within_100_mk_min: float,
     within_50_mk_min: float,
 ) -> None:
-    tuning = PlantConstants(band_k=band_k, integral_s=integral_s, derivative_s=derivative_s)
-    time_min, pv_c, bath_c = heated(Plant(1, constants=tuning), 80.0)
+    constants = replace(PlantConstants(), **dict(zip(TUNED, tuning, strict=True)))
+    time_min, pv_c, bath_c = heated(Plant(1, constants=constants), 80.0)
     assert bath_c.max() - 33.0 == pytest.approx(overshoot_k, rel=0.2)
     assert in_band_from(time_min, pv_c, 0.1) == pytest.approx(within_100_mk_min, rel=0.2)
     assert in_band_from(time_min, pv_c, 0.05) == pytest.approx(within_50_mk_min, rel=0.2)
@@ -331,3 +343,114 @@ def test_the_step_hardly_matters() -> None:
         for step_s in (0.25, 1.0)
     ]
     assert ends[0] == pytest.approx(ends[1], abs=0.02)
+
+
+def controlled() -> Plant:
+    """As `settled`, but with a controller of its own beside a pump with its own switch."""
+    plant = Plant(1, start_c=33.0, constants=PlantConstants(cut_out_c=40.0))
+    plant.fit(circulator=False)
+    plant.pump = "on"
+    plant.run(33.0)
+    plant.advance_to(600.0)
+    return plant
+
+
+def test_a_pump_with_a_switch_of_its_own_turns_through_standby() -> None:
+    plant, seen = controlled(), []
+    for switch in ("on", "off"):
+        plant.pump = switch
+        plant.standby()
+        seen.append(plant.pump_on)
+        plant.run(33.0)
+        seen.append(plant.pump_on)
+    assert seen == [True, True, False, False]
+
+
+def test_a_pump_that_nobody_switches_stands_and_the_teats_stay_cold() -> None:
+    plant = Plant(1)
+    plant.fit(circulator=False)
+    plant.run(33.0)
+    plant.advance_to(1800.0)
+    assert not plant.pump_on
+    assert plant.bath_c == pytest.approx(33.0, abs=0.3)
+    np.testing.assert_allclose(plant.teat_c, 20.0, atol=1e-9)
+
+
+def test_the_float_switch_cuts_a_heater_that_its_controller_still_calls_for() -> None:
+    plant = controlled()
+    plant.fill(8.9)
+    plant.advance_to(plant.t_s + 1800.0)
+    assert (plant.heat_w, plant.pump_on, plant.alarm) == (0.0, False, "level")
+    assert plant.power_percent > 0.0
+    plant.fill(12.0)
+    plant.advance_to(plant.t_s + 1.0)
+    assert (plant.pump_on, plant.alarm) == (True, "")
+    assert plant.heat_w > 0.0
+
+
+@pytest.mark.parametrize("fault", ["level", "sensor"])
+def test_the_cut_out_ends_a_stuck_heater_under_any_other_alarm(fault: str) -> None:
+    plant = settled(constants=PlantConstants(cut_out_c=40.0))
+    plant.stuck_heater = True
+    plant.broken_sensor = fault == "sensor"
+    if fault == "level":
+        plant.fill(8.9)
+    plant.advance_to(plant.t_s + 1200.0)
+    assert plant.heat_w == 0.0
+    assert plant.bath_c < 40.0
+
+
+def test_a_controllers_broken_sensor_stops_the_heater_until_it_is_mended() -> None:
+    plant = controlled()
+    plant.set_point_c = 36.0
+    plant.broken_sensor = True
+    plant.advance_to(plant.t_s + 1.0)
+    assert (plant.alarm, plant.heat_w) == ("sensor", 0.0)
+    plant.broken_sensor = False
+    plant.advance_to(plant.t_s + 1.0)
+    assert (plant.alarm, plant.power_percent) == ("", 100.0)
+
+
+def test_a_frozen_sensor_shows_what_it_showed_while_the_bath_goes_on() -> None:
+    plant = controlled()
+    plant.set_point_c = 36.0
+    plant.advance_to(plant.t_s + 30.0)
+    plant.frozen_sensor, shown_c, true_c = True, plant.pv_c, plant.bath_c
+    plant.advance_to(plant.t_s + 60.0)
+    assert plant.pv_c == shown_c
+    assert plant.bath_c > true_c + 1.0
+    assert plant.rate_k_per_min == 0.0
+    plant.frozen_sensor = False
+    plant.advance_to(plant.t_s + 30.0)
+    assert plant.pv_c == pytest.approx(plant.bath_c, abs=0.3)
+
+
+def test_a_loop_is_called_broken_when_full_output_does_nothing_for_2_minutes() -> None:
+    plant, seen = controlled(), []
+    plant.set_point_c = 36.0
+    plant.dead_heater = True
+    for seconds in (119.0, 2.0, 130.0):
+        plant.advance_to(plant.t_s + seconds)
+        seen.append(plant.loop_broken)
+        plant.dead_heater = not plant.loop_broken
+    assert seen == [False, True, False]
+
+
+def test_heating_up_is_no_broken_loop() -> None:
+    plant = Plant(1)
+    plant.run(33.0)
+    for _ in range(1200):
+        plant.advance_to(plant.t_s + 0.5)
+        assert not plant.loop_broken
+
+
+def test_a_manual_output_is_held_and_capped() -> None:
+    plant = controlled()
+    plant.manual_output = 0.3
+    plant.advance_to(plant.t_s + 1.0)
+    assert plant.heat_w == pytest.approx(450.0)
+    plant.output_max = 0.2
+    plant.advance_to(plant.t_s + 1.0)
+    assert plant.heat_w == pytest.approx(300.0)
+    plant.standby()
+    assert plant.heat_w == 0.0
