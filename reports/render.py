@@ -18,8 +18,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from reports.frames import ImageView, layers
-from reports.page import Page, TrialPart
-from reports.parts import Cell, Figure, Part, Table, Verdict
+from reports.page import Cell, Figure, Page, Part, Table, TrialPart, Verdict
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from bench.results.comparison import Comparison
     from bench.results.sample_size import Plan
     from bench.scoring.decisions import Verdict
+    from reports.page import Table as PageTable
 
 
 def add_to(commands: Commands) -> None:
@@ -138,40 +138,37 @@ def _together(given: argparse.Namespace, damage: tuple[str, ...]) -> int:
 def _show(found: tuple[Comparison, ...]) -> None:
     from bench.cli.terminal import Terminal
     from bench.report.comparison import (
-        DISTANCE,
-        SUCCESS,
-        distance_rows,
+        distance_table,
         heading,
         notes,
-        success_rows,
+        success_table,
         verdict_told,
     )
 
     console = Terminal()
     for comparison in found:
         console.print(heading(comparison), soft_wrap=True)
-        console.print(_table("success", SUCCESS, success_rows(comparison)))
-        console.print(_table("distance to the teat end", DISTANCE, distance_rows(comparison)))
+        console.print(_table("success", success_table(comparison)))
+        console.print(_table("distance to the teat end", distance_table(comparison)))
         for line in (*notes(comparison), verdict_told(comparison)):
             console.print(line)
         for reason in comparison.compared.gate.reasons:
             console.print(f"  {reason}")
 
 
-def _table(
-    title: str, columns: Sequence[tuple[str, str]], rows: Iterable[tuple[str, ...]]
-) -> Table:
+def _table(title: str, shown: PageTable) -> Table:
+    """A page's table of plain texts, for the terminal."""
     from rich.table import Table
 
     table = Table(title=title)
-    for at, (column, unit) in enumerate(columns):
+    for at, column in enumerate(shown.columns):
         table.add_column(
-            f"{column}, {unit}" if unit else column,
+            f"{column.title}, {column.unit}" if column.unit else column.title,
             justify="right" if at else "left",
             no_wrap=not at,
         )
-    for row in rows:
-        table.add_row(*row)
+    for row in shown.rows:
+        table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in row))
     return table
 
 

@@ -11,18 +11,21 @@ from numpy.typing import NDArray
 
 from reports import figures
 from reports.frames import Circle, Cross, ImageView, Label, Overlay, Polyline, Rect
-from reports.page import Banner, Page, Section, TrialPart
-from reports.parts import (
+from reports.page import (
+    Banner,
     Cell,
     Code,
     Column,
     Figure,
     KeyValues,
     Notes,
+    Page,
     Paragraph,
     Requirement,
     Requirements,
+    Section,
     Table,
+    TrialPart,
 )
 
 SITUATIONS = (

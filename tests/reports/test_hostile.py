@@ -11,18 +11,21 @@ from hypothesis import strategies as st
 
 from reports import figures
 from reports.frames import Circle, ImageView, Label, Overlay
-from reports.page import Banner, Page, Section, TrialPart
-from reports.parts import (
+from reports.page import (
+    Banner,
     Cell,
     Code,
     Column,
     Figure,
     KeyValues,
     Notes,
+    Page,
     Paragraph,
     Requirement,
     Requirements,
+    Section,
     Table,
+    TrialPart,
 )
 from reports.render import render
 from reports.trust import PageError

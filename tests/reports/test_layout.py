@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from reports import figures
-from reports.page import Banner, Page, Section
-from reports.parts import Figure, KeyValues, Paragraph, Part
+from reports.page import Banner, Figure, KeyValues, Page, Paragraph, Part, Section
 from reports.render import render
 from tests.reports.markup import read
 from tests.reports.sample import sample_page

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 
-from reports.page import Page, Section
-from reports.parts import Part, Table
+from reports.page import Page, Part, Section, Table
 from reports.render import IN_PAGE, render, write_report
 from reports.trust import PageError
 from tests.chromium import Seen, window

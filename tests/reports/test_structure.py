@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from reports.page import Banner, Page
-from reports.parts import VERDICTS
+from reports.page import VERDICTS, Banner, Page
 from reports.render import render, write_report
 from reports.trust import PageError
 from tests.reports.markup import Document, read

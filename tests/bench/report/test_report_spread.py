@@ -18,7 +18,7 @@ from bench.report.accuracy import accuracy_tables, gage_parts, precision_parts
 from bench.report.spread import pose_parts, spread_parts, trend_parts
 from bench.report.tables import rates, rates_by_situation
 from bench.results.error_rows import ErrorRows, error_rows, pose_places, teat_errors
-from reports.parts import Cell, Figure, Paragraph, Part, Table
+from reports.page import Cell, Figure, Paragraph, Part, Table
 from tests.bench.results.test_error_rows import ENDS, record, set_ups, touched, trial
 
 POSES = 12
