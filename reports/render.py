@@ -75,10 +75,8 @@ class Press:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._trials = {trial.id for trial in page.trials}
-        self._style, self._script = (
-            _assets("style.css", "frames.css", "print.css"),
-            _assets("frames.js", "script.js"),
-        )
+        self._style = _assets("style.css", "frames.css", "print.css")
+        self._script = _assets("frames.js", "script.js")
         self._environment = Environment(
             loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
             autoescape=True,
@@ -88,7 +86,7 @@ class Press:
             lstrip_blocks=True,
         )
         self._environment.filters.update(
-            drawing=_drawing, number=_number, url=_url, slug=lambda word: word.replace(" ", "-")
+            drawing=_drawing, number=_number, slug=lambda word: word.replace(" ", "-")
         )
 
     def page(self, place: Place) -> str:
@@ -101,26 +99,15 @@ class Press:
     def trial(self, number: int) -> str:
         """The file of the trial at `number`, from 0 in the page's order, in the folder `trials`."""
         trials = self._page.trials
-        before, after = (
-            trials[number - 1] if number else None,
-            (trials[number + 1] if number + 1 < len(trials) else None),
-        )
+        before, trial, after = (None, *trials, None)[number : number + 3]
         place = Place((trials[number],), base="../")
-        return self._fill(
-            "trial.html.j2",
-            place,
-            away=self._trials - place.ids,
-            trial=trials[number],
-            before=before,
-            after=after,
-        )
+        near = {"trial": trial, "before": before, "after": after}
+        return self._fill("trial.html.j2", place, away=self._trials - place.ids, **near)
 
     def _fill(self, template: str, place: Place, **values: Any) -> str:
         shown = [image for trial in place.trials for image in trial.images]
-        views = {
-            view: f"v{number}"
-            for number, view in enumerate(dict.fromkeys(_view(image) for image in shown))
-        }
+        different = dict.fromkeys(map(_view, shown))
+        views = {view: f"v{number}" for number, view in enumerate(different)}
         named: set[str] = set()
         style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
         return self._environment.get_template(template).render(
@@ -161,13 +148,9 @@ class Press:
         return address(href, "link")
 
     def _all_listed(self, away: set[str]) -> None:
-        tables = [
-            part
-            for section in self._page.sections
-            for part in section.parts
-            if isinstance(part, Table) and part.searchable
-        ]
-        listed = {self._row_id(row, away) for table in tables for row in table.rows}
+        tables = (part for part in self._page.parts() if isinstance(part, Table))
+        rows = (row for table in tables if table.searchable for row in table.rows)
+        listed = {self._row_id(row, away) for row in rows}
         lost = sorted(away - listed)
         if lost:
             raise PageError(
@@ -195,9 +178,8 @@ def write_report(page: Page, folder: Path) -> Path:
     if len(place.trials) < len(page.trials):
         (folder / TRIALS).mkdir(exist_ok=True)
         for number, trial in enumerate(page.trials):
-            (folder / TRIALS / f"{trial.id}.html").write_text(
-                press.trial(number), encoding="utf-8", newline="\n"
-            )
+            target = folder / TRIALS / f"{trial.id}.html"
+            target.write_text(press.trial(number), encoding="utf-8", newline="\n")
     return write_whole(folder / "index.html", press.page(place))
 
 
@@ -217,14 +199,12 @@ def refuse_missing(images: Iterable[ImageView], folder: Path) -> None:
     wanted = dict.fromkeys(
         path for image in images for path in (image.src, image.original or image.src)
     )
-    missing: Sequence[str] = [path for path in wanted if not (folder / path).is_file()]
+    missing = [path for path in wanted if not (folder / path).is_file()]
     if missing:
-        shown = ", ".join(missing[:5]) + (
-            f" and {len(missing) - 5} more" if len(missing) > 5 else ""
-        )
+        more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
         raise PageError(
-            f"report in {folder}: {len(missing)} images are not there: {shown}; write the images"
-            " before the page"
+            f"report in {folder}: {len(missing)} images are not there: {', '.join(missing[:5])}"
+            f"{more}; write the images before the page"
         )
 
 
@@ -257,17 +237,14 @@ def _assets(*names: str) -> str:
 
 
 def _policy(style: str, script: str) -> str:
-    def digest(text: str) -> str:
-        return (
-            "'sha256-"
-            + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
-            + "'"
-        )
-
-    ours = f"style-src {digest(style)}; script-src {digest(script)}"
+    by_style, by_script = (
+        base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+        for text in (style, script)
+    )
     return (
-        f"default-src 'none'; img-src 'self' data: file:; {ours}; base-uri 'none'; form-action"
-        " 'none'"
+        "default-src 'none'; img-src 'self' data: file:; "
+        f"style-src 'sha256-{by_style}'; script-src 'sha256-{by_script}'; "
+        "base-uri 'none'; form-action 'none'"
     )
 
 
@@ -277,10 +254,6 @@ def _printable(value: Any) -> Any:
 
 def _drawing(figure: Figure) -> Markup:
     return Markup(figure.svg)  # noqa: S704 page.Figure has checked every element and attribute
-
-
-def _url(value: str) -> str:
-    return address(value, "link")
 
 
 def _number(value: float) -> str:

@@ -386,8 +386,8 @@ def _residuals(fits: Mapping[str, Calibrated], views: BoardViews) -> Iterator[Pa
             if s.camera == camera
         ]
         at, miss = (np.concatenate(arrays) for arrays in zip(*pairs, strict=True))
-        size = views.image_size[camera]
-        svg = residual_field(*at.T, *miss.T, size, name=f"residuals-{camera}")
+        (x, y), (dx, dy), size = at.T, miss.T, views.image_size[camera]
+        svg = residual_field(x, y, dx, dy, size, name=f"residuals-{camera}")
         told = (
             f"{len(miss)} points, rms {np.sqrt(np.mean(np.sum(miss**2, axis=1))):.3f} px, mean"
             f" {listed(miss.mean(axis=0), '+.3f')} px"

@@ -273,4 +273,5 @@ def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:
     minor, major = np.sqrt(CHI2_95_OF_2 * np.clip(sizes, 0.0, None)).tolist()
     turn_deg = float(np.degrees(np.arctan2(directions[1, 1], directions[0, 1])))
     told = f"{row['detector']}: stated 95 % region, {major:.1f} by {minor:.1f} px"
-    yield Ellipse(*seen[0].tolist(), major, minor, turn_deg, told)
+    x, y = seen[0].tolist()
+    yield Ellipse(x, y, major, minor, turn_deg, told)

@@ -104,7 +104,7 @@ def build_page(
         *record_parts(run),
     )
     deviations = (*deviation_parts(run), *fault_parts(run))
-    listed = (*([looks] if looks else []), trial_table(run))
+    listed: tuple[Part, ...] = (*([looks] if looks else []), trial_table(run))
     results = (*_result_parts(run, rules), *tables.attribution_parts(run))
     sections = (
         Section("requirements", "Requirements", tuple(_requirement_parts(judgements, rules))),

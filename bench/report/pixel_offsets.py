@@ -79,7 +79,7 @@ def offset_page(loaded: LoadedOffsets, found: Sequence[Outcome], calibration_sha
             else "A picking error of this size is no reason to change the cameras."
         ),
     )
-    results = (_directions(found, limit), *_figures(found, limit))
+    results: tuple[Part, ...] = (_directions(found, limit), *_figures(found, limit))
     method = tuple(_method(loaded, calibration_sha256))
     sections = (
         Section("requirements", "Requirements", (_requirements(loaded, found),)),

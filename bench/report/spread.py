@@ -151,13 +151,13 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
             row = ("any error", *sizes, span if line.n else "", "", "", "", "", "", why)
             unmeasured[line.quantity] = row  # one row for each
             continue
-        over = [value * line.span for value in (line.slope, line.low, line.high)]
-        slopes.append(figures.Slope(name, response, *over, line.significant))
+        effect, low, high = (value * line.span for value in (line.slope, line.low, line.high))
+        slopes.append(figures.Slope(name, response, effect, low, high, line.significant))
         interval = f"{line.low * factor:+.3g} to {line.high * factor:+.3g}"
         p = line.p_value if line.p_holm is None else line.p_holm
         told = Cell("trend shown", "warn") if line.significant else Cell("no trend shown", "muted")
-        most = max(abs(over[1]), abs(over[2]))
-        drawn = (span, line.slope * factor, interval, over[0], most, p, told)
+        most = max(abs(low), abs(high))
+        drawn = (span, line.slope * factor, interval, effect, most, p, told)
         measured.append((response, *sizes, *drawn))
     shown = [f"{slope.response} with {slope.against}" for slope in slopes if slope.shown]
     says = f"Trend shown: {', '.join(shown)}." if shown else "No trend is shown."
