@@ -61,7 +61,7 @@ def _html(page: Page, kept: Sequence[TrialPart], folder: Path) -> str:
         image.src: _data_uri(folder / image.src) for trial in shown for image in trial.images
     }
     travelling = replace(page, trials_note=note.strip())
-    return Press(travelling).page(Place(shown, files=False, embedded=embedded))
+    return Press(travelling).page(Place(shown, embedded=embedded))
 
 
 def _data_uri(path: Path) -> str:

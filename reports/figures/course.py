@@ -34,6 +34,7 @@ from reports.figures.drawing import (
 
 _MOST_CAPTURES = 250  # more marks than that stand on each other
 _TIMES = (HALF_INCHES, 3.6)
+_THESIS_PRESENT = 4  # teats in each of the thesis's pictures
 
 
 def bath_curve(
@@ -138,7 +139,6 @@ def found_bars(
     present: Sequence[int],
     thesis_found: Sequence[int | None],
     *,
-    thesis_present: int = 4,
     name: str = "found-bars",
 ) -> str:
     """Share found in each situation, ours over the thesis's (None: no figure), with counts."""
@@ -156,7 +156,7 @@ def found_bars(
         for row, (ours, of, theirs) in enumerate(zip(found, present, thesis_found, strict=True)):
             _share_bar(axes, row - 0.2, ours, of, "ours")
             if theirs is not None:
-                _share_bar(axes, row + 0.2, theirs, thesis_present, "theirs")
+                _share_bar(axes, row + 0.2, theirs, _THESIS_PRESENT, "theirs")
         axes.set(xlim=(0, 1.28), ylim=(len(situations) - 0.45, -0.55))
         axes.set(xlabel="share of visible teats found", xticks=[0, 0.25, 0.5, 0.75, 1])
         axes.set_yticks(range(len(situations)), [plain(text) for text in situations])
@@ -177,7 +177,7 @@ def _share_bar(axes: Axes, y: float, found: int, of: int, role: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """A line: quantity, response, effect over the range, interval; ``shown``: significant."""
+    """A line: quantity, response, effect over the range, mm, interval; ``shown``: significant."""
 
     against: str
     response: str
@@ -187,9 +187,7 @@ class Slope:
     shown: bool
 
 
-def slope_intervals(
-    slopes: Sequence[Slope], unit: str = "mm", *, name: str = "slope-intervals"
-) -> str:
+def slope_intervals(slopes: Sequence[Slope], *, name: str = "slope-intervals") -> str:
     """A panel a response, a row a question, with intervals. Raises ValueError if not finite."""
     for one in slopes:
         if not all(map(isfinite, (one.value, one.low, one.high))):
@@ -212,7 +210,7 @@ def slope_intervals(
                 form: Marker = "D" if slope.shown else "o"
                 marks(axes, [slope.value], [y], role, 4.5, form, line="-")
             axes.set(xlim=(-reach, reach), ylim=(len(rows) - 0.5, -0.5))
-            axes.set(xlabel=f"{plain(panel)} ({unit})")
+            axes.set(xlabel=f"{plain(panel)} (mm)")
             axes.set_yticks(np.arange(len(rows)), [plain(row) for row in rows])
             axes.tick_params(axis="y", length=0)
             axes.grid(visible=False, axis="y")

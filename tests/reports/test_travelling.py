@@ -15,7 +15,7 @@ import pytest
 
 from reports.mail import write_single_file
 from reports.page import Page
-from reports.pdf import BROWSER, NAMES, find_browser, print_pdf, travelling
+from reports.pdf import BROWSER, find_browser, print_pdf, travelling
 from reports.render import write_report
 from reports.trust import PageError
 from tests.chromium import browser_page, chromium
@@ -221,4 +221,4 @@ def test_the_environment_may_name_the_browser_or_none(
     monkeypatch.setenv("PATH", str(tmp_path))
     for root in ("ProgramFiles", "ProgramFiles(x86)", "LOCALAPPDATA", BROWSER):
         monkeypatch.delenv(root, raising=False)
-    assert find_browser(NAMES) is None or sys.platform == "darwin"
+    assert find_browser() is None or sys.platform == "darwin"

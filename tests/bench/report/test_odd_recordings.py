@@ -114,8 +114,8 @@ def test_colour_and_16_bit_files_give_the_answers_of_grey_ones(
     for key, (teats, hidden, _) in before.items():
         found, unseen, _ = after[key]
         assert (len(found), unseen) == (len(teats), hidden)
-        places = [[teat["world_mm"] for teat in of] for of in (found, teats)]
-        assert np.allclose(*places, atol=0.01)
+        now, then = ([teat["world_mm"] for teat in of] for of in (found, teats))
+        assert np.allclose(now, then, atol=0.01)
 
 
 ECHO = r"""
