@@ -6,21 +6,13 @@ Coordinates are pixels of the image file `src`: x right, y down, the first pixel
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from dataclasses import dataclass, fields
+from typing import ClassVar, Literal, get_args
 
 from reports.trust import PageError, address, one_of
 
 LayerTone = Literal["truth", "nomination", "region", "point", "model", "spread", "other"]
-LAYER_TONES: tuple[LayerTone, ...] = (
-    "truth",
-    "nomination",
-    "region",
-    "point",
-    "model",
-    "spread",
-    "other",
-)
+LAYER_TONES: tuple[LayerTone, ...] = get_args(LayerTone)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +97,11 @@ class Overlay:
     def __post_init__(self) -> None:
         one_of(self.tone, LAYER_TONES, f"overlay {self.name!r}")
         for shape in self.shapes:
-            if not all(math.isfinite(number) for number in _numbers(shape)):
+            values = (getattr(shape, field.name) for field in fields(shape))
+            numbers = [one for one in values if not isinstance(one, str | bool | tuple)]
+            if isinstance(shape, Polyline):
+                numbers = [number for point in shape.points_px for number in point]
+            if not all(map(math.isfinite, numbers)):
                 raise PageError(
                     f"overlay {self.name!r}: {shape} has a coordinate that is not finite; leave the"
                     " shape out"
@@ -141,14 +137,8 @@ class ImageView:
         if self.width <= 0 or self.height <= 0:
             raise PageError(f"{what}: {self.width} x {self.height} pixels; both must be above 0")
         x, y, width, height = self.shown
-        if (
-            width <= 0
-            or height <= 0
-            or x < 0
-            or y < 0
-            or x + width > self.width
-            or y + height > self.height
-        ):
+        inside = 0 <= x < x + width <= self.width and 0 <= y < y + height <= self.height
+        if not inside:
             raise PageError(
                 f"{what}: view_box {self.view_box} leaves the image of {self.width} x {self.height}"
                 " pixels"
@@ -172,19 +162,3 @@ def layers(images: Iterable[ImageView]) -> dict[LayerTone, str]:
                     f" and {known!r} elsewhere"
                 )
     return {tone: names[tone] for tone in LAYER_TONES if tone in names}
-
-
-def _numbers(shape: Shape) -> tuple[float, ...]:
-    match shape:
-        case Circle():
-            return shape.x_px, shape.y_px, shape.radius_px
-        case Ellipse():
-            return shape.x_px, shape.y_px, shape.major_px, shape.minor_px, shape.turn_deg
-        case Cross():
-            return shape.x_px, shape.y_px, shape.arm_px
-        case Rect():
-            return shape.x_px, shape.y_px, shape.width_px, shape.height_px
-        case Polyline():
-            return tuple(number for point in shape.points_px for number in point)
-        case Label():
-            return shape.x_px, shape.y_px

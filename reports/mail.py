@@ -3,7 +3,7 @@ the page, as long as they fit. What is left out is said at the top of the trials
 """
 
 import base64
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,10 +23,10 @@ def write_single_file(page: Page, folder: Path, target: Path, most_bytes: int = 
     Raises PageError where an image is missing or of another kind than JPEG and PNG, or where the
     page is too large without any trial.
     """
-    trials = list(_by_order(page))[:MOST_TRIALS]
-    refuse_missing(
-        (replace(image, original="") for trial in trials for image in trial.images), folder
-    )
+    by_id = {trial.id: trial for trial in page.trials}
+    trials = [by_id[name] for name in dict.fromkeys((*page.worst, *by_id))][:MOST_TRIALS]
+    images = (image for trial in trials for image in trial.images)
+    refuse_missing((replace(image, original="") for image in images), folder)
     room = most_bytes - len(_html(page, (), folder).encode("utf-8"))
     if room < 0:
         raise PageError(
@@ -34,40 +34,34 @@ def write_single_file(page: Page, folder: Path, target: Path, most_bytes: int = 
         )
     kept: list[TrialPart] = []
     for trial in trials:
-        room -= sum(_encoded_size(folder / image.src) for image in trial.images)
+        # each picture in base 64, and what stands before it
+        paths = [folder / image.src for image in trial.images]
+        room -= sum(40 + 4 * (path.stat().st_size + 2) // 3 for path in paths)
         if room < 0:
             break
         kept.append(trial)
-    while (
-        (html := _html(page, tuple(kept), folder))
-        and len(html.encode("utf-8")) > most_bytes
-        and kept
-    ):
+    html = _html(page, kept, folder)
+    while kept and len(html.encode("utf-8")) > most_bytes:
         kept.pop()
+        html = _html(page, kept, folder)
     return write_whole(target, html)
 
 
-def _by_order(page: Page) -> Iterator[TrialPart]:
-    by_id = {trial.id: trial for trial in page.trials}
-    yield from (by_id.pop(name) for name in page.worst)
-    yield from by_id.values()
-
-
-def _html(page: Page, kept: tuple[TrialPart, ...], folder: Path) -> str:
+def _html(page: Page, kept: Sequence[TrialPart], folder: Path) -> str:
     """The page with the trials kept, in the page's order."""
     ids = {trial.id for trial in kept}
     shown = tuple(trial for trial in page.trials if trial.id in ids)
-    left_out = len(page.trials) - len(shown)
-    told = (
-        f"{len(shown)} of {len(page.trials)} trials are in this file, those to look at first; the"
-        " whole report has all. "
-    )
-    note = f"{told if left_out else ''}{page.trials_note}"
+    note = page.trials_note
+    if len(shown) < len(page.trials):
+        note = (
+            f"{len(shown)} of {len(page.trials)} trials are in this file, those to look at first;"
+            f" the whole report has all. {note}"
+        )
     embedded = {
         image.src: _data_uri(folder / image.src) for trial in shown for image in trial.images
     }
     travelling = replace(page, trials_note=note.strip())
-    return Press(travelling).page(Place(shown, files=False, embedded=embedded))
+    return Press(travelling).page(Place(shown, embedded=embedded))
 
 
 def _data_uri(path: Path) -> str:
@@ -78,7 +72,3 @@ def _data_uri(path: Path) -> str:
             f" {path.suffix or 'file without an ending'}"
         )
     return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-
-
-def _encoded_size(path: Path) -> int:
-    return 40 + 4 * (path.stat().st_size + 2) // 3

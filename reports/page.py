@@ -1,80 +1,24 @@
-"""A page described as data: what it says, as frozen values that check themselves when made. How it
-looks is in `templates/`; `render.py` joins the two.
+"""A page described as data: what it says, as frozen values that check themselves when made.
+
+All text is plain text; numbers arrive as text, rounded by whoever knows their meaning. How it looks
+is in `templates/`; `render.py` joins the two.
 """
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal, get_args
 
-from reports.frames import (
-    LAYER_TONES,
-    Circle,
-    Cross,
-    Ellipse,
-    ImageView,
-    Label,
-    LayerTone,
-    Overlay,
-    Polyline,
-    Rect,
-    Shape,
-    layers,
-)
-from reports.parts import (
-    TONES,
-    VERDICTS,
-    Cell,
-    Code,
-    Column,
-    Entry,
-    Figure,
-    KeyValues,
-    Notes,
-    Paragraph,
-    Part,
-    Requirement,
-    Requirements,
-    Table,
-    Tone,
-    Verdict,
-)
-from reports.trust import PageError, checked_slug, one_of
+from reports.frames import LAYER_TONES, ImageView, LayerTone, layers
+from reports.trust import PageError, SvgFacts, address, checked_slug, one_of, svg_facts
 
-__all__ = [
-    "VERDICTS",
-    "Banner",
-    "Cell",
-    "Circle",
-    "Code",
-    "Column",
-    "Cross",
-    "Ellipse",
-    "Entry",
-    "Figure",
-    "ImageView",
-    "KeyValues",
-    "Kind",
-    "Label",
-    "LayerTone",
-    "Notes",
-    "Overlay",
-    "Page",
-    "PageError",
-    "Paragraph",
-    "Part",
-    "Polyline",
-    "Rect",
-    "Requirement",
-    "Requirements",
-    "Section",
-    "Shape",
-    "Table",
-    "Tone",
-    "TrialPart",
-    "Verdict",
-]  # fmt: skip
-
+Verdict = Literal[
+    "met", "not met", "inconclusive", "not measured", "aborted", "no verdict", "not worse", "worse"
+]
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
+Tone = Literal["plain", "good", "bad", "warn", "info", "muted"]
+TONES: tuple[Tone, ...] = get_args(Tone)
+Align = Literal["left", "right", "center"]
 Kind = Literal["computed", "emulated", "mixed", "real", "recorded"]
 KINDS: dict[Kind, str] = {
     "computed": "COMPUTED, NO INSTRUMENT",
@@ -83,20 +27,158 @@ KINDS: dict[Kind, str] = {
     "real": "REAL INSTRUMENTS",
     "recorded": "RECORDED FRAMES",
 }
+NARROW_BELOW = 500.0  # units of a drawing's viewBox: points
 RESERVED_IDS = (  # what the template itself uses
-    *(
-        "top",
-        "main",
-        "verdict",
-        "top-verdict",
-        "contents",
-        "trials",
-        "layers",
-        "keys",
-        "keys-title",
-    ),
-    *(f"layer-{tone}" for tone in LAYER_TONES),
+    *("top", "main", "verdict", "top-verdict", "contents", "trials", "layers", "keys"),
+    *("keys-title", *(f"layer-{tone}" for tone in LAYER_TONES)),
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """A row of the verdict: how it is decided, on `n` values or poses, `margin` to the limit."""
+
+    name: str
+    rule: str
+    n: int
+    measured: str
+    limit: str
+    margin: str
+    verdict: Verdict
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        one_of(self.verdict, VERDICTS, f"requirement {self.name!r}, verdict")
+        if self.n <= 0 and self.verdict in {"met", "not met"}:
+            raise PageError(
+                f"requirement {self.name!r}: {self.verdict!r} on {self.n} values; a verdict on"
+                " nothing is 'not measured'"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Requirements:
+    """The table of requirements; on a narrow screen each row becomes a card."""
+
+    kind: ClassVar[str] = "requirements"
+    caption: str
+    rows: tuple[Requirement, ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A text with a tone, a link (`#id` or relative path), a value to sort by, or monospace."""
+
+    text: str
+    tone: Tone = "plain"
+    href: str = ""
+    sort: float | None = None
+    mono: bool = False
+
+    def __post_init__(self) -> None:
+        one_of(self.tone, TONES, f"cell {self.text!r}, tone")
+        if self.href:
+            address(self.href, f"cell {self.text!r}, link")
+
+
+Entry = tuple[str, str | Cell]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a table: the unit stands under the title, `hint` is shown on hovering."""
+
+    title: str
+    align: Align = "left"
+    unit: str = ""
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of cells. `searchable` adds a filter box and sorting; rows whose first link is a trial's
+    then hide that trial with them.
+    """
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[str | Cell, ...], ...]
+    note: str = ""
+    searchable: bool = False
+
+    def __post_init__(self) -> None:
+        for number, row in enumerate(self.rows, start=1):
+            if len(row) != len(self.columns):
+                raise PageError(
+                    f"table {self.caption!r}, row {number}: {len(row)} cells for"
+                    f" {len(self.columns)} columns"
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A drawing of `reports.figures`, with a caption and the words that stand for it where it can't
+    be seen. `wide` fills the page.
+    """
+
+    kind: ClassVar[str] = "figure"
+    svg: str
+    caption: str
+    alt: str
+    wide: bool = False
+    facts: SvgFacts = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "facts", svg_facts(self.svg, f"figure {self.caption!r}"))
+
+    @property
+    def narrow(self) -> bool:
+        """Drawn for half a page: over the whole of it its letters would be too large."""
+        return self.facts.width < NARROW_BELOW
+
+
+@dataclass(frozen=True, slots=True)
+class KeyValues:
+    """A list of names and values, as for provenance."""
+
+    kind: ClassVar[str] = "key-values"
+    title: str
+    entries: tuple[Entry, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    """Running text; a tone other than plain puts it in a box. Line ends are kept."""
+
+    kind: ClassVar[str] = "paragraph"
+    text: str
+    tone: Tone = "plain"
+
+    def __post_init__(self) -> None:
+        one_of(self.tone, TONES, f"paragraph {self.text[:40]!r}, tone")
+
+
+@dataclass(frozen=True, slots=True)
+class Notes:
+    """Short points under a title: deviations, exclusions, warnings."""
+
+    kind: ClassVar[str] = "notes"
+    title: str
+    items: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """A command or a file's text, letter for letter."""
+
+    kind: ClassVar[str] = "code"
+    title: str
+    text: str
+
+
+Part = Requirements | Table | Figure | KeyValues | Paragraph | Notes | Code
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,29 +254,32 @@ class Page:
     worst: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        drawn = [name for figure in self._figures() for name in figure.facts.ids]
-        trials = [name for trial in self.trials for name in (trial.id, f"{trial.id}-heading")]
-        ids = [*RESERVED_IDS, *(section.id for section in self.sections), *trials, *drawn]
+        what = f"page {self.title!r}"
+        figures = [part for part in self.parts() if isinstance(part, Figure)]
+        ids = [*RESERVED_IDS, *(section.id for section in self.sections)]
+        ids += [name for trial in self.trials for name in (trial.id, f"{trial.id}-heading")]
+        ids += [name for figure in figures for name in figure.facts.ids]
         twice = sorted(name for name, times in Counter(ids).items() if times > 1)
         if twice:
             raise PageError(
-                f"page {self.title!r}: the ids {twice} stand for two things; give each part, and"
-                " each figure's name, its own"
+                f"{what}: the ids {twice} stand for two things; give each part, and each figure's"
+                " name, its own"
             )
         strangers = sorted(set(self.worst) - {trial.id for trial in self.trials})
         if strangers:
-            raise PageError(f"page {self.title!r}: {strangers} in 'worst' are no trials of it")
-        for link in self._links():
+            raise PageError(f"{what}: {strangers} in 'worst' are no trials of it")
+        links = [link for figure in figures for link in figure.facts.links]
+        for link in (*(cell.href for cell in self._cells()), *links):
             if link.startswith("#") and link[1:] not in ids:
                 raise PageError(
-                    f"page {self.title!r}: the link {link!r} leads nowhere; no section or trial has"
-                    " that id"
+                    f"{what}: the link {link!r} leads nowhere; no section or trial has that id"
                 )
-        failed = [row.name for row in self._requirements() if row.verdict in {"not met", "aborted"}]
+        rows = (row for part in self.parts() if isinstance(part, Requirements) for row in part.rows)
+        failed = [row.name for row in rows if row.verdict in {"not met", "aborted"}]
         if self.banner.verdict == "met" and failed:
             raise PageError(
-                f"page {self.title!r}: the banner says 'met', but {failed} is not; it must not"
-                " claim more than the rows"
+                f"{what}: the banner says 'met', but {failed} is not; it must not claim more than"
+                " the rows"
             )
 
     def first_looks(self) -> tuple[TrialPart, ...]:
@@ -204,6 +289,10 @@ class Page:
         by_id = {trial.id: trial for trial in self.trials}
         return tuple(by_id[name] for name in self.worst[:3])
 
+    def parts(self) -> Iterator[Part]:
+        """Every part of every section, in order."""
+        return (part for section in self.sections for part in section.parts)
+
     def images(self) -> Iterator[ImageView]:
         """Every image, in order."""
         return (image for trial in self.trials for image in trial.images)
@@ -212,26 +301,11 @@ class Page:
         """Tone and name of the layers that can be switched."""
         return layers(self.images())
 
-    def _parts(self) -> Iterator[Part]:
-        return (part for section in self.sections for part in section.parts)
-
-    def _figures(self) -> Iterator[Figure]:
-        return (part for part in self._parts() if isinstance(part, Figure))
-
-    def _requirements(self) -> Iterator[Requirement]:
-        return (
-            row for part in self._parts() if isinstance(part, Requirements) for row in part.rows
-        )
-
-    def _links(self) -> Iterator[str]:
-        tables = [part for part in self._parts() if isinstance(part, Table)] + [
-            table for trial in self.trials for table in trial.tables
-        ]
-        lists = [part.entries for part in self._parts() if isinstance(part, KeyValues)] + [
-            trial.summary for trial in self.trials
-        ]
-        cells = [cell for table in tables for row in table.rows for cell in row] + [
-            value for entries in lists for _, value in entries
-        ]
-        yield from (cell.href for cell in cells if isinstance(cell, Cell) and cell.href)
-        yield from (link for figure in self._figures() for link in figure.facts.links)
+    def _cells(self) -> Iterator[Cell]:
+        for part in (*self.parts(), *(table for trial in self.trials for table in trial.tables)):
+            if isinstance(part, Table):
+                yield from (cell for row in part.rows for cell in row if isinstance(cell, Cell))
+            elif isinstance(part, KeyValues):
+                yield from (value for _, value in part.entries if isinstance(value, Cell))
+        for trial in self.trials:
+            yield from (value for _, value in trial.summary if isinstance(value, Cell))

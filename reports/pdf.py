@@ -10,7 +10,6 @@ import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
@@ -26,46 +25,40 @@ NAMES = (
     "microsoft-edge",
 )
 PLACES = (  # where they stand on Windows and macOS without being on the path
-    *(
-        "Google/Chrome/Application/chrome.exe",
-        "Microsoft/Edge/Application/msedge.exe",
-        "Chromium/Application/chrome.exe",
-    ),
-    *("Google Chrome.app/Contents/MacOS/Google Chrome", "Chromium.app/Contents/MacOS/Chromium"),
+    "Google/Chrome/Application/chrome.exe",
+    "Microsoft/Edge/Application/msedge.exe",
+    "Chromium/Application/chrome.exe",
+    "Google Chrome.app/Contents/MacOS/Google Chrome",
+    "Chromium.app/Contents/MacOS/Chromium",
 )
 ROOTS = ("ProgramFiles", "ProgramFiles(x86)", "LOCALAPPDATA")
 # of the environment: the browser's path; empty where none is to be used
 BROWSER = "TEATBENCH_BROWSER"
 TIME_LIMIT_S = 120.0
-SWITCHES = (
-    *(
-        "--headless",
-        "--disable-gpu",
-        "--no-first-run",
-        "--disable-extensions",
-        "--disable-background-networking",
-    ),
-    *("--no-pdf-header-footer", "--generate-pdf-document-outline"),
-)
+SWITCHES = [
+    "--headless",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-extensions",
+    "--disable-background-networking",
+    "--no-pdf-header-footer",
+    "--generate-pdf-document-outline",
+]
 _TEXT = rb"\(((?:[^()\\]|\\.)*)\)"  # a string of a PDF, ISO 32000-1, 7.3.4.2
 _CREATOR = re.compile(rb"/Creator " + _TEXT)
 _LINK = re.compile(rb"/URI \((file://(?:[^()\\]|\\.)*)\)")
 _OURS = b"/Author (teatbench)/Creator (teatbench)"
 
 
-def find_browser(
-    names: Sequence[str] = NAMES, environment: Mapping[str, str] = os.environ
-) -> str | None:
+def find_browser() -> str | None:
     """The path of a Chromium, Chrome or Edge, or what TEATBENCH_BROWSER names; else None."""
-    if BROWSER in environment:
-        return shutil.which(environment[BROWSER]) if environment[BROWSER] else None
-    on_path = next((path for path in map(shutil.which, names) if path), None)
-    roots = [Path(environment[name]) for name in ROOTS if name in environment] + [
-        Path("/Applications")
-    ]
-    return on_path or next(
-        (str(root / place) for root in roots for place in PLACES if (root / place).is_file()), None
-    )
+    named = os.environ.get(BROWSER)
+    if named is not None:
+        return shutil.which(named) if named else None
+    roots = [os.environ[name] for name in ROOTS if name in os.environ]
+    paths = [Path(root) / place for root in (*roots, "/Applications") for place in PLACES]
+    on_path = next((path for path in map(shutil.which, NAMES) if path), None)
+    return on_path or next((str(path) for path in paths if path.is_file()), None)
 
 
 def print_pdf(page: Path, target: Path, browser: str, time_limit_s: float = TIME_LIMIT_S) -> Path:
@@ -95,25 +88,17 @@ def _printed(browser: str, page: Path, draft: Path, time_limit_s: float) -> tupl
         command = [browser, *SWITCHES, f"--user-data-dir={profile}"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             command.append("--no-sandbox")  # Chromium refuses its sandbox to root, as in containers
+        command += [f"--print-to-pdf={draft.resolve()}", page.resolve().as_uri()]
         words = Path(profile) / "words.txt"
-        code = _run(
-            [*command, f"--print-to-pdf={draft.resolve()}", page.resolve().as_uri()],
-            words,
-            time_limit_s,
-        )
-        return code, " ".join(
-            words.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:]
-        )
-
-
-def _run(command: Sequence[str], words: Path, time_limit_s: float) -> int:
-    with words.open("wb") as said:
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)  # noqa: S603 a browser of this machine, our own file
-        try:
-            return process.wait(time_limit_s)
-        finally:
-            process.kill()
-            process.wait()
+        with words.open("wb") as said:
+            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)  # noqa: S603 a browser of this machine, our own file
+            try:
+                code = process.wait(time_limit_s)
+            finally:
+                process.kill()
+                process.wait()
+        lines = words.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return code, " ".join(lines[-3:])
 
 
 def travelling(pdf: bytes, folder: Path) -> bytes:
@@ -125,19 +110,14 @@ def travelling(pdf: bytes, folder: Path) -> bytes:
     """
 
     def link(found: re.Match[bytes]) -> bytes:
-        path = Path(_local_path(found[1]))
+        uri = re.sub(rb"\\(.)", rb"\1", found[1]).decode("ascii", errors="replace")
+        local = unquote(urlsplit(uri).path)
+        path = Path(local[1:] if re.match(r"/[A-Za-z]:", local) else local)
         relative = os.path.relpath(path, folder) if folder.anchor == path.anchor else path.name
-        return _as_long(
-            found[0],
-            b"/URI (" + quote(Path(relative).as_posix(), safe="/-._~").encode("ascii") + b")",
-        )
+        quoted = quote(Path(relative).as_posix(), safe="/-._~")
+        return _as_long(found[0], f"/URI ({quoted})".encode("ascii"))
 
     return _LINK.sub(link, _CREATOR.sub(lambda found: _as_long(found[0], _OURS), pdf))
-
-
-def _local_path(uri: bytes) -> str:
-    path = unquote(urlsplit(re.sub(rb"\\(.)", rb"\1", uri).decode("ascii", errors="replace")).path)
-    return path[1:] if re.match(r"/[A-Za-z]:", path) else path
 
 
 def _as_long(old: bytes, new: bytes) -> bytes:

@@ -10,7 +10,7 @@ import base64
 import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from reports.frames import ImageView, layers
-from reports.page import Page, TrialPart
-from reports.parts import Cell, Figure, Part, Table, Verdict
+from reports.page import Cell, Figure, Page, Part, Table, TrialPart, Verdict
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
 
@@ -39,23 +38,22 @@ _SIGNS: dict[Verdict, str] = {
 
 # size of an image, and the part of it that is shown: all that a view's style rule needs
 View = tuple[int, int, int, int, int, int]
-_Row = tuple[str | Cell, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a file stands and what it holds: the trials in it, whether the others have files,
-    images by their data (`src` to data URI).
+    """Where a file stands and what it holds: the trials in it; images by their data (`src` to data
+    URI) where it travels alone.
     """
 
     trials: tuple[TrialPart, ...]
-    files: bool = True
     base: str = ""  # from this file to the report's folder
     embedded: Mapping[str, str] | None = None
-    ids: frozenset[str] = field(init=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ids", frozenset(trial.id for trial in self.trials))
+    @property
+    def files(self) -> bool:
+        """Whether pictures, and the trials that aren't in it, have files beside it."""
+        return self.embedded is None
 
     def picture(self, src: str) -> str:
         """What an image's `src` says."""
@@ -63,11 +61,7 @@ class Place:
 
     def original(self, image: ImageView) -> str:
         """What a click on an image opens; nothing where the file travels alone."""
-        return (
-            self.base + address(image.original or image.src, "image")
-            if self.embedded is None
-            else ""
-        )
+        return self.base + address(image.original or image.src, "image") if self.files else ""
 
 
 class Press:
@@ -75,11 +69,8 @@ class Press:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._trials = {trial.id for trial in page.trials}
-        self._style, self._script = (
-            _assets("style.css", "frames.css", "print.css"),
-            _assets("frames.js", "script.js"),
-        )
+        self._style = _assets("style.css", "frames.css", "print.css")
+        self._script = _assets("frames.js", "script.js")
         self._environment = Environment(
             loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
             autoescape=True,
@@ -89,49 +80,52 @@ class Press:
             lstrip_blocks=True,
         )
         self._environment.filters.update(
-            drawing=_drawing, number=_number, url=_url, slug=lambda word: word.replace(" ", "-")
+            drawing=_drawing, number=_number, slug=lambda word: word.replace(" ", "-")
         )
 
     def page(self, place: Place) -> str:
-        """The page's own file."""
-        away = self._trials - place.ids
-        if place.files:
-            self._all_listed(away)
-        return self._fill("page.html.j2", place, away=away)
+        """The page's own file. Raises PageError where a trial is neither in it nor listed."""
+        tables = (part for part in self._page.parts() if isinstance(part, Table))
+        rows = (row for table in tables if table.searchable for row in table.rows)
+        listed = {trial.id for trial in place.trials} | {_trial_of(row) for row in rows}
+        lost = [trial.id for trial in self._page.trials if trial.id not in listed]
+        if lost and place.files:
+            raise PageError(
+                f"page {self._page.title!r}: no searchable table begins a row with a link to"
+                f" {lost[:5]}; list every trial"
+            )
+        return self._fill("page.html.j2", place)
 
     def trial(self, number: int) -> str:
         """The file of the trial at `number`, from 0 in the page's order, in the folder `trials`."""
-        trials = self._page.trials
-        before, after = (
-            trials[number - 1] if number else None,
-            (trials[number + 1] if number + 1 < len(trials) else None),
-        )
-        place = Place((trials[number],), base="../")
-        return self._fill(
-            "trial.html.j2",
-            place,
-            away=self._trials - place.ids,
-            trial=trials[number],
-            before=before,
-            after=after,
-        )
+        before, trial, after = (None, *self._page.trials, None)[number : number + 3]
+        place = Place((self._page.trials[number],), base="../")
+        return self._fill("trial.html.j2", place, trial=trial, before=before, after=after)
 
     def _fill(self, template: str, place: Place, **values: Any) -> str:
         shown = [image for trial in place.trials for image in trial.images]
-        views = {
-            view: f"v{number}"
-            for number, view in enumerate(dict.fromkeys(_view(image) for image in shown))
-        }
+        away = {trial.id for trial in self._page.trials} - {trial.id for trial in place.trials}
         named: set[str] = set()
+
+        def row_id(row: Sequence[str | Cell]) -> str:
+            """Of several rows of a trial the first has its id: an id stands for one thing."""
+            name = _trial_of(row)
+            if name not in away or name in named:
+                return ""
+            named.add(name)
+            return name
+
+        different = dict.fromkeys(map(_view, shown))
+        views = {view: f"v{number}" for number, view in enumerate(different)}
         style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
         return self._environment.get_template(template).render(
             page=self._page,
             place=place,
             layers=layers(shown),
             view_name=lambda image: views[_view(image)],
-            row_id=lambda row: self._new_row_id(row, values["away"], named),
+            row_id=row_id,
             lone=_lone,
-            link=lambda href: self._link(href, place, values["away"]),
+            link=lambda href: _link(href, place, away),
             signs=_SIGNS,
             style=Markup(style),  # noqa: S704 our own file and numbers
             script=Markup(self._script),  # noqa: S704 our own file
@@ -139,42 +133,11 @@ class Press:
             **values,
         )
 
-    def _new_row_id(self, row: _Row, away: set[str], named: set[str]) -> str:
-        """The same for the first of several rows of a trial only: an id stands for one thing."""
-        name = self._row_id(row, away)
-        if name in named:
-            return ""
-        named.add(name)
-        return name
 
-    @staticmethod
-    def _row_id(row: _Row, away: set[str]) -> str:
-        """The id of a trial's row in the list, where the trial has its own file."""
-        first = row[0] if row else ""
-        return first.href[1:] if isinstance(first, Cell) and first.href[1:] in away else ""
-
-    @staticmethod
-    def _link(href: str, place: Place, away: set[str]) -> str:
-        if href.startswith("#") and href[1:] in away:
-            return f"{place.base}{TRIALS}/{href[1:]}.html" if place.files else ""
-        if not place.files and not href.startswith("#"):
-            return ""  # the file beside which it stood stayed at home
-        return address(href, "link")
-
-    def _all_listed(self, away: set[str]) -> None:
-        tables = [
-            part
-            for section in self._page.sections
-            for part in section.parts
-            if isinstance(part, Table) and part.searchable
-        ]
-        listed = {self._row_id(row, away) for table in tables for row in table.rows}
-        lost = sorted(away - listed)
-        if lost:
-            raise PageError(
-                f"page {self._page.title!r}: no searchable table begins a row with a link to"
-                f" {lost[:5]}; list every trial"
-            )
+def _trial_of(row: Sequence[str | Cell]) -> str:
+    """The id of the trial that a row of a list links to."""
+    first = row[0] if row else ""
+    return first.href[1:] if isinstance(first, Cell) else ""
 
 
 def render(page: Page) -> str:
@@ -196,9 +159,8 @@ def write_report(page: Page, folder: Path) -> Path:
     if len(place.trials) < len(page.trials):
         (folder / TRIALS).mkdir(exist_ok=True)
         for number, trial in enumerate(page.trials):
-            (folder / TRIALS / f"{trial.id}.html").write_text(
-                press.trial(number), encoding="utf-8", newline="\n"
-            )
+            target = folder / TRIALS / f"{trial.id}.html"
+            target.write_text(press.trial(number), encoding="utf-8", newline="\n")
     return write_whole(folder / "index.html", press.page(place))
 
 
@@ -218,15 +180,21 @@ def refuse_missing(images: Iterable[ImageView], folder: Path) -> None:
     wanted = dict.fromkeys(
         path for image in images for path in (image.src, image.original or image.src)
     )
-    missing: Sequence[str] = [path for path in wanted if not (folder / path).is_file()]
+    missing = [path for path in wanted if not (folder / path).is_file()]
     if missing:
-        shown = ", ".join(missing[:5]) + (
-            f" and {len(missing) - 5} more" if len(missing) > 5 else ""
-        )
+        more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
         raise PageError(
-            f"report in {folder}: {len(missing)} images are not there: {shown}; write the images"
-            " before the page"
+            f"report in {folder}: {len(missing)} images are not there: {', '.join(missing[:5])}"
+            f"{more}; write the images before the page"
         )
+
+
+def _link(href: str, place: Place, away: set[str]) -> str:
+    if href.startswith("#") and href[1:] in away:
+        return f"{place.base}{TRIALS}/{href[1:]}.html" if place.files else ""
+    if not place.files and not href.startswith("#"):
+        return ""  # the file beside which it stood stayed at home
+    return address(href, "link")
 
 
 def _own(page: Page) -> Place:
@@ -258,17 +226,14 @@ def _assets(*names: str) -> str:
 
 
 def _policy(style: str, script: str) -> str:
-    def digest(text: str) -> str:
-        return (
-            "'sha256-"
-            + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
-            + "'"
-        )
-
-    ours = f"style-src {digest(style)}; script-src {digest(script)}"
+    by_style, by_script = (
+        base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+        for text in (style, script)
+    )
     return (
-        f"default-src 'none'; img-src 'self' data: file:; {ours}; base-uri 'none'; form-action"
-        " 'none'"
+        "default-src 'none'; img-src 'self' data: file:; "
+        f"style-src 'sha256-{by_style}'; script-src 'sha256-{by_script}'; "
+        "base-uri 'none'; form-action 'none'"
     )
 
 
@@ -278,10 +243,6 @@ def _printable(value: Any) -> Any:
 
 def _drawing(figure: Figure) -> Markup:
     return Markup(figure.svg)  # noqa: S704 page.Figure has checked every element and attribute
-
-
-def _url(value: str) -> str:
-    return address(value, "link")
 
 
 def _number(value: float) -> str:

@@ -6,75 +6,19 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from html.parser import HTMLParser
+from typing import NoReturn
 from urllib.parse import quote
 
 _SLUG = re.compile(r"[a-z][a-z0-9-]{0,79}")
 _UNSAFE_IN_PATH = re.compile(r"[\x00-\x1f\x7f-\x9f:\\]")
 _VIEW_BOX = re.compile(r"\S+ \S+ (\d+(?:\.\d+)?) \d\S*")
 _LOCAL_REFERENCE = re.compile(r"#[A-Za-z0-9._-]+")
-_SVG_ELEMENTS = frozenset(
-    {
-        "svg",
-        "g",
-        "defs",
-        "path",
-        "use",
-        "text",
-        "tspan",
-        "rect",
-        "circle",
-        "line",
-        "clippath",
-        "a",
-        "title",
-    }
-)
-_SVG_ATTRIBUTES = frozenset(
-    {
-        "class",
-        "clip-path",
-        "clip-rule",
-        "cx",
-        "cy",
-        "d",
-        "dx",
-        "dy",
-        "fill",
-        "fill-opacity",
-        "fill-rule",
-        "font-size",
-        "font-style",
-        "font-weight",
-        "height",
-        "href",
-        "id",
-        "opacity",
-        "r",
-        "rx",
-        "ry",
-        "stroke",
-        "stroke-dasharray",
-        "stroke-dashoffset",
-        "stroke-linecap",
-        "stroke-linejoin",
-        "stroke-miterlimit",
-        "stroke-opacity",
-        "stroke-width",
-        "tabindex",
-        "text-anchor",
-        "transform",
-        "version",
-        "viewbox",
-        "width",
-        "x",
-        "x1",
-        "x2",
-        "xml:space",
-        "xmlns",
-        "y",
-        "y1",
-        "y2",
-    }
+_SVG_ELEMENT = re.compile("svg|g|defs|path|use|text|tspan|rect|circle|line|clippath|a|title")
+_SVG_ATTRIBUTE = re.compile(
+    "class|clip-path|clip-rule|c[xy]|d|d[xy]|fill(-opacity|-rule)?|font-(size|style|weight)|height"
+    "|href|id|opacity|r|r[xy]|tabindex|text-anchor|transform|version|viewbox|width|x|y|[xy][12]"
+    "|stroke(-dasharray|-dashoffset|-linecap|-linejoin|-miterlimit|-opacity|-width)?"
+    "|xml:space|xmlns"
 )
 
 
@@ -153,32 +97,32 @@ class _SvgReader(HTMLParser):
         self.width = 0.0
         self.finished = False
 
+    def _refuse(self, what: str) -> NoReturn:
+        raise PageError(
+            f"{self.what}: the drawing may not hold {what}; take it from reports.figures"
+        )
+
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.handle_startendtag(tag, attrs)
         self.open_elements.append(tag)
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if self.finished or tag not in _SVG_ELEMENTS or (tag == "svg") != (not self.open_elements):
-            raise PageError(
-                f"{self.what}: the drawing may not hold <{tag}> here; take it from reports.figures"
-            )
-        for name, value in attrs:
-            self._read_attribute(tag, name, value or "")
-
-    def _read_attribute(self, tag: str, name: str, value: str) -> None:
-        refers = name == "href" or "url(" in value
-        target = value.removeprefix("url(").removesuffix(")")
-        if name not in _SVG_ATTRIBUTES or (refers and not _LOCAL_REFERENCE.fullmatch(target)):
-            raise PageError(
-                f"{self.what}: the drawing may not hold {name}={value[:60]!r} in <{tag}>; take it"
-                " from reports.figures"
-            )
-        if name == "id":
-            self.ids.append(value)
-        if name == "viewbox" and (size := _VIEW_BOX.fullmatch(value)):
-            self.width = float(size[1])
-        if name == "href" and tag == "a":
-            self.links.append(value)
+        placed = (tag == "svg") == (not self.open_elements) and not self.finished
+        if not placed or not _SVG_ELEMENT.fullmatch(tag):
+            self._refuse(f"<{tag}> here")
+        for name, given in attrs:
+            value = given or ""
+            refers = name == "href" or "url(" in value
+            target = value.removeprefix("url(").removesuffix(")")
+            local = not refers or _LOCAL_REFERENCE.fullmatch(target)
+            if not local or not _SVG_ATTRIBUTE.fullmatch(name):
+                self._refuse(f"{name}={value[:60]!r} in <{tag}>")
+            if name == "id":
+                self.ids.append(value)
+            if name == "viewbox" and (size := _VIEW_BOX.fullmatch(value)):
+                self.width = float(size[1])
+            if name == "href" and tag == "a":
+                self.links.append(value)
 
     def handle_endtag(self, tag: str) -> None:
         if not self.open_elements or self.open_elements.pop() != tag:
@@ -186,18 +130,12 @@ class _SvgReader(HTMLParser):
         self.finished = not self.open_elements
 
     def handle_data(self, data: str) -> None:
-        if data.strip() and (
-            not self.open_elements or self.open_elements[-1] not in {"text", "tspan", "title"}
-        ):
+        inside = self.open_elements[-1] if self.open_elements else ""
+        if data.strip() and inside not in {"text", "tspan", "title"}:
             raise PageError(
                 f"{self.what}: the drawing holds the text {data.strip()[:40]!r} outside a text"
                 " element"
             )
-
-    def _refuse(self, what: str) -> None:
-        raise PageError(
-            f"{self.what}: the drawing may not hold {what}; take it from reports.figures"
-        )
 
     def handle_comment(self, data: str) -> None:
         self._refuse(f"the comment {data[:40]!r}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 from rich.table import Table
 
@@ -14,6 +14,9 @@ from bench.cli.terminal import Terminal
 from bench.results.comparison import Comparison, compare_folders, judge_folders, judgement_lines
 from bench.results.verdicts import run_verdict
 from bench.scoring.decisions import Verdict, overall
+
+if TYPE_CHECKING:
+    from reports.page import Table as PageTable
 
 EXIT = {Verdict.MET: CODES.met, Verdict.NOT_MET: CODES.not_met}
 
@@ -64,36 +67,33 @@ def _together(given: argparse.Namespace, damage: tuple[str, ...]) -> Verdict:
 
 def _show(found: tuple[Comparison, ...]) -> None:
     from bench.report.comparison import (
-        DISTANCE,
-        SUCCESS,
-        distance_rows,
+        distance_table,
         heading,
         notes,
-        success_rows,
+        success_table,
         verdict_told,
     )
 
     console = Terminal()
     for comparison in found:
         console.print(heading(comparison), soft_wrap=True)
-        console.print(_table("success", SUCCESS, success_rows(comparison)))
-        console.print(_table("distance to the teat end", DISTANCE, distance_rows(comparison)))
+        console.print(_table("success", success_table(comparison)))
+        console.print(_table("distance to the teat end", distance_table(comparison)))
         for line in (*notes(comparison), verdict_told(comparison)):
             console.print(line)
         for reason in comparison.compared.gate.reasons:
             console.print(f"  {reason}")
 
 
-def _table(
-    title: str, columns: Sequence[tuple[str, str]], rows: Iterable[tuple[str, ...]]
-) -> Table:
+def _table(title: str, shown: PageTable) -> Table:
+    """A page's table of plain texts, for the terminal."""
     table = Table(title=title)
-    for at, (column, unit) in enumerate(columns):
+    for at, column in enumerate(shown.columns):
         table.add_column(
-            f"{column}, {unit}" if unit else column,
+            f"{column.title}, {column.unit}" if column.unit else column.title,
             justify="right" if at else "left",
             no_wrap=not at,
         )
-    for row in rows:
-        table.add_row(*row)
+    for row in shown.rows:
+        table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in row))
     return table

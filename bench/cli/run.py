@@ -25,8 +25,8 @@ from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
 from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
-    from bench.report.page import Extras
     from bench.results.verdicts import Judgement
+    from reports.page import Section
 
 TONES = {
     "met": "green",
@@ -182,7 +182,8 @@ def report(given: argparse.Namespace) -> int:
         code = _offsets_reported(given.run)
     else:
         with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
-            code, show = _reported(given.run, _extras(given, damage), damage)
+            chapters = _chapters(given, damage)
+            code, show = _reported(given.run, chapters, damage, single_file=given.single_file)
             show(Terminal())
     if browser:
         _print(given.run, browser, needed=given.pdf)
@@ -205,25 +206,27 @@ def _print(folder: Path, browser: str, *, needed: bool) -> None:
         print(f"no PDF: {error}", file=sys.stderr)
 
 
-def _extras(given: argparse.Namespace, damage: tuple[str, ...]) -> Extras:
+def _chapters(given: argparse.Namespace, damage: tuple[str, ...]) -> tuple[Section, ...]:
     """What was asked for besides the page. Raises ConfigError before anything is written."""
     from bench.report.comparison import baseline_section
-    from bench.report.page import Extras
 
-    chapters = (baseline_section(given.baseline, given.run, damage),) if given.baseline else ()
-    return Extras(chapters, given.single_file)
+    return (baseline_section(given.baseline, given.run, damage),) if given.baseline else ()
 
 
 def _reported(
-    folder: Path, extras: Extras | None = None, damage: tuple[str, ...] = ()
+    folder: Path,
+    chapters: tuple[Section, ...] = (),
+    damage: tuple[str, ...] = (),
+    *,
+    single_file: bool = False,
 ) -> tuple[int, Callable[[Terminal], None]]:
     """Write the report of a run; gives back the exit code that it deserves, and what shows it on a
     console.
     """
-    from bench.report.page import PLAIN, write_run_report
+    from bench.report.page import write_run_report
     from bench.results.verdicts import run_verdict
 
-    path, record, judgements = write_run_report(folder, extras or PLAIN, damage)
+    path, record, judgements = write_run_report(folder, chapters, damage, single_file=single_file)
     codes = {"met": CODES.met, "not met": CODES.not_met}
     code = (
         CODES.fault

@@ -1,18 +1,18 @@
-"""The report's tables of accuracy (axes, distances, tolerance limits) and of repeats: ISO 9283 for
-poses and distances, ISO 5725's components, and the gage study of the truth.
+"""The report's tables of accuracy (axes, distances, tolerance limits, what the geometry allows) and
+of repeats: ISO 9283 for poses and distances, ISO 5725's components, the gage study of the truth.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import combinations
 from math import sqrt
 
 import numpy as np
 
 from bench.record.reader import RunRecord
-from bench.report.tables import situations
-from bench.report.wording import NOT_MEASURED, number
+from bench.report.tables import ends_mm, situations
+from bench.report.wording import NOT_MEASURED, number, spanned, table
 from bench.results.error_rows import ErrorRows, error_rows, run_precision, truth_gage
 from bench.results.verdicts import scored, truth_u_mm
 from bench.scoring.errors import (
@@ -29,9 +29,10 @@ from bench.scoring.guard_band import (
     refusal_limit_mm,
 )
 from bench.scoring.pool import Pool
-from bench.scoring.precision import GageStudy, Precision, distance_accuracy, drift_mm, pose_accuracy
+from bench.scoring.precision import distance_accuracy, drift_mm, pose_accuracy
 from bench.scoring.rates import zero_failure_n
-from reports.parts import Cell, Paragraph, Part, Table, columns
+from detector.calibration import Calibration
+from reports.page import Cell, Paragraph, Part, Table
 
 MM = ">bias [mm] | >sd [mm] | >rms [mm] | >mean |e| [mm] | >max |e| [mm]"
 DISTANCES = ">mean [mm] | >median [mm] | >rms [mm] | >p95 [mm] | >p99 [mm] | >max [mm]"
@@ -58,12 +59,18 @@ def _axes(
 ) -> Table:
     accept = None if u_mm is None else axis_acceptance_limit_mm(limit_mm, u_mm)
     refuse = refusal_limit_mm(limit_mm, u_mm or 0.0)
-    last = "max |e| is # against the limit along this axis alone"
-    heads = columns("axis | >n", MM, last)
-    summaries = _six(pool.summary(), pool.summary(camera_from_world))
-    rows: list[tuple[str | Cell, ...]] = []
-    for name, a in summaries:
-        rows.append((name, str(a.n), *_figures(a), _against(a.max_abs_mm, accept, refuse)))
+
+    def against(largest: float | None) -> Cell:
+        if largest is None:
+            return Cell(NOT_MEASURED, "muted")
+        if accept is not None and largest <= accept:
+            return Cell("accepted", "good")
+        return Cell("refused", "bad") if largest >= refuse else Cell("between", "warn")
+
+    rows = [
+        (name, *figures, against(axis.max_abs_mm))
+        for name, axis, figures in _six(pool.summary(), pool.summary(camera_from_world))
+    ]
     upto = "nothing can be" if accept is None else f"up to {accept:.3f} mm is"
     known = "u isn't stated" if u_mm is None else f"u = {u_mm:.3g} mm"
     note = (
@@ -71,74 +78,65 @@ def _axes(
         f" accepted and {refuse:.3f} mm or more refused (T = {limit_mm:g} mm, {known}); the verdict"
         " is on the distance."
     )
-    return Table(f"Errors along each axis, detector {detector}", heads, tuple(rows), note)
+    heads = ("axis | >n", MM, "max |e| is # against the limit along this axis alone")
+    return table(f"Errors along each axis, detector {detector}", heads, rows, note)
 
 
 def _axes_by_teat(rows: ErrorRows, detector: str, camera_from_world: Floats) -> Table:
-    heads = columns("teat | axis | >poses | >n", MM)
-    lines: list[tuple[str, ...]] = []
+    lines = []
     for teat in rows.teat_names:
         own = rows.of_teat(teat)
-        poses = str(len(set(own.of_found(own.poses))))
+        poses = len(set(own.of_found(own.poses)))
         six = _six(summarise(own.errors_mm), summarise(own.errors_mm, camera_from_world))
-        lines += [(teat, name, poses, str(axis.n), *_figures(axis)) for name, axis in six]
-    return Table(f"Errors along each axis by teat, detector {detector}", heads, tuple(lines))
+        lines += [(teat, name, poses, *figures) for name, _, figures in six]
+    caption = f"Errors along each axis by teat, detector {detector}"
+    return table(caption, ("teat | axis | >poses | >n", MM), lines)
 
 
-def _six(world: ErrorSummary, camera: ErrorSummary) -> list[tuple[str, AxisSummary]]:
-    return [
-        *(
-            (f"world {name}", axis)
-            for name, axis in (("x", world.x), ("y", world.y), ("z", world.z))
-        ),
-        *(
-            (f"camera {name}", axis)
-            for name, axis in (
-                ("x (across)", camera.x),
-                ("y (down)", camera.y),
-                ("z (depth)", camera.z),
-            )
-        ),
-    ]
-
-
-def _figures(axis: AxisSummary) -> Iterator[str]:
-    return (
-        number(value)
-        for value in (axis.bias_mm, axis.sd_mm, axis.rms_mm, axis.mean_abs_mm, axis.max_abs_mm)
-    )
-
-
-def _against(largest: float | None, accept: float | None, refuse: float) -> Cell:
-    if largest is None:
-        return Cell(NOT_MEASURED, "muted")
-    if accept is not None and largest <= accept:
-        return Cell("accepted", "good")
-    return Cell("refused", "bad") if largest >= refuse else Cell("between", "warn")
+def _six(
+    world: ErrorSummary, camera: ErrorSummary
+) -> Iterator[tuple[str, AxisSummary, tuple[float | None, ...]]]:
+    """Name, summary, and figures under ``>n`` and MM, of each axis of world and camera."""
+    for name, a in {
+        "world x": world.x,
+        "world y": world.y,
+        "world z": world.z,
+        "camera x (across)": camera.x,
+        "camera y (down)": camera.y,
+        "camera z (depth)": camera.z,
+    }.items():
+        yield name, a, (a.n, a.bias_mm, a.sd_mm, a.rms_mm, a.mean_abs_mm, a.max_abs_mm)
 
 
 def _distances(
     run: RunRecord, rows: ErrorRows, pool: Pool, detector: str, u_mm: float | None
 ) -> Table:
     """Of the found teats; GOSPA of whole scenes charges for the others too."""
-    heads = columns(
-        "of | >n",
-        DISTANCES,
-        ">GOSPA [mm a scene] # charges missed and false teats too; p = 2, c = the scene's gate",
+    heads = (
+        f"of | >n | {DISTANCES} | >GOSPA [mm a scene] ~.2f"
+        " # charges missed and false teats too; p = 2, c = the scene's gate"
     )
-    scenes = [("all", pool), *((name, scored(run, detector, name)) for name in situations(run))]
-    lines = [(name, *_radial(part.summary()), _mm(_gospa(part))) for name, part in scenes]
+
+    def radial(errors: ErrorSummary) -> tuple[float | None, ...]:
+        r = errors.radial
+        return r.n, r.mean_mm, r.median_mm, r.rms_mm, r.p95_mm, r.p99_mm, r.max_mm
+
+    def gospa(of: Pool) -> float | None:
+        return float(np.mean([score.gospa_mm for score in of.scores])) if of.scores else None
+
+    scenes = {"all": pool} | {name: scored(run, detector, name) for name in situations(run)}
+    lines = [(name, *radial(part.summary()), gospa(part)) for name, part in scenes.items()]
     if len(rows.teat_names) > 1:
         lines += [
-            (f"teat {teat}", *_radial(summarise(rows.of_teat(teat).errors_mm)), "")
+            (f"teat {teat}", *radial(summarise(rows.of_teat(teat).errors_mm)), "")
             for teat in rows.teat_names
         ]
     note = (
         "Distances are over found teats only; GOSPA, which also charges missed and false teats:"
-        f" mean {number(_gospa(pool), 'mm')} a scene. Percentiles are observed"
+        f" mean {number(gospa(pool), 'mm')} a scene. Percentiles are observed"
         f" values.{_without_noise(pool, u_mm)}"
     )
-    return Table(f"Distance to the teat end, detector {detector}", heads, tuple(lines), note)
+    return table(f"Distance to the teat end, detector {detector}", heads, lines, note)
 
 
 def _without_noise(pool: Pool, u_mm: float | None) -> str:
@@ -158,74 +156,86 @@ def _without_noise(pool: Pool, u_mm: float | None) -> str:
     )
 
 
-def _radial(summary: ErrorSummary) -> tuple[str, ...]:
-    r = summary.radial
-    return (
-        str(r.n),
-        *(
-            number(value)
-            for value in (r.mean_mm, r.median_mm, r.rms_mm, r.p95_mm, r.p99_mm, r.max_mm)
-        ),
-    )
-
-
-def _mm(value: float | None) -> str:
-    return NOT_MEASURED if value is None else f"{value:.2f}"
-
-
-def _gospa(pool: Pool) -> float | None:
-    return float(np.mean([score.gospa_mm for score in pool.scores])) if pool.scores else None
-
-
 def _tolerance(pool: Pool, detector: str) -> Part:
     """One value a pose, its worst: repeats share a pose's error."""
-    worst = _worst_of_poses(pool.error_poses, np.linalg.norm(pool.errors_mm, axis=1))
-    n = len(worst)
+    of_poses: dict[object, float] = {}
+    for pose, mm in zip(pool.error_poses, np.linalg.norm(pool.errors_mm, axis=1), strict=True):
+        of_poses[pose] = max(of_poses.get(pose, 0.0), float(mm))
+    worst, n = np.array(list(of_poses.values()), dtype=np.float64), len(of_poses)
     if n < 2:
         return Paragraph(
             f"Tolerance limits, {detector}: {NOT_MEASURED}; teats were found in {n} poses, and 2"
             " are the least."
         )
-    heads = columns(
-        "covers | with | >poses",
-        ">any distribution [mm] # an order statistic of the poses' worst distances (ISO 16269-6)",
-        ">k",
-        ">if they were normal [mm] # mean + k sd of the poses' worst distances",
+    heads = (
+        "covers | with | >poses | "
+        ">any distribution [mm] ~.2f"
+        " # an order statistic of the poses' worst distances (ISO 16269-6) | "
+        ">k ~.3f | "
+        ">if they were normal [mm] ~.2f # mean + k sd of the poses' worst distances"
     )
     lines = []
     for share in SHARES:
         _, upper = quantile_bounds(worst, share, CONFIDENCE)
         k = normal_k(n, share, CONFIDENCE)
-        free = (
-            f"{upper:.2f}"
-            if upper is not None
-            else f"{NOT_MEASURED}: {zero_failure_n(share, CONFIDENCE)} poses are the least"
-        )
-        normal = f"{worst.mean() + k * worst.std(ddof=1):.2f}"
-        lines.append(
-            (
-                f"{100 * share:g} % of poses",
-                f"{100 * CONFIDENCE:g} % confidence",
-                str(n),
-                free,
-                f"{k:.3f}",
-                normal,
-            )
-        )
+        few = f"{NOT_MEASURED}: {zero_failure_n(share, CONFIDENCE)} poses are the least"
+        says = (f"{100 * share:g} % of poses", f"{100 * CONFIDENCE:g} % confidence")
+        free = few if upper is None else upper
+        lines.append((*says, n, free, k, worst.mean() + k * worst.std(ddof=1)))
     note = (
         "Of poses where teats were found, each with its worst distance. Distances are seldom"
         " normal; that column is to compare with."
     )
-    return Table(
-        f"Tolerance limits of the distance, detector {detector}", heads, tuple(lines), note
+    return table(f"Tolerance limits of the distance, detector {detector}", heads, lines, note)
+
+
+PIXEL_SD_PX = 0.1  # of a point placed well in a picture, in each coordinate
+MOST_DISTANCES = 6
+
+
+def limit_parts(run: RunRecord, calibration: Calibration) -> Iterator[Part]:
+    """The best that any detector can reach on this calibration."""
+    ends = ends_mm(run.trials)
+    if not len(ends):
+        yield Paragraph(NOT_MEASURED)
+        yield Paragraph(f"What the geometry allows: {NOT_MEASURED}.")
+        return
+    worth = spanned(calibration.depth_per_disparity_px_mm(ends), ".1f", "mm")
+    yield Paragraph(f"One pixel of disparity is {worth} of depth at these teats (Z² / f B).")
+    yield limit_table(ends, calibration)
+
+
+def limit_table(ends_mm: Floats, calibration: Calibration) -> Table:
+    """The limit at world points (n, 3), n > 0, told by distance from the right camera."""
+    depth = calibration.world_from_right.inverse().apply(ends_mm)[:, 2]
+    per_px = calibration.depth_per_disparity_px_mm(ends_mm)
+    # expanded, along the worst direction; 0 where a camera can't see it
+    own, seen = (
+        2.0 * np.sqrt(np.clip(np.linalg.eigvalsh(np.nan_to_num(covariance))[:, -1], 0.0, None))
+        for covariance in (calibration.covariance_of(ends_mm, sd) for sd in (0.0, PIXEL_SD_PX))
     )
-
-
-def _worst_of_poses(poses: Sequence[Hashable], distances: Floats) -> Floats:
-    worst: dict[Hashable, float] = {}
-    for pose, distance in zip(poses, distances.tolist(), strict=True):
-        worst[pose] = max(worst.get(pose, 0.0), distance)
-    return np.array(list(worst.values()), dtype=np.float64)
+    known = calibration.covariance is not None
+    shares = np.linspace(0.0, 1.0, min(MOST_DISTANCES, len(depth)) + 1)
+    edges = np.unique(np.quantile(depth, shares))
+    bins = np.clip(np.searchsorted(edges, depth, side="right") - 1, 0, max(len(edges) - 2, 0))
+    rows = []
+    for at in (bins == one for one in np.unique(bins)):
+        alone = own[at].max() if known else None
+        figures = (int(at.sum()), per_px[at].max(), alone, seen[at].max())
+        rows.append((spanned(depth[at], ".0f"), *figures))
+    heads = (
+        ">distance [mm] | >teat ends | "
+        ">one pixel of disparity [mm] ~.1f # of depth: Z² / (f B) | "
+        ">calibration alone [mm] ~.2f # expanded uncertainty (k = 2) of a point, along its worst"
+        " direction | "
+        f">with {PIXEL_SD_PX:g} px noise [mm] ~.2f # the same with noise of the pixels besides"
+    )
+    told = " This calibration states no uncertainty, so that its own share is not in it."
+    note = (
+        "What can be reached on this rig at best: k = 2, worst direction, the farthest of each"
+        f" row.{'' if known else told}"
+    )
+    return table("Limit of what can be reached, by distance from the cameras", heads, rows, note)
 
 
 CYCLES_FROM = 10  # repeats of a pose: ISO 9283 asks for 30, and fewer than these say nothing
@@ -238,17 +248,22 @@ def precision_parts(run: RunRecord, detector: str) -> Iterator[Part]:
     """All of one detector."""
     rows = error_rows(run, detector)
     yield _components(rows, detector)
-    ends = {key: of for key, of in _ends(rows).items() if len(of) >= CYCLES_FROM}
+    found: dict[tuple[str, str], dict[str, Floats]] = {}
+    columns = (rows.of_found(rows.poses), rows.of_found(rows.teats), rows.of_found(rows.trials))
+    points = np.stack([rows.errors_mm, rows.places_mm[rows.found]], axis=1)
+    for pose, teat, trial, point in zip(*columns, points, strict=True):
+        found.setdefault((pose, teat), {})[trial] = point
+    ends = {key: of for key, of in sorted(found.items()) if len(of) >= CYCLES_FROM}
     if not ends:
-        most = max((len(of) for of in _ends(rows).values()), default=0)
-        told = (
-            f"of one teat at one pose there are {most} finds at most, and {CYCLES_FROM} are the"
-            " least (the standard asks for 30)."
+        most = max(map(len, found.values()), default=0)
+        yield Paragraph(
+            f"AP, RP, AD and RD (ISO 9283), {detector}: {NOT_MEASURED}; of one teat at one pose"
+            f" there are {most} finds at most, and {CYCLES_FROM} are the least (the standard asks"
+            " for 30)."
         )
-        yield Paragraph(f"AP, RP, AD and RD (ISO 9283), {detector}: {NOT_MEASURED}; {told}")
         return
     yield _poses(ends, detector)
-    yield from _distance_parts(ends, detector)
+    yield _pairs(ends, detector)
 
 
 def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
@@ -259,45 +274,28 @@ def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
     if found.studies is None:
         yield Paragraph(f"Gage R&R of the ground truth: {NOT_MEASURED}; {found.why}.")
         return
-    heads = columns(
-        "axis | >ends | >set-ups | >touches",
-        ">repeatability [mm] # touch after touch",
-        ">reproducibility [mm] # set-up after set-up, the interaction with the end included",
-        ">gage R&R [mm] | >between ends [mm]",
-        (
-            ">of the tolerance [%] # 6 gage over the whole width: below 10 % is good, above 30 %"
-            " not acceptable"
-        ),
-        ">ndc # how many sizes of part it can tell apart",
+    heads = (
+        "axis | >ends | >set-ups | >touches | "
+        ">repeatability [mm] ~.3f # touch after touch | "
+        ">reproducibility [mm] ~.3f # set-up after set-up, the interaction with the end included | "
+        ">gage R&R [mm] ~.3f | >between ends [mm] ~.3f | "
+        ">of the tolerance [%] ~.1f # 6 gage over the whole width: below 10 % is good, above 30 %"
+        " not acceptable | "
+        ">ndc # how many sizes of part it can tell apart"
     )
-    lines = tuple(
-        _gage_row(axis, study, limit_mm) for axis, study in zip("xyz", found.studies, strict=True)
-    )
-    left = (
-        f" {found.left_out} ends had too few touches or set-ups, and are left out."
-        if found.left_out
-        else ""
-    )
+    lines = []
+    for axis, s in zip("xyz", found.studies, strict=True):
+        sd_mm = (s.repeatability, s.reproducibility, s.gage, s.part)
+        share = 100.0 * s.share_of_tolerance(2.0 * limit_mm)
+        sizes = (s.parts, s.appraisers, s.repeats)
+        lines.append((axis, *sizes, *sd_mm, share, s.distinct_categories))
+    left = f" {found.left_out} ends had too few touches or set-ups, and are left out."
     note = (
         "Standard deviations, crossed analysis of variance (AIAG MSA, 4th edition; ISO 22514-7):"
         " an end at a pose is a part, a repeat of the pose a set-up. The tolerance is ±"
-        f" {limit_mm:g} mm.{left}"
+        f" {limit_mm:g} mm.{left if found.left_out else ''}"
     )
-    yield Table("Gage R&R of the ground truth", heads, lines, note)
-
-
-def _gage_row(axis: str, study: GageStudy, limit_mm: float) -> tuple[str, ...]:
-    sizes = (axis, str(study.parts), str(study.appraisers), str(study.repeats))
-    figures = (
-        f"{value:.3f}"
-        for value in (study.repeatability, study.reproducibility, study.gage, study.part)
-    )
-    return (
-        *sizes,
-        *figures,
-        f"{100.0 * study.share_of_tolerance(2.0 * limit_mm):.1f}",
-        str(study.distinct_categories),
-    )
+    yield table("Gage R&R of the ground truth", heads, lines, note)
 
 
 def _components(rows: ErrorRows, detector: str) -> Part:
@@ -307,47 +305,27 @@ def _components(rows: ErrorRows, detector: str) -> Part:
             f"Repeatability and reproducibility (ISO 5725), {detector}: {NOT_MEASURED}; no teat was"
             " found twice at one pose."
         )
-    heads = columns(
-        "axis | >n | >teats at poses",
-        ">s_r [mm] # repeatability: within a pose",
-        ">s_L [mm] # between teats and poses",
-        ">s_R [mm] # reproducibility: the root of s_r² + s_L²",
+    heads = (
+        "axis | >n | >teats at poses | "
+        ">s_r [mm] # repeatability: within a pose | "
+        ">s_L [mm] # between teats and poses | "
+        ">s_R [mm] # reproducibility: the root of s_r² + s_L²"
     )
     note = (
         "Standard deviations of the error (ISO 5725-2, 7.4.5). A set-up is a teat at a pose; its"
         " repeats are taken without a change."
     )
-    lines = tuple(
-        _component_row(axis, found)
-        for axis, found in zip(("world x", "world y", "world z"), along, strict=True)
-    )
-    return Table(f"Repeatability and reproducibility, {detector} (ISO 5725)", heads, lines, note)
-
-
-def _component_row(axis: str, found: Precision) -> tuple[str, ...]:
-    return (
-        axis,
-        str(found.n),
-        str(found.groups),
-        *(number(value, digits=3) for value in (found.s_r, found.s_between, found.s_R)),
-    )
-
-
-def _ends(rows: ErrorRows) -> Errors:
-    """What was found, in order of time."""
-    found: dict[tuple[str, str], dict[str, Floats]] = {}
-    columns = (rows.of_found(rows.poses), rows.of_found(rows.teats), rows.of_found(rows.trials))
-    for pose, teat, trial, error, place in zip(
-        *columns, rows.errors_mm, rows.places_mm[rows.found], strict=True
-    ):
-        found.setdefault((pose, teat), {})[trial] = np.array([error, place])
-    return dict(sorted(found.items()))
+    lines = []
+    for axis, of in zip("xyz", along, strict=True):
+        sds = (number(sd, digits=3) for sd in (of.s_r, of.s_between, of.s_R))
+        lines.append((f"world {axis}", of.n, of.groups, *sds))
+    return table(f"Repeatability and reproducibility, {detector} (ISO 5725)", heads, lines, note)
 
 
 def _poses(ends: Errors, detector: str) -> Table:
-    heads = columns(
-        "pose | teat | >n | >AP [mm] | >AP along x [mm] | >along y [mm] | >along z [mm]",
-        ">RP [mm] | >drift of AP [mm]",
+    heads = (
+        "pose | teat | >n | >AP [mm] | >AP along x [mm] | >along y [mm] | >along z [mm] | "
+        ">RP [mm] | >drift of AP [mm]"
     )
     rows = []
     for (pose, teat), of in list(ends.items())[:MOST_ROWS]:
@@ -355,30 +333,15 @@ def _poses(ends: Errors, detector: str) -> Table:
         at = pose_accuracy(errors, np.zeros(3))
         drift = drift_mm(errors, np.zeros(3), max(2, len(errors) // 3))
         along = at.ap_xyz_mm or (None, None, None)
-        rows.append(
-            (
-                pose,
-                teat,
-                str(at.n),
-                number(at.ap_mm),
-                *(number(value) for value in along),
-                number(at.rp_mm),
-                number(drift),
-            )
-        )
+        rows.append((pose, teat, at.n, at.ap_mm, *along, at.rp_mm, drift))
     note = (
         "Of what was found, against the truth of the same trial. RP: mean distance from their own"
-        " mean, and three standard deviations."
+        f" mean, and three standard deviations.{_left_out(len(ends))}"
     )
-    return Table(
-        f"Pose accuracy and repeatability, {detector} (ISO 9283)",
-        heads,
-        tuple(rows),
-        note + _left_out(len(ends)),
-    )
+    return table(f"Pose accuracy and repeatability, {detector} (ISO 9283)", heads, rows, note)
 
 
-def _distance_parts(ends: Errors, detector: str) -> Iterator[Part]:
+def _pairs(ends: Errors, detector: str) -> Part:
     """Of two teats in one scene; of one teat between two poses, cycle by cycle."""
     several = len({teat for _, teat in ends}) > 1
     pairs = [
@@ -387,28 +350,21 @@ def _distance_parts(ends: Errors, detector: str) -> Iterator[Part]:
     lines = []
     for a, b in pairs[:MOST_ROWS]:
         off = _distance_errors(ends[a], ends[b], same_trial=several)
-        if len(off) < CYCLES_FROM:
-            continue
-        found = distance_accuracy(off, 0.0)
-        what = f"{a[0]}: teat {a[1]} to {b[1]}" if several else f"{a[0]} to {b[0]}"
-        lines.append((what, str(found.n), number(found.ad_mm), number(found.rd_mm)))
+        if len(off) >= CYCLES_FROM:
+            found = distance_accuracy(off, 0.0)
+            what = f"{a[0]}: teat {a[1]} to {b[1]}" if several else f"{a[0]} to {b[0]}"
+            lines.append((what, found.n, found.ad_mm, found.rd_mm))
     if not lines:
-        yield Paragraph(
+        return Paragraph(
             f"AD and RD (ISO 9283), {detector}: {NOT_MEASURED}; no distance was found {CYCLES_FROM}"
             " times."
         )
-        return
-    heads = columns("distance | >n | >AD [mm] | >RD [mm]")
     note = (
         "The distance found less the true one of the same trials; AD is the amount of its mean, RD"
-        " three standard deviations."
+        f" three standard deviations.{_left_out(len(pairs))}"
     )
-    yield Table(
-        f"Distance accuracy and repeatability, {detector} (ISO 9283)",
-        heads,
-        tuple(lines),
-        note + _left_out(len(pairs)),
-    )
+    heads = "distance | >n | >AD [mm] | >RD [mm]"
+    return table(f"Distance accuracy and repeatability, {detector} (ISO 9283)", heads, lines, note)
 
 
 def _distance_errors(

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.report import tables
-from bench.report.wording import NOT_MEASURED, guardian_told, number
+from bench.report.wording import NOT_MEASURED, guardian_told, key_values, number, spanned, table
 from bench.results.teat_temperature import Figures, Surface, surface
 from bench.safety.interlocks import RULES
 from bench.script.model import Rules, Script
 from reports.figures import bath_curve
-from reports.parts import Figure, Paragraph, Part, Table, columns
+from reports.page import Figure, Paragraph, Part, Table
 
 MOST_ROWS = 40  # of a table that has a row a capture
 AROUND_S = 5.0  # readings so near to a capture are those of the capture
@@ -27,26 +26,27 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     if set_point is None or not len(run.bath):
         yield Paragraph("No bath belongs to recorded frames.", tone="muted")
         return
-    captures = [t.head["captured_s"] for t in run.trials if t.head["captured_s"] is not None]
+    times_s, temps_c = run.bath[:, 0], run.bath[:, 1]
+    captured = [trial for trial in run.trials if trial.head["captured_s"] is not None]
+    captures = [trial.head["captured_s"] for trial in captured]
     band_k = rules.bath.leave_k if isinstance(rules, Script) else 0.15
-    svg = bath_curve(
-        run.bath[:, 0], run.bath[:, 1], set_point, band_k, captures, _stable_spans(run)
-    )
+    svg = bath_curve(times_s, temps_c, set_point, band_k, captures, _stable_spans(run))
     caption = "Bath temperature over the run's time; captures are marked"
     yield Figure(svg, caption, f"{len(run.bath)} readings, {len(captures)} captures", wide=True)
     temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
-    entries: list[tuple[str, object]] = [
-        ("set point", number(set_point, "°C")),
-        ("readings", len(run.bath)),
-    ]
     room = run.facts.get("bath figures", {}).get("room_c")
-    entries.append(("room, of the rig file", None if room is None else number(room, "°C")))
+    entries = {
+        "set point": number(set_point, "°C"),
+        "readings": len(run.bath),
+        "room, of the rig file": number(room, "°C"),
+    }
     if temps:
-        entries.append(("at the captures", f"{min(temps):.2f} to {max(temps):.2f} °C"))
-    yield tables.key_values("Bath", entries)
-    yield from _capture_parts(run)
-    if isinstance(rules, Script) and captures:
-        yield _stability_table(run, set_point, rules.bath.window_s)
+        entries["at the captures"] = spanned(temps, unit="°C")
+    yield key_values("Bath", entries)
+    if captured:
+        yield from _capture_parts(run, *_farthest(run, captured))
+        if isinstance(rules, Script):
+            yield _stability_table(run, set_point, rules.bath.window_s, *_farthest(run, captured))
     yield from _care_parts(run)
 
 
@@ -55,8 +55,7 @@ def surface_at(run: RunRecord, trial: TrialRecord) -> Surface | None:
     figures = run.facts.get("bath figures")
     if figures is None or trial.head["captured_s"] is None:
         return None
-    bath, external = _readings(run, trial)
-    return surface(bath, external, Figures(**figures))
+    return surface(*_readings(run, trial), Figures(**figures))
 
 
 def capture_told(run: RunRecord, trial: TrialRecord) -> str:
@@ -64,17 +63,15 @@ def capture_told(run: RunRecord, trial: TrialRecord) -> str:
     told = number(trial.head["bath_c"], "°C")
     readings = _readings(run, trial)[0] if trial.head["captured_s"] is not None else []
     if readings:
-        told += f" ({min(readings):.2f} to {max(readings):.2f} within {AROUND_S:g} s)"
+        told += f" ({spanned(readings)} within {AROUND_S:g} s)"
     return f"{told}, {trial.head['bath_state']}" if trial.head["bath_state"] else told
 
 
 def surface_told(found: Surface | None) -> str:
     """``32.68 ± 0.35 °C (plant model)``; twice the standard uncertainty."""
-    return (
-        NOT_MEASURED
-        if found is None
-        else f"{found.temp_c:.2f} ± {2 * found.u_k:.2f} °C ({found.how})"
-    )
+    if found is None:
+        return NOT_MEASURED
+    return f"{found.temp_c:.2f} ± {2 * found.u_k:.2f} °C ({found.how})"
 
 
 def _readings(run: RunRecord, trial: TrialRecord) -> tuple[list[float], list[float]]:
@@ -84,29 +81,30 @@ def _readings(run: RunRecord, trial: TrialRecord) -> tuple[list[float], list[flo
     return run.bath[near, 1].tolist(), external[np.isfinite(external)].tolist()
 
 
-def _capture_parts(run: RunRecord) -> Iterator[Part]:
-    found = {trial.id: surface_at(run, trial) for trial in run.trials}
-    taken = [trial for trial in run.trials if trial.head["captured_s"] is not None]
-    shown, left_out = _farthest(run, taken)
-    rows = [_capture_row(run, trial, found[trial.id]) for trial in shown]
-    if not rows:
-        return
-    heads = columns(
-        "trial | >bath, mean [°C] | >least [°C] | >most [°C] | >external [°C] | state",
-        ">teats' surface [°C]",
-        ">± [K] # twice the standard uncertainty",
+def _capture_parts(run: RunRecord, shown: Sequence[TrialRecord], left_out: str) -> Iterator[Part]:
+    rows = []
+    for trial in shown:
+        bath, external = _readings(run, trial)
+        figures = (_mean(bath), min(bath, default=None), max(bath, default=None), _mean(external))
+        found = surface_at(run, trial)
+        estimate = (None, "") if found is None else (found.temp_c, 2 * found.u_k)
+        rows.append((trial.id, *figures, trial.head["bath_state"] or None, *estimate))
+    heads = (
+        "trial | >bath, mean [°C] | >least [°C] | >most [°C] | >external [°C] | state"
+        " | >teats' surface [°C] ~.2f | >± [K] ~.2f # twice the standard uncertainty"
     )
     note = (
         f"Readings within {AROUND_S:g} s of each capture. The bath is not the stimulus: the teats'"
         f" surface is.{left_out}"
     )
-    yield Table("Temperatures at the captures", heads, tuple(rows), note)
-    last = next((surface for surface in reversed(found.values()) if surface), None)
+    yield table("Temperatures at the captures", heads, rows, note)
+    surfaces = (surface_at(run, trial) for trial in reversed(run.trials))
+    last = next((found for found in surfaces if found), None)
     if last:
-        budget = [(c.name, f"{c.u_k:.3f}", c.source) for c in last.components]
-        budget.append(("combined", f"{last.u_k:.3f}", "root of the sum of squares"))
+        budget = [(c.name, c.u_k, c.source) for c in last.components]
+        budget.append(("combined", last.u_k, "root of the sum of squares"))
         title = f"Uncertainty budget of the teats' surface, by {last.how} (last capture)"
-        yield Table(title, columns("component | >u [K] | source"), tuple(budget))
+        yield table(title, "component | >u [K] ~.3f | source", budget)
 
 
 def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[TrialRecord], str]:
@@ -115,72 +113,53 @@ def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[Tr
         return taken, ""
     off = [abs((trial.head["bath_c"] or 0.0) - run.facts["set_point_c"]) for trial in taken]
     chosen = sorted(sorted(range(len(taken)), key=lambda k: -off[k])[:MOST_ROWS])
-    return (
-        [taken[k] for k in chosen],
-        (
-            f" The {MOST_ROWS} of {len(taken)} captures farthest from the set point; each trial has"
-            " its own."
-        ),
+    note = (
+        f" The {MOST_ROWS} of {len(taken)} captures farthest from the set point; each trial has"
+        " its own."
     )
+    return [taken[k] for k in chosen], note
 
 
-def _stability_table(run: RunRecord, set_point_c: float, window_s: float) -> Table:
+def _stability_table(
+    run: RunRecord,
+    set_point_c: float,
+    window_s: float,
+    shown: Sequence[TrialRecord],
+    left_out: str,
+) -> Table:
     """Stability over time at one place, uniformity between places (ASTM E2488)."""
-    heads = columns(
-        "trial | >readings | >mean from set point [K] | >half the range [K] | >slope [K/min]",
-        ">teats' sensor, slope [K/min] | >bath to teats' sensor [K]",
+    rows = []
+    for trial in shown:
+        end_s = trial.head["captured_s"]
+        inside = (run.bath[:, 0] >= end_s - window_s) & (run.bath[:, 0] <= end_s)
+        t_s, bath_c, teats_c = run.bath[inside, 0], run.bath[inside, 1], run.external_c[inside]
+        told = np.isfinite(teats_c)
+        mean_c = _mean(bath_c)
+        off_k = None if mean_c is None else mean_c - set_point_c
+        half_k = np.ptp(bath_c) / 2.0 if len(bath_c) else None
+        slopes = _k_per_min(t_s, bath_c), _k_per_min(t_s[told], teats_c[told])
+        away_k = _mean(bath_c[told] - teats_c[told])
+        rows.append((trial.id, len(bath_c), off_k, half_k, *slopes, away_k))
+    heads = (
+        "trial | >readings | >mean from set point [K] ~+.4f | >half the range [K] ~+.4f"
+        " | >slope [K/min] ~+.4f | >teats' sensor, slope [K/min] ~+.4f"
+        " | >bath to teats' sensor [K] ~+.4f"
     )
-    shown, left_out = _farthest(
-        run, [trial for trial in run.trials if trial.head["captured_s"] is not None]
-    )
-    rows = tuple(_stability_row(run, trial, set_point_c, window_s) for trial in shown)
     note = (
         "Stability is what varies in these readings at one place. Uniformity, from teat to teat"
         " and from root to tip, is not measured: there is one sensor at the teats at most; what it"
         f" may be is in the uncertainty of the teats' surface.{left_out}"
     )
-    return Table(f"The {window_s:g} s before each capture", heads, rows, note)
+    return table(f"The {window_s:g} s before each capture", heads, rows, note)
 
 
-def _stability_row(
-    run: RunRecord, trial: TrialRecord, set_point_c: float, window_s: float
-) -> tuple[str, ...]:
-    end_s = trial.head["captured_s"]
-    inside = (run.bath[:, 0] >= end_s - window_s) & (run.bath[:, 0] <= end_s)
-    t_s, bath_c, teats_c = run.bath[inside, 0], run.bath[inside, 1], run.external_c[inside]
-    told = np.isfinite(teats_c)
-    away_k = float(np.mean(bath_c[told] - teats_c[told])) if told.any() else None
-    figures = (
-        float(np.mean(bath_c)) - set_point_c if len(bath_c) else None,
-        float(np.ptp(bath_c)) / 2.0 if len(bath_c) else None,
-        _slope_k_per_min(t_s, bath_c),
-        _slope_k_per_min(t_s[told], teats_c[told]),
-        away_k,
-    )
-    return (
-        trial.id,
-        str(len(bath_c)),
-        *(NOT_MEASURED if figure is None else f"{figure:+.4f}" for figure in figures),
-    )
-
-
-def _slope_k_per_min(t_s: NDArray[np.float64], temp_c: NDArray[np.float64]) -> float | None:
-    """Least squares; None below two readings."""
+def _k_per_min(t_s: NDArray[np.float64], temp_c: NDArray[np.float64]) -> float | None:
+    """The slope, by least squares; None below two readings."""
     return 60.0 * float(np.polyfit(t_s - t_s[0], temp_c, 1)[0]) if len(t_s) > 1 else None
 
 
-def _capture_row(run: RunRecord, trial: TrialRecord, found: Surface | None) -> tuple[str, ...]:
-    bath, external = _readings(run, trial)
-    figures = [_mean(bath), min(bath, default=None), max(bath, default=None), _mean(external)]
-    estimate = (
-        (NOT_MEASURED, "") if found is None else (f"{found.temp_c:.2f}", f"{2 * found.u_k:.2f}")
-    )
-    return (
-        trial.id,
-        *(number(value) for value in figures),
-        str(trial.head["bath_state"] or NOT_MEASURED),
-        *estimate,
-    )
+def _mean(values: Sequence[float] | NDArray[np.float64]) -> float | None:
+    return float(np.mean(values)) if len(values) else None
 
 
 def _care_parts(run: RunRecord) -> Iterator[Part]:
@@ -188,29 +167,25 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     facts = run.facts
     if "safe states" not in facts:
         return  # a run of before, or one that never had the instruments
-    entries: list[tuple[str, object]] = [
-        (f"safe state, {name}", state) for name, state in facts["safe states"].items()
-    ]
-    entries += [
-        ("pump", facts["pump"]),
-        ("when the computer dies", COMMS_LOSS[facts["comms loss"]]),
-        ("guardian", facts["guardian"]),
-    ]
+    entries = {f"safe state, {name}": state for name, state in facts["safe states"].items()}
+    entries["pump"] = facts["pump"]
+    entries["when the computer dies"] = COMMS_LOSS[facts["comms loss"]]
+    entries["guardian"] = facts["guardian"]
     if tested := facts.get("cut-out tested"):
-        entries.append(("independent cut-out tested on", tested))
-    yield tables.key_values("Care", entries)
+        entries["independent cut-out tested on"] = tested
+    yield key_values("Care", entries)
     if run.guardian:
         yield Paragraph(guardian_told(run.guardian), tone="warn")
-    inactive = set(facts["interlocks asleep"])
     trip = facts.get("trip", {})
-    rows = [(r.name, r.trips, r.resets, _state(r.name, inactive, trip.get("rule"))) for r in RULES]
-    heads = columns("interlock | trips | resets, once acknowledged | in this run")
-    yield Table(
-        "Interlocks",
-        heads,
-        tuple(rows),
-        "None of this is a safety function; the bath's independent cut-out is.",
+    states = dict.fromkeys(
+        facts["interlocks asleep"], "asleep: the controller doesn't tell what it needs"
     )
+    if trip:
+        states[trip["rule"]] = "TRIPPED"
+    rows = [(r.name, r.trips, r.resets, states.get(r.name, "did not trip")) for r in RULES]
+    heads = "interlock | trips | resets, once acknowledged | in this run"
+    note = "None of this is a safety function; the bath's independent cut-out is."
+    yield table("Interlocks", heads, rows, note)
     if trip:
         yield _trip_table(trip)
 
@@ -224,45 +199,27 @@ COMMS_LOSS = {
     "safe_setpoint": "the controller goes to its own safe set point when it hears nothing",
     "unknown": "not known for this controller: take it that the bath stays hot",
 }
-
-
-def _state(name: str, inactive: set[str], tripped: str | None) -> str:
-    if name == tripped:
-        return "TRIPPED"
-    return (
-        "asleep: the controller doesn't tell what it needs" if name in inactive else "did not trip"
-    )
+READINGS = {
+    "t_s": ">time [s] ~g?",
+    "temp_c": ">bath [°C] ~g?",
+    "external_c": ">external [°C] ~g?",
+    "safety_c": ">safety [°C] ~g?",
+    "set_point_c": ">set point [°C] ~g?",
+    "power_percent": ">output [%] ~g?",
+    "running": ">runs ~?",
+    "alarm": ">alarm ~?",
+}
 
 
 def _trip_table(trip: dict[str, Any]) -> Table:
-    values: Sequence[dict[str, Any]] = trip["values"]
-    names = [
-        "t_s",
-        "temp_c",
-        "external_c",
-        "safety_c",
-        "set_point_c",
-        "power_percent",
-        "running",
-        "alarm",
+    words = {True: "yes", False: "no"}
+    rows = [
+        [words[value] if isinstance(value, bool) else value for value in map(row.get, READINGS)]
+        for row in trip["values"]
     ]
-    heads = columns(
-        ">time [s] | >bath [°C] | >external [°C] | >safety [°C] | >set point [°C]",
-        ">output [%] | >runs | >alarm",
-    )
-    rows = tuple(tuple(_cell(row.get(name)) for name in names) for row in values)
-    return Table(
-        f"Readings that led to the trip: {trip['rule']}",
-        heads,
-        rows,
-        f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}",
-    )
-
-
-def _cell(value: float | bool | None) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return "" if value is None else f"{value:g}"
+    note = f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}"
+    caption = f"Readings that led to the trip: {trip['rule']}"
+    return table(caption, " | ".join(READINGS.values()), rows, note)
 
 
 def _stable_spans(run: RunRecord) -> list[tuple[float, float]]:
@@ -273,7 +230,3 @@ def _stable_spans(run: RunRecord) -> list[tuple[float, float]]:
             start = spans.pop()[0] if joined else t_s
             spans.append((start, t_s))
     return spans
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None

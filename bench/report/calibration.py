@@ -2,150 +2,173 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from bench.calibrate.cameras import CamerasResult, PairsResult, ThermalResult
+from bench.calibrate.cameras import PAIR, CamerasResult, PairsResult, ThermalResult
 from bench.calibrate.check import PointsAgain
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import WorldResult
-from bench.report.calibration_parts import (
-    coverage_parts,
-    finding_parts,
-    held_out_parts,
-    homography_parts,
-    measured_table,
-    mm_text,
-    parameter_parts,
-    parameters,
-    picture_parts,
-    provenance_parts,
-    residual_parts,
-    sd_text,
-    still_missing,
-    target_table,
-    working_volume_mm,
-    worth_parts,
-)
+from bench.report.wording import NOT_MEASURED, listed, spanned, table
 from detector.calibration import Record
-from detector.calibration.bundle import POSE
+from detector.calibration.bundle import LENS, POSE
+from detector.calibration.cameras import Calibrated
+from detector.calibration.coverage import SIDES, Coverage
 from detector.calibration.diagnosis import Finding, Remeasured
-from reports.page import Banner, Page, Section
-from reports.parts import Cell, Table, Verdict, columns
+from detector.geometry import Array, Motion
+from reports.figures import precision_by_distance, residual_field
+from reports.page import (
+    Banner,
+    Cell,
+    Code,
+    Figure,
+    KeyValues,
+    Notes,
+    Page,
+    Paragraph,
+    Part,
+    Section,
+    Table,
+    Verdict,
+)
 
 NAMED_MM = 1200.0  # about where the thesis's teats stand
+UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "om": "rad", "T": "mm"}
+MARGIN_MM = 100.0  # of the working volume beyond what was touched
+DISTANCES_M = np.linspace(0.7, 1.8, 23)
+HOLDS = "It still holds."
+CHECK = "Check of a calibration"
+Chapters = Mapping[str, tuple[str, Iterable[Part]]]  # title and parts by anchor
+
+
+def _page(title: str, chapters: Chapters, record: Record, command: str, **banner: Any) -> Page:
+    """The page with its provenance at the end; ``banner`` has the fields of a `Banner`."""
+    made = (
+        KeyValues(
+            "Made",
+            (
+                ("day", record.made),
+                ("by", record.by or "not told"),
+                ("with", record.with_what),
+                *record.cameras.items(),
+            ),
+        ),
+        table(
+            "Inputs",
+            "file | SHA-256",
+            [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()],
+        ),
+        Code("The command that repeats it", command),
+    )
+    sections = tuple(
+        Section(anchor, head, tuple(parts))
+        for anchor, (head, parts) in {**chapters, "provenance": ("Provenance", made)}.items()
+    )
+    day = f"{'checked' if title == CHECK else 'made'} {record.made}"
+    return Page(title, day, Banner(kind="computed", **banner), sections)
 
 
 def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
     """Of `calibrate cameras`."""
-    near, far = _depths_m(result)
-    at_mm = min(max(NAMED_MM, 1000 * near), 1000 * far)
+    spans = [shown.distances_mm for shown in result.coverage.values() if shown.distances_mm]
+    near, far = min(low for low, _ in spans), max(high for _, high in spans)
+    at_mm = min(max(NAMED_MM, near), far)
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
-    pairs = len(result.views.pairs())
-    sections = (
-        Section(
-            "findings",
-            "What was found wrong",
-            tuple(finding_parts(result.findings, still_missing(result.coverage))),
-        ),
-        Section("parameters", "Parameters", tuple(parameter_parts(result))),
-        Section(
-            "residuals",
-            "Where corners miss",
-            tuple(residual_parts({"left": result.joint, "right": result.joint}, result.views)),
-        ),
-        Section("held-out", "Measured again, from views not used", tuple(held_out_parts(result))),
-        Section("worth", "What a point is worth", tuple(worth_parts(result, (near, far)))),
-        Section("coverage", "What the views show", tuple(coverage_parts(result.coverage))),
-        Section("pictures", "Pictures", tuple(picture_parts(result.views, result.joint))),
-        Section("provenance", "Provenance", tuple(provenance_parts(record, command))),
+    pairs, board = result.views.pairs(), result.views.board
+    missing = still_missing(result.coverage)
+    confidence = (
+        "Too few pairs of views for a split-half comparison (10 are needed): nothing was held out."
     )
-    banner = Banner(
-        kind="computed",
+    if result.halves is not None:
+        apart = [result.halves.disagree_mm(pair.left_px, pair.right_px) for pair in pairs]
+        confidence = (
+            "Two calibrations, each from half of the views, place the board's points"
+            f" {_rms(np.concatenate(apart)):.2f} mm apart (rms)."
+        )
+    fits = {"left": result.joint, "right": result.joint}
+    return _page(
+        "Calibration of the stereo pair",
+        {
+            "findings": ("What was found wrong", _findings(result.findings, missing)),
+            "parameters": ("Parameters", _parameters(result)),
+            "residuals": ("Where corners miss", _residuals(fits, result.views)),
+            "held-out": ("Measured again, from views not used", _held_out(result)),
+            "worth": ("What a point is worth", _worth(result, (near / 1000.0, far / 1000.0))),
+            "coverage": ("What the views show", _coverage(result.coverage)),
+            "pictures": ("Pictures", _pictures(result.views, result.joint)),
+        },
+        record,
+        command,
         verdict=_verdict(result.findings),
-        tested=f"Stereo pair from {pairs} pairs of views of a {_board(result.views)}.",
+        tested=(
+            f"Stereo pair from {len(pairs)} pairs of views of a {board.columns} x {board.rows}"
+            f" {board.kind}."
+        ),
         sentence=(
             f"Good to {good_mm:.2f} mm at {at_mm / 1000:.2f} m (k = 2, worst direction, one point,"
             " corners as noisy as these)."
         ),
-        confidence=_halves_sentence(result),
-        next_action=_next(
-            result.findings, still_missing(result.coverage), "teatbench calibrate world"
-        ),
+        confidence=confidence,
+        next_action=_next(result.findings, missing, "teatbench calibrate world"),
     )
-    return Page("Calibration of the stereo pair", f"made {record.made}", banner, sections)
 
 
 def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
     """Of `calibrate thermal` with a board."""
-    fit = result.joint.fit
-    place = [sd_text(fit.sd("thermal", name), 2) for name in POSE[3:]]
-    sections = (
-        Section(
-            "findings",
-            "What was found wrong",
-            tuple(finding_parts((), {"thermal": result.coverage})),
-        ),
-        Section(
-            "parameters",
-            "Parameters",
-            (parameters(result.joint, "thermal", result.joint.fit.rig.cameras["thermal"].kc),),
-        ),
-        Section(
-            "residuals",
-            "Where points miss",
-            tuple(residual_parts({"thermal": result.joint}, result.views)),
-        ),
-        Section(
-            "homographies",
-            "Homographies for the thesis's algorithm",
-            tuple(homography_parts(result)),
-        ),
-        Section(
-            "coverage", "What the views show", tuple(coverage_parts({"thermal": result.coverage}))
-        ),
-        Section("pictures", "Pictures", tuple(picture_parts(result.views, result.joint))),
-        Section("provenance", "Provenance", tuple(provenance_parts(record, command))),
-    )
-    banner = Banner(
-        kind="computed",
+    fit, views, shown = result.joint.fit, result.views, {"thermal": result.coverage}
+    place = ", ".join(_sd(fit.sd("thermal", name), 2) for name in POSE[3:])
+    return _page(
+        "Calibration of the thermal camera",
+        {
+            "findings": ("What was found wrong", _findings((), still_missing(shown))),
+            "parameters": ("Parameters", [_lens(result.joint, "thermal")]),
+            "residuals": ("Where points miss", _residuals({"thermal": result.joint}, views)),
+            "homographies": ("Homographies for the thesis's algorithm", _homographies(result)),
+            "coverage": ("What the views show", _coverage(shown)),
+            "pictures": ("Pictures", _pictures(views, result.joint)),
+        },
+        record,
+        command,
         verdict="no verdict",
         tested=(
             f"Thermal camera from {len(result.joint.view_rms_px('thermal'))} views of a heated"
-            f" {result.views.board.kind}."
+            f" {views.board.kind}."
         ),
         sentence=f"Points miss by {fit.rms_px:.2f} px rms over both cameras.",
-        confidence=f"Its place is known to {', '.join(place)} mm (x, y, z; 1 sd).",
-        next_action=_next(
-            (), still_missing({"thermal": result.coverage}), "teatbench calibrate world"
-        ),
+        confidence=f"Its place is known to {place} mm (x, y, z; 1 sd).",
+        next_action=_next((), still_missing(shown), "teatbench calibrate world"),
     )
-    return Page("Calibration of the thermal camera", f"made {record.made}", banner, sections)
 
 
 def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
     """Of `calibrate thermal` with a table of point pairs."""
-    tables = tuple(
-        Table(
+    left, right = result.left, result.right
+    outlier = Cell("no: outlier", "warn")
+    tables = [
+        table(
             f"Pairs, thermal to {side}",
-            columns(">pair | >misses by [px] | counts"),
-            tuple(
-                (str(n), f"{missed:.2f}", "yes" if kept else Cell("no: outlier", "warn"))
-                for n, (missed, kept) in enumerate(rows, 1)
-            ),
+            ">pair | >misses by [px] ~.2f | counts",
+            [
+                (n, missed, "yes" if kept else outlier)
+                for n, (missed, kept) in enumerate(
+                    zip(mapped.missed_px, mapped.inliers, strict=True), 1
+                )
+            ],
         )
-        for side, mapped in (("left", result.left), ("right", result.right))
-        for rows in [list(zip(mapped.missed_px, mapped.inliers, strict=True))]
-    )
-    kept = (int(result.left.inliers.sum()), int(result.right.inliers.sum()))
-    banner = Banner(
-        kind="computed",
+        for side, mapped in (("left", left), ("right", right))
+    ]
+    return _page(
+        "Homographies from point pairs",
+        {"pairs": ("Point pairs", tables)},
+        record,
+        command,
         verdict="no verdict",
-        tested=f"Homographies from {len(result.left.inliers)} point pairs.",
+        tested=f"Homographies from {len(left.inliers)} point pairs.",
         sentence=(
-            f"{kept[0]} and {kept[1]} pairs count; they miss by {result.left.rms_px:.2f} and"
-            f" {result.right.rms_px:.2f} px rms."
+            f"{int(left.inliers.sum())} and {int(right.inliers.sum())} pairs count; they miss by"
+            f" {left.rms_px:.2f} and {right.rms_px:.2f} px rms."
         ),
         confidence=(
             "A homography is right on the plane of its points only; off it, it misses the more the"
@@ -156,65 +179,121 @@ def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
             " distance."
         ),
     )
-    sections = (
-        Section("pairs", "Point pairs", tables),
-        Section("provenance", "Provenance", tuple(provenance_parts(record, command))),
-    )
-    return Page("Homographies from point pairs", f"made {record.made}", banner, sections)
 
 
 def world_page(result: WorldResult, record: Record, command: str) -> Page:
     """Of `calibrate world`."""
     fit, comparison = result.fit, result.fit.comparison
-    target = fit.target_error_mm(fit.touched_mm)
-    held_out = comparison.held_out_mm["rigid"]
-    models = Table(
+    held_out = {
+        name: None if mm is None else f"{mm:.3f}" for name, mm in comparison.held_out_mm.items()
+    }
+    models = table(
         "Fits of triangulated to touched points; rigid is used, the others are a diagnosis",
-        columns("fit | >residual [mm rms] | >held out [mm rms] | >singular values"),
-        tuple(
-            (
-                f.model,
-                f"{f.fre_mm:.3f}",
-                mm_text(comparison.held_out_mm[f.model]),
-                ", ".join(f"{v:.4f}" for v in f.singular_values),
-            )
-            for f in comparison.fits
-        ),
-        note="Where affine is much better, the stereo calibration is off.",
+        "fit | >residual [mm rms] ~.3f | >held out [mm rms] | >singular values ~.4f",
+        [(f.model, f.fre_mm, held_out[f.model], f.singular_values) for f in comparison.fits],
+        "Where affine is much better, the stereo calibration is off.",
     )
-    heads = columns(">point | >dx [mm] | >dy [mm] | >dz [mm] | >distance [mm]")
-    residuals = Table(
+    residuals = table(
         "Touched less mapped",
-        heads,
-        tuple(
-            (str(n), *(f"{v:+.3f}" for v in row), f"{np.linalg.norm(row):.3f}")
-            for n, row in enumerate(comparison.rigid.residuals_mm, 1)
-        ),
+        ">point | >dx [mm] ~+.3f | >dy [mm] ~+.3f | >dz [mm] ~+.3f | >distance [mm] ~.3f",
+        [(n, *row, np.linalg.norm(row)) for n, row in enumerate(comparison.rigid.residuals_mm, 1)],
     )
     volume = working_volume_mm(fit.touched_mm)
     there = fit.target_error_mm(volume)
-    near = (
-        f"Expected target error {target.min():.2f} to {target.max():.2f} mm at the touched places"
-    )
-    worst = f"{near}, up to {there.max():.2f} mm in the working volume."
-    banner = Banner(
-        kind="computed",
+    touched = spanned(fit.target_error_mm(fit.touched_mm), ".2f", "mm")
+    return _page(
+        "Calibration of the world",
+        {
+            "findings": ("What was found wrong", _findings(result.findings, ())),
+            "fits": ("Fits", [models, residuals]),
+            "volume": ("Over the working volume", [_target_table(volume, there)]),
+        },
+        record,
+        command,
         verdict=_verdict(result.findings),
         tested=f"World from {len(fit.touched_mm)} points that the arm touched.",
         sentence=(
             f"Mapped points miss the arm's by {comparison.rigid.fre_mm:.3f} mm rms, a point left"
-            f" out by {mm_text(held_out)} mm rms."
+            f" out by {held_out['rigid'] or NOT_MEASURED} mm rms."
         ),
-        confidence=worst,
+        confidence=(
+            f"Expected target error {touched} at the touched places, up to {there.max():.2f} mm in"
+            " the working volume."
+        ),
         next_action=_next(result.findings, (), "teatbench calibrate merge"),
     )
-    sections = (
-        Section("findings", "What was found wrong", tuple(finding_parts(result.findings, ()))),
-        Section("fits", "Fits", (models, residuals)),
-        Section("volume", "Over the working volume", (target_table(volume, there),)),
-        Section("provenance", "Provenance", tuple(provenance_parts(record, command))),
+
+
+def check_page(
+    again: Remeasured, findings: Sequence[Finding], record: Record, command: str
+) -> Page:
+    """Of `calibrate check`: an existing calibration against a board seen today."""
+    return _check(
+        {"measured": ("The board, measured", [_measured_table(again)])},
+        findings,
+        record,
+        command,
+        tested=f"An existing calibration on {len(again.views)} views of a board.",
+        confidence=(
+            f"Rms: spacing {again.spacing_rms_mm:.3f} mm, flatness {again.flatness_rms_mm:.3f} mm,"
+            f" rows {again.epipolar_rms_px:.2f} px."
+        ),
+        cure="Calibrate anew (teatbench calibrate cameras), after looking at what is named below.",
     )
-    return Page("Calibration of the world", f"made {record.made}", banner, sections)
+
+
+def check_points_page(
+    again: PointsAgain, findings: Sequence[Finding], record: Record, command: str
+) -> Page:
+    """Of `calibrate check --points`: an existing calibration against points touched today."""
+    rms = np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1)))
+    points = table(
+        "Measured less touched",
+        ">point | >dx [mm] ~+.2f | >dy [mm] ~+.2f | >dz [mm] ~+.2f | >expected [mm] ~.2f",
+        [
+            (n, *row, expected)
+            for n, (row, expected) in enumerate(
+                zip(again.missed_mm, again.expected_mm, strict=True), 1
+            )
+        ],
+        "Expected: root of the summed variances of calibration, pixels and touch.",
+    )
+    return _check(
+        {"points": ("The points, measured", [points])},
+        findings,
+        record,
+        command,
+        tested=f"An existing calibration on {len(again.missed_mm)} points that the arm touched.",
+        confidence=(
+            f"Points are missed by {rms:.2f} mm rms; on the mean by"
+            f" {listed(again.missed_mm.mean(axis=0), '+.2f')} mm."
+        ),
+        cure="Look at what is named below, then make the world's step again (calibrate world).",
+    )
+
+
+def _check(
+    chapters: Chapters,
+    findings: Sequence[Finding],
+    record: Record,
+    command: str,
+    *,
+    tested: str,
+    confidence: str,
+    cure: str,
+) -> Page:
+    named = "; ".join(finding.name for finding in findings)
+    return _page(
+        CHECK,
+        {"findings": ("What was found wrong", _findings(findings, ())), **chapters},
+        record,
+        command,
+        verdict="not met" if findings else "met",
+        tested=tested,
+        sentence=f"It no longer holds: {named}." if findings else HOLDS,
+        confidence=confidence,
+        next_action=cure if findings else "Nothing.",
+    )
 
 
 def _verdict(findings: Sequence[Finding]) -> Verdict:
@@ -227,106 +306,216 @@ def _next(findings: Sequence[Finding], missing: Sequence[str], then: str) -> str
     return f"Better still: {missing[0]}. Then: {then}." if missing else f"{then}."
 
 
-def _depths_m(result: CamerasResult) -> tuple[float, float]:
-    spans = [shown.distances_mm for shown in result.coverage.values() if shown.distances_mm]
-    return min(near for near, _ in spans) / 1000.0, max(far for _, far in spans) / 1000.0
+def still_missing(shown: Mapping[str, Coverage]) -> tuple[str, ...]:
+    """What views of each camera still lack, as instructions."""
+    return tuple(
+        f"{camera}: {text}" for camera, coverage in shown.items() for text in coverage.missing
+    )
 
 
-def _halves_sentence(result: CamerasResult) -> str:
-    if result.halves is None:
-        return (
-            "Too few pairs of views for a split-half comparison (10 are needed): nothing was held"
-            " out."
+def _findings(findings: Sequence[Finding], missing: tuple[str, ...]) -> Iterator[Part]:
+    """What is wrong by name, and what the views lack."""
+    if findings:
+        yield Notes("Named", tuple(f"{finding.name}: {finding.sentence}" for finding in findings))
+    else:
+        yield Paragraph(
+            "Nothing: no fault left a mark that is both significant and large enough to matter.",
+            tone="good",
         )
-    pairs = result.views.pairs()
-    apart = np.concatenate(
-        [result.halves.disagree_mm(pair.left_px, pair.right_px) for pair in pairs]
+    if missing:
+        yield Notes("What the views don't show yet", missing)
+
+
+def _parameters(result: CamerasResult) -> Iterator[Part]:
+    """Both lenses and the motion between them, with standard deviations."""
+    for camera in PAIR:
+        yield _lens(result.joint, camera, result.alone[camera])
+
+    def six(motion: Motion) -> tuple[float, ...]:
+        return (*motion.om, *motion.T)
+
+    joint, fixed = result.joint.fit, result.fixed.fit
+    others = six(fixed.rig.from_reference["right"])
+    rows = []
+    for name, value, other in zip(POSE, six(result.pair.right_from_left), others, strict=True):
+        digits = 3 if name.startswith("T") else 5
+        sd = _sd(joint.sd("right", name), digits)
+        unit = UNITS[name[:-1]]
+        rows.append((name, unit, f"{value:.{digits}f}", sd, f"{other:.{digits}f}"))
+    note = (
+        f"Corners miss by {joint.rms_px:.3f} px rms jointly, by {fixed.rms_px:.3f} px with the"
+        " lenses as each camera alone has them."
     )
-    return (
-        "Two calibrations, each from half of the views, place the board's points"
-        f" {np.sqrt(np.mean(apart**2)):.2f} mm apart (rms)."
+    heads = "parameter | unit | >joint | >sd | >with lenses fixed"
+    yield table("Right camera against left: X_right = R(om) X_left + T", heads, rows, note)
+
+
+def _lens(fit: Calibrated, camera: str, alone: Calibrated | None = None) -> Table:
+    """One camera's lens; beside it what the camera alone gave, where that is known."""
+
+    def values(of: Calibrated) -> tuple[float, ...]:
+        lens = of.fit.rig.cameras[camera]
+        return (*lens.fc, *lens.cc, *lens.kc)
+
+    rows = []
+    for at, name in enumerate(LENS):
+        digits = 5 if name[0] in "kp" else 3
+        sd = _sd(fit.fit.sd(camera, name), digits)
+        told = [f"{values(of)[at]:.{digits}f}" for of in (fit, alone) if of is not None]
+        rows.append((name, UNITS.get(name, ""), told[0], sd, *told[1:]))
+    heads = f"parameter | unit | >value | >sd{'' if alone is None else ' | >alone'}"
+    return table(f"Lens of the {camera} camera", heads, rows)
+
+
+def _sd(value: float | None, digits: int) -> str:
+    return "fixed" if value is None else f"{value:.{digits}f}"
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _residuals(fits: Mapping[str, Calibrated], views: BoardViews) -> Iterator[Part]:
+    """Where the corners lie, and which way they miss."""
+    for camera, fit in fits.items():
+        pairs = [
+            (s.pixels_px, r)
+            for s, r in zip(fit.sightings, fit.fit.residuals_px, strict=True)
+            if s.camera == camera
+        ]
+        at, miss = (np.concatenate(arrays) for arrays in zip(*pairs, strict=True))
+        (x, y), (dx, dy), size = at.T, miss.T, views.image_size[camera]
+        svg = residual_field(x, y, dx, dy, size, name=f"residuals-{camera}")
+        told = (
+            f"{len(miss)} points, rms {np.sqrt(np.mean(np.sum(miss**2, axis=1))):.3f} px, mean"
+            f" {listed(miss.mean(axis=0), '+.3f')} px"
+        )
+        yield Figure(svg, f"Corners of the {camera} camera: seen less predicted", told)
+
+
+def _held_out(result: CamerasResult) -> Iterator[Part]:
+    """Spacing, flatness and rows from views not used."""
+    again = result.held_out
+    if again is None:
+        yield Paragraph(
+            "Not measured: fewer than 10 pairs of views, so that none could be held out.",
+            tone="warn",
+        )
+        return
+    (scale, scale_sd), (bend, bend_sd), (row, row_sd) = again.scale, again.bend, again.epipolar
+    pitch, rows_px = again.board.pitch_mm, again.epipolar_rms_px
+    entries = (
+        ("lengths against the print", f"{scale:.5f} ± {scale_sd:.5f} (1 sd)"),
+        ("distance of neighbours", f"{again.spacing_rms_mm:.3f} mm rms from {pitch:g} mm"),
+        ("flatness", f"{again.flatness_rms_mm:.3f} mm rms"),
+        ("bend of the board", f"{bend:+.3f} ± {bend_sd:.3f} mm, middle over rim"),
+        ("rows against each other", f"{row:+.3f} ± {row_sd:.3f} px, {rows_px:.3f} px rms"),
+    )
+    yield KeyValues(
+        "Each half of the views, measured with the calibration that the other half made", entries
+    )
+    if result.halves is not None:
+        apart = _rms(np.array(list(result.halves.differences.values())))
+        yield Paragraph(
+            f"The two halves' parameters differ by {apart:.2f} of their combined standard"
+            " deviations (rms; 1 is expected)."
+        )
+    yield _measured_table(again)
+
+
+def _measured_table(again: Remeasured) -> Table:
+    """A board measured again, view by view."""
+    heads = (
+        "view | >distance [mm] ~.0f | >scale ~.5f | >spacing [mm rms] ~.3f"
+        " | >flatness [mm rms] ~.3f | >rows [px rms] ~.3f"
+    )
+    rows = [
+        (v.name, v.depth_mm, v.scale, *map(_rms, (v.spacing_mm, v.off_plane_mm, v.epipolar_px)))
+        for v in again.views
+    ]
+    return table("View by view", heads, rows, searchable=True)
+
+
+def _worth(result: CamerasResult, seen_m: tuple[float, float]) -> Iterator[Part]:
+    """What a point is good to by distance, and what a pixel of disparity is worth."""
+    good = result.good_to_mm(1000.0 * DISTANCES_M)
+    words = "; ".join(
+        f"{good[i]:.2f} mm at {DISTANCES_M[i]:.2f} m" for i in (0, len(good) // 2, len(good) - 1)
+    )
+    svg = precision_by_distance(DISTANCES_M, good, seen_m)
+    yield Figure(svg, "What one triangulated point is good to", words, wide=True)
+    pair = result.pair
+    focal = 0.5 * (pair.left.fc[0] + pair.right.fc[0])
+    per_px = 1e6 / (focal * float(np.linalg.norm(pair.right_from_left.T)))
+    worth = ", ".join(f"{z:.1f} m: {z**2 * per_px:.1f} mm" for z in (1.0, 1.2, 1.5, 1.75))
+    yield Paragraph(
+        f"One pixel of disparity is worth, in depth: {worth}. No method on this pair does better a"
+        " pixel."
     )
 
 
-def _board(views: BoardViews) -> str:
-    return f"{views.board.columns} x {views.board.rows} {views.board.kind}"
+def _coverage(shown: Mapping[str, Coverage]) -> Iterator[Part]:
+    """Corners by part of the picture, tilts and distances."""
+    for camera, coverage in shown.items():
+        tilts = ", ".join(
+            f"{count} {side.split(' edge')[0].removeprefix('its ')}"
+            for side, count in zip(SIDES, coverage.tilted, strict=True)
+        )
+        span = coverage.distances_mm
+        note = (
+            f"{coverage.views} views; distances"
+            f" {'unknown' if span is None else spanned(span, '.0f', 'mm')}; tilted towards the"
+            f" cameras by an edge: {tilts}."
+        )
+        heads = ">far left | >left | >right | >far right"
+        yield table(f"Corners by part of the {camera} picture", heads, coverage.corners, note)
 
 
-def check_page(
-    again: Remeasured, findings: Sequence[Finding], record: Record, command: str
-) -> Page:
-    """Of `calibrate check`: an existing calibration against a board seen today."""
-    figures = (
-        f"spacing {again.spacing_rms_mm:.3f} mm, flatness {again.flatness_rms_mm:.3f} mm, rows"
-        f" {again.epipolar_rms_px:.2f} px"
+def _pictures(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
+    """Views used, and what was left out with its reason."""
+    rows = []
+    for camera in views.found:
+        errors = fit.view_rms_px(camera)
+        for name, found in views.found[camera].items():
+            missed = f"{errors[name]:.3f}" if name in errors else None
+            rows.append((camera, name, len(found.ids), found.edges_px, missed))
+    heads = "camera | view | >points | >edges [px] ~.1f? | >misses by [px rms]"
+    yield table("Views used", heads, rows, searchable=True)
+    left_out = tuple(f"{r.camera} {r.view}: {r.reason}" for r in views.refused)
+    yield (
+        Notes("Left out", left_out)
+        if left_out
+        else Paragraph("No picture was left out.", tone="good")
     )
-    sentence = (
-        "It still holds."
-        if not findings
-        else "It no longer holds: " + "; ".join(f.name for f in findings) + "."
-    )
-    banner = Banner(
-        kind="computed",
-        verdict="met" if not findings else "not met",
-        tested=f"An existing calibration on {len(again.views)} views of a board.",
-        sentence=sentence,
-        confidence=f"Rms: {figures}.",
-        next_action=(
-            "Nothing."
-            if not findings
-            else (
-                "Calibrate anew (teatbench calibrate cameras), after looking at what is named"
-                " below."
-            )
-        ),
-    )
-    sections = (
-        Section("findings", "What was found wrong", tuple(finding_parts(findings, ()))),
-        Section("measured", "The board, measured", (measured_table(again),)),
-        Section("provenance", "Provenance", tuple(provenance_parts(record, command))),
-    )
-    return Page("Check of a calibration", f"checked {record.made}", banner, sections)
 
 
-def check_points_page(
-    again: PointsAgain, findings: Sequence[Finding], record: Record, command: str
-) -> Page:
-    """Of `calibrate check --points`: an existing calibration against points touched today."""
-    rms = float(np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1))))
-    x, y, z = again.missed_mm.mean(axis=0)
-    heads = columns(">point | >dx [mm] | >dy [mm] | >dz [mm] | >expected [mm]")
-    rows = tuple(
-        (str(n), *(f"{v:+.2f}" for v in row), f"{expected:.2f}")
-        for n, (row, expected) in enumerate(zip(again.missed_mm, again.expected_mm, strict=True), 1)
+def working_volume_mm(touched_mm: Array) -> Array:
+    """Points (27, 3) over the box of the touched places, `MARGIN_MM` larger on every side."""
+    low, high = touched_mm.min(axis=0) - MARGIN_MM, touched_mm.max(axis=0) + MARGIN_MM
+    grid = np.meshgrid(*np.linspace(low, high, 3).T, indexing="ij")
+    return np.column_stack([axis.reshape(-1) for axis in grid])
+
+
+def _target_table(volume_mm: Array, errors_mm: Array) -> Table:
+    """Expected target errors (27,) at `working_volume_mm`: rows y and z, columns x."""
+    places = volume_mm.reshape(3, 9, 3)
+    by_x = (f" | >x = {place[0, 0]:.0f} mm [mm] ~.2f" for place in places)
+    heads = f">y [mm] ~.0f | >z [mm] ~.0f{''.join(by_x)}"
+    rows = np.column_stack([places[0, :, 1:], errors_mm.reshape(3, 9).T])
+    note = (
+        f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West"
+        " and Maurer 1998, eq. 46."
     )
-    table = Table(
-        "Measured less touched",
-        heads,
-        rows,
-        note="Expected: root of the summed variances of calibration, pixels and touch.",
+    return table("Expected target error, rms", heads, rows, note)
+
+
+def _homographies(result: ThermalResult) -> Iterator[Part]:
+    """The homographies and the plane they hold on."""
+    maps = result.homographies
+    yield Paragraph(
+        f"Derived at a plane {maps.plane_depth_mm or 0.0:.0f} mm before the right camera, parallel"
+        " to its picture; wrong elsewhere."
     )
-    banner = Banner(
-        kind="computed",
-        verdict="met" if not findings else "not met",
-        tested=f"An existing calibration on {len(again.missed_mm)} points that the arm touched.",
-        sentence=(
-            "It still holds."
-            if not findings
-            else "It no longer holds: " + "; ".join(f.name for f in findings) + "."
-        ),
-        confidence=(
-            f"Points are missed by {rms:.2f} mm rms; on the mean by {x:+.2f}, {y:+.2f},"
-            f" {z:+.2f} mm."
-        ),
-        next_action=(
-            "Nothing."
-            if not findings
-            else "Look at what is named below, then make the world's step again (calibrate world)."
-        ),
-    )
-    sections = (
-        Section("findings", "What was found wrong", tuple(finding_parts(findings, ()))),
-        Section("points", "The points, measured", (table,)),
-        Section("provenance", "Provenance", tuple(provenance_parts(record, command))),
-    )
-    return Page("Check of a calibration", f"checked {record.made}", banner, sections)
+    for side, H in (("left", maps.left), ("right", maps.right)):
+        lines = ("  ".join(f"{v: .6g}" for v in row) for row in H)
+        yield Code(f"thermal to {side}", "\n".join(lines))

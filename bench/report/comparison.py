@@ -14,49 +14,30 @@ from bench.config import ConfigError
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
-from bench.report.tables import key_values
-from bench.report.wording import NOT_MEASURED
+from bench.report.wording import NOT_MEASURED, key_values, listed, table
 from bench.results.comparison import Comparison, Side, compare_folders, compare_sides
 from bench.results.error_rows import truth_gage
 from bench.scoring.comparison import PairedDifference, Row, ScenePair, why_failed
 from bench.scoring.decisions import Verdict, overall
 from bench.scoring.scene import SceneScore
 from reports.figures import change_scatter
-from reports.page import Banner, Kind, Page, Section
-from reports.parts import (
+from reports.page import (
+    Banner,
     Cell,
-    Column,
     Figure,
     KeyValues,
+    Kind,
     Notes,
+    Page,
     Paragraph,
     Part,
+    Section,
     Table,
     Tone,
-    columns,
 )
-from reports.parts import Verdict as PageVerdict
+from reports.page import Verdict as PageVerdict
 from reports.render import write_report
 
-SUCCESS = (
-    ("situation", ""),
-    ("poses", ""),
-    ("lost", ""),
-    ("won", ""),
-    ("change", "% points"),
-    ("p", ""),
-    ("false", ""),
-    ("missed", ""),
-)
-DISTANCE = (
-    ("situation", ""),
-    ("teats", ""),
-    ("change", "mm"),
-    ("p", ""),
-    ("|x|", "mm"),
-    ("|y|", "mm"),
-    ("|z|", "mm"),
-)
 LEGEND = (
     "All differences are new less old, with their intervals. Lost and won: poses that only the old "
     "or only the new one got right (exact McNemar; the interval is Tango's). Distance: mean over "
@@ -72,16 +53,29 @@ DIFFER = {
     "seed": "seed",
     "calibration": "calibration_sha256",
 }
-NOT_KNOWN = "not known"
-WORDS: dict[Verdict, PageVerdict] = {
-    Verdict.MET: "not worse",
-    Verdict.NOT_MET: "worse",
-    Verdict.INCONCLUSIVE: "inconclusive",
-}
-TOLD = {
-    Verdict.MET: "The new one is not worse:",
-    Verdict.NOT_MET: "THE NEW ONE IS WORSE:",
-    Verdict.INCONCLUSIVE: "Whether the new one is worse can't be told:",
+# of a gate's verdict: the page's word, the sentence, what to do next, the tone
+GATE: dict[Verdict, tuple[PageVerdict, str, str, Tone]] = {
+    Verdict.MET: (
+        "not worse",
+        "The new one is not worse:",
+        "The new one may replace the old one as far as these scenes go.",
+        "good",
+    ),
+    Verdict.NOT_MET: (
+        "worse",
+        "THE NEW ONE IS WORSE:",
+        (
+            "Look at the scenes below that changed, in the report of the new run, before the new"
+            " one is used."
+        ),
+        "bad",
+    ),
+    Verdict.INCONCLUSIVE: (
+        "inconclusive",
+        "Whether the new one is worse can't be told:",
+        "Compare on more poses, as many as the reasons name.",
+        "warn",
+    ),
 }
 
 
@@ -92,12 +86,12 @@ def heading(comparison: Comparison) -> str:
 
 def verdict_told(comparison: Comparison) -> str:
     """The gate's verdict as a sentence."""
-    return TOLD[comparison.compared.gate.verdict]
+    return GATE[comparison.compared.gate.verdict][1]
 
 
 def notes(comparison: Comparison) -> Iterator[str]:
     """What has to be known before the figures are believed."""
-    n = len(comparison.pairs)
+    n, gate = len(comparison.pairs), comparison.compared.gate
     if comparison.same_frames == n:
         yield f"{n} scenes, each in the very same frames."
     else:
@@ -115,21 +109,13 @@ def notes(comparison: Comparison) -> Iterator[str]:
             f"{comparison.elsewhere} trials of the old run have a namesake in the new one with its"
             " teats elsewhere: not compared."
         )
-    yield from _unlike(comparison)
-    yield from _truth(comparison)
-    yield (
-        f"Intervals: {100 * comparison.compared.confidence:g} %. Margin:"
-        f" {comparison.compared.gate.margin_mm:g} mm."
-    )
-
-
-def _unlike(comparison: Comparison) -> Iterator[str]:
-    """What else differs between the two runs than the detector."""
-    old, new = comparison.old.run.facts, comparison.new.run.facts
     for what, key in DIFFER.items():
-        a, b = old.get(key), new.get(key)
-        if a != b:
-            yield f"The runs also differ in {what}: {_short(a)} (old), {_short(b)} (new)."
+        facts = [side.run.facts.get(key) for side in (comparison.old, comparison.new)]
+        if facts[0] != facts[1]:
+            a, b = ("not known" if fact is None else str(fact)[:40] for fact in facts)
+            yield f"The runs also differ in {what}: {a} (old), {b} (new)."
+    yield from _truth(comparison)
+    yield (f"Intervals: {100 * comparison.compared.confidence:g} %. Margin: {gate.margin_mm:g} mm.")
 
 
 def _truth(comparison: Comparison) -> Iterator[str]:
@@ -138,16 +124,10 @@ def _truth(comparison: Comparison) -> Iterator[str]:
     found = truth_gage((old, new)) if old.folder.resolve() != new.folder.resolve() else None
     if found is None or found.studies is None:
         return
-    width_mm = 2.0 * comparison.pairs[0].old.limit_mm
-    first = found.studies[0]
-    within, between, share = (
-        ", ".join(f"{value:.{digits}f}" for value in values)
-        for values, digits in (
-            ([study.repeatability for study in found.studies], 3),
-            ([study.reproducibility for study in found.studies], 3),
-            ([100.0 * study.share_of_tolerance(width_mm) for study in found.studies], 0),
-        )
-    )
+    width_mm, first = 2.0 * comparison.pairs[0].old.limit_mm, found.studies[0]
+    within = listed((study.repeatability for study in found.studies), ".3f")
+    between = listed((study.reproducibility for study in found.studies), ".3f")
+    share = listed((100.0 * s.share_of_tolerance(width_mm) for s in found.studies), ".0f")
     yield (
         f"The truth itself (gage R&R along x, y, z; {first.parts} ends touched {first.repeats}"
         f" times in each run): repeatability {within} mm, reproducibility {between} mm, setting the"
@@ -155,37 +135,35 @@ def _truth(comparison: Comparison) -> Iterator[str]:
     )
 
 
-def _short(value: object) -> str:
-    return NOT_KNOWN if value is None else str(value)[:40]
-
-
-def success_rows(comparison: Comparison) -> Iterator[tuple[str, ...]]:
-    """The rows under SUCCESS: all, then each situation."""
-    confidence = comparison.compared.confidence
+def success_table(comparison: Comparison) -> Table:
+    """Poses and what was counted: all, then each situation."""
+    confidence, rows = comparison.compared.confidence, []
     for row in _rows(comparison):
-        won, p = row.success, row.success.p_value if row.success_holm is None else row.success_holm
-        counts = (f"{row.new.false - row.old.false:+d}", f"{row.new.missed - row.old.missed:+d}")
+        won, change = row.success, row.success.difference
+        span = won.interval(confidence)
+        points = (
+            None
+            if span is None or change is None
+            else f"{100 * change:+.1f} ({100 * span[0]:+.1f} to {100 * span[1]:+.1f})"
+        )
+        p = _p(won.p_value if row.success_holm is None else row.success_holm)
+        counts = (row.new.false - row.old.false, row.new.missed - row.old.missed)
         name = row.situation or "all"
-        yield (
-            name,
-            str(row.poses),
-            str(won.only_old),
-            str(won.only_new),
-            _percent_points(row, confidence),
-            _p(p),
-            *counts,
-        )
+        rows.append((name, row.poses, won.only_old, won.only_new, points, p, *counts))
+    heads = "situation | >poses | >lost | >won | >change [% points] | >p | >false ~+d | >missed ~+d"
+    return table("Success of poses, and what was counted", heads, rows, LEGEND)
 
 
-def distance_rows(comparison: Comparison, *, wide: bool = False) -> Iterator[tuple[str, ...]]:
-    """The rows under DISTANCE: all, then each situation. ``wide`` adds the axes' intervals."""
+def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
+    """Distances and axes: all, then each situation. ``wide`` adds the axes' intervals."""
+    rows = []
     for row in _rows(comparison):
-        p = row.radial.p_value if row.radial_holm is None else row.radial_holm
-        axes = (
-            difference_told(axis if wide else replace(axis, low=None, high=None))
-            for axis in row.axes
-        )
-        yield (row.situation or "all", str(row.teats), difference_told(row.radial), _p(p), *axes)
+        p = _p(row.radial.p_value if row.radial_holm is None else row.radial_holm)
+        axes = row.axes if wide else [replace(axis, low=None, high=None) for axis in row.axes]
+        change, *along = map(_difference, (row.radial, *axes))
+        rows.append((row.situation or "all", row.teats, change, p, *along))
+    heads = "situation | >teats | >change [mm] | >p | >|x| [mm] | >|y| [mm] | >|z| [mm]"
+    return table("Distance to the teat end", heads, rows)
 
 
 def _rows(comparison: Comparison) -> tuple[Row, ...]:
@@ -193,13 +171,19 @@ def _rows(comparison: Comparison) -> tuple[Row, ...]:
     return (found.pooled, *(found.situations if len(found.situations) > 1 else ()))
 
 
-def difference_told(difference: PairedDifference) -> str:
+def _difference(difference: PairedDifference) -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
         return NOT_MEASURED
     if difference.low is None or difference.high is None:
         return f"{difference.mean:+.3f}"
     return f"{difference.mean:+.3f} ({difference.low:+.3f} to {difference.high:+.3f})"
+
+
+def _p(value: float | None) -> str:
+    if value is None:
+        return ""
+    return "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
 def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
@@ -219,7 +203,7 @@ def _one(comparison: Comparison) -> dict[str, Any]:
         "elsewhere": comparison.elsewhere,
         "confidence": found.confidence,
         "gate": {
-            "verdict": WORDS[found.gate.verdict],
+            "verdict": GATE[found.gate.verdict][0],
             "reasons": list(found.gate.reasons),
             "margin_mm": found.gate.margin_mm,
         },
@@ -236,42 +220,12 @@ def _numbers(row: Row, confidence: float) -> dict[str, Any]:
     return {**asdict(row), "success": {**asdict(row.success), **success}}
 
 
-def _percent_points(row: Row, confidence: float) -> str:
-    span, difference = row.success.interval(confidence), row.success.difference
-    if span is None or difference is None:
-        return NOT_MEASURED
-    return f"{100 * difference:+.1f} ({100 * span[0]:+.1f} to {100 * span[1]:+.1f})"
-
-
-def _p(value: float | None) -> str:
-    if value is None:
-        return ""
-    return "< 0.001" if value < 0.001 else f"{value:.3f}"
-
-
-NEXT = {
-    Verdict.MET: "The new one may replace the old one as far as these scenes go.",
-    Verdict.NOT_MET: (
-        "Look at the scenes below that changed, in the report of the new run, before the new one is"
-        " used."
-    ),
-    Verdict.INCONCLUSIVE: "Compare on more poses, as many as the reasons name.",
-}
-TONES: dict[Verdict, Tone] = {
-    Verdict.MET: "good",
-    Verdict.NOT_MET: "bad",
-    Verdict.INCONCLUSIVE: "warn",
-}
-
-
 def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
     """Write ``index.html`` and ``comparison.json``; return the page's path. Raises ConfigError."""
+    text = json.dumps(as_json(found), indent=1, ensure_ascii=False)
     try:
         path = write_report(comparison_page(found), folder)
-        write_synced(
-            folder / "comparison.json",
-            (json.dumps(as_json(found), indent=1, ensure_ascii=False) + "\n").encode(),
-        )
+        write_synced(folder / "comparison.json", f"{text}\n".encode())
     except OSError as error:
         raise ConfigError.plain(f"{folder}: the comparison can't be written: {error}") from error
     return path
@@ -279,16 +233,19 @@ def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
 
 def comparison_page(found: Sequence[Comparison]) -> Page:
     """The page: a section a comparison."""
-    verdict = overall(comparison.compared.gate.verdict for comparison in found)
-    worst = [one for one in found if one.compared.gate.verdict is verdict] or list(found)
-    first = found[0]
+    gate = overall(comparison.compared.gate.verdict for comparison in found)
+    worst = next((one for one in found if one.compared.gate.verdict is gate), found[0])
+    verdict, _, then, _ = GATE[gate]
+    runs = [side.run for one in found for side in (one.old, one.new)]
+    kinds: set[Kind] = {run.facts["kind"] for run in runs}
+    mixed: Kind = "mixed" if kinds & {"emulated", "mixed"} else "recorded"
     banner = Banner(
-        kind=_kind(found),
-        verdict=WORDS[verdict],
+        kind=kinds.pop() if len(kinds) == 1 else mixed,
+        verdict=verdict,
         tested=f"{'; '.join(heading(one) for one in found)}.",
-        sentence=f"{verdict_told(worst[0])} {_listed(worst[0].compared.gate.reasons)}",
-        confidence=" ".join(notes(first)),
-        next_action=NEXT[verdict],
+        sentence=_sentence(worst),
+        confidence=" ".join(notes(found[0])),
+        next_action=then,
     )
     sections = tuple(
         Section(
@@ -298,96 +255,69 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         )
         for number, one in enumerate(found, 1)
     )
-    alarm = (
-        f"{NOT_AS_WRITTEN}: no figure below holds."
-        if any(one.old.run.damage or one.new.run.damage for one in found)
-        else ""
-    )
+    damaged = any(run.damage for run in runs)
     return Page(
         "Comparison of detectors",
         "Paired differences on the same scenes",
         banner,
         sections,
-        alarm=alarm,
+        alarm=f"{NOT_AS_WRITTEN}: no figure below holds." if damaged else "",
     )
+
+
+def _sentence(comparison: Comparison, most: int = 5) -> str:
+    reasons = comparison.compared.gate.reasons
+    more = f"; and {len(reasons) - most} more" if len(reasons) > most else ""
+    return f"{verdict_told(comparison)} {'; '.join(reasons[:most])}{more}."
 
 
 def comparison_parts(comparison: Comparison) -> Iterator[Part]:
     """What a page says of one comparison; a run's report can take the same."""
-    gate = comparison.compared.gate
-    yield Paragraph(f"{verdict_told(comparison)} {_listed(gate.reasons)}", tone=TONES[gate.verdict])
-    yield Table(
-        "Success of poses, and what was counted",
-        _columns(SUCCESS),
-        tuple(success_rows(comparison)),
-        LEGEND,
-    )
-    yield Table(
-        "Distance to the teat end", _columns(DISTANCE), tuple(distance_rows(comparison, wide=True))
-    )
+    tone = GATE[comparison.compared.gate.verdict][3]
+    yield Paragraph(_sentence(comparison), tone=tone)
+    yield success_table(comparison)
+    yield distance_table(comparison, wide=True)
     yield Notes("Of this comparison", tuple(notes(comparison)))
     yield _changed(comparison)
-    yield key_values(
-        "Compared",
-        [("old run", comparison.old.run.folder.name), ("new run", comparison.new.run.folder.name)],
-    )
-
-
-def _columns(titles: Sequence[tuple[str, str]]) -> tuple[Column, ...]:
-    return tuple(
-        Column(title, "right" if n else "left", unit) for n, (title, unit) in enumerate(titles)
-    )
+    old, new = comparison.old.run.folder.name, comparison.new.run.folder.name
+    yield key_values("Compared", {"old run": old, "new run": new})
 
 
 def _changed(comparison: Comparison) -> Table:
     """Scenes whose outcome changed, and those whose error changed most."""
-    heads = columns("scene | situation | old | new | >change of the largest error [mm]")
-    by_change = sorted(
-        comparison.pairs,
-        key=lambda pair: (pair.old.success == pair.new.success, -abs(_growth(pair) or 0.0)),
-    )
-    shown = [pair for pair in by_change if pair.old.success != pair.new.success or _growth(pair)][
-        :50
+
+    def growth(pair: ScenePair) -> float | None:
+        if not pair.old.radial_mm or not pair.new.radial_mm:
+            return None
+        return max(pair.new.radial_mm) - max(pair.old.radial_mm)
+
+    def outcome(score: SceneScore) -> Cell:
+        return Cell("success", "good") if score.success else Cell(why_failed(score), "bad")
+
+    changes = [
+        (pair.old.success == pair.new.success, growth(pair), pair) for pair in comparison.pairs
     ]
-    cells = tuple(
-        (pair.scene, pair.situation, _outcome(pair.old), _outcome(pair.new), _growth_told(pair))
-        for pair in shown
+    shown = sorted(
+        (change for change in changes if not change[0] or change[1]),
+        key=lambda change: (change[0], -abs(change[1] or 0.0)),
     )
-    note = "" if cells else "No scene's outcome changed, and no error."
-    return Table(
+    rows = [
+        (
+            pair.scene,
+            pair.situation,
+            outcome(pair.old),
+            outcome(pair.new),
+            Cell(NOT_MEASURED if grown is None else f"{grown:+.3f}", sort=grown),
+        )
+        for _, grown, pair in shown[:50]
+    ]
+    return table(
         "Scenes that changed (at most 50, changed outcomes first)",
-        heads,
-        cells,
-        note,
-        searchable=len(cells) > 10,
+        "scene | situation | old | new | >change of the largest error [mm]",
+        rows,
+        "" if rows else "No scene's outcome changed, and no error.",
+        searchable=len(rows) > 10,
     )
-
-
-def _growth(pair: ScenePair) -> float | None:
-    if not pair.old.radial_mm or not pair.new.radial_mm:
-        return None
-    return max(pair.new.radial_mm) - max(pair.old.radial_mm)
-
-
-def _growth_told(pair: ScenePair) -> Cell:
-    growth = _growth(pair)
-    return Cell("not measured" if growth is None else f"{growth:+.3f}", sort=growth)
-
-
-def _outcome(score: SceneScore) -> Cell:
-    return Cell("success", "good") if score.success else Cell(why_failed(score), "bad")
-
-
-def _kind(found: Sequence[Comparison]) -> Kind:
-    kinds: set[Kind] = {side.run.facts["kind"] for one in found for side in (one.old, one.new)}
-    if len(kinds) == 1:
-        return kinds.pop()
-    return "mixed" if kinds & {"emulated", "mixed"} else "recorded"
-
-
-def _listed(reasons: Sequence[str], most: int = 5) -> str:
-    more = f"; and {len(reasons) - most} more" if len(reasons) > most else ""
-    return f"{'; '.join(reasons[:most])}{more}."
 
 
 def baseline_section(baseline: Path, folder: Path, damage: tuple[str, ...] = ()) -> Section:
@@ -404,15 +334,13 @@ def baseline_section(baseline: Path, folder: Path, damage: tuple[str, ...] = ())
 def detectors_section(run: RunRecord) -> tuple[Section, ...]:
     """Each later scored detector against the first, on the same frames."""
     first, *others = (Side(run, name) for name in run.detectors)
-    compared = [
-        compare_sides(first, other)
+    parts = tuple(
+        part
         for other in others
         if {t.id for t in first.trials} & {t.id for t in other.trials}
-    ]
-    if not compared:
-        return ()
-    parts = tuple(part for one in compared for part in _of_one_run(one))
-    return (Section("detectors", "Detectors compared", parts),)
+        for part in _of_one_run(compare_sides(first, other))
+    )
+    return (Section("detectors", "Detectors compared", parts),) if parts else ()
 
 
 def _of_one_run(found: Comparison) -> Iterator[Part]:
@@ -438,10 +366,9 @@ def _figure(found: Comparison, number: int) -> Iterator[Part]:
         return
     old, new, limits = zip(*both, strict=True)
     svg = change_scatter(old, new, max(limits), name=f"change-{number}")
-    worse = sum(b > a for a, b in zip(old, new, strict=True))
     alt = (
-        f"{len(both)} scenes that both found teats in: the largest error grew in {worse}, shrank in"
-        f" {sum(b < a for a, b, _ in both)}"
+        f"{len(both)} scenes that both found teats in: the largest error grew in"
+        f" {sum(b > a for a, b, _ in both)}, shrank in {sum(b < a for a, b, _ in both)}"
     )
     yield Figure(
         svg,

@@ -1,48 +1,80 @@
-"""The pictures of a trial for the report: JPEG of the frames, cut to the teats at first sight, with
-overlays. They can be made again at any time, so nothing is synced to the disk.
+"""The pictures of a trial for the report: JPEG of the frames, cut to the teats at first sight, and
+what is drawn over them: truth, stages of the detector, found points with their confidence regions.
+
+Any stage of a trace with `left_px`, `right_px` or `thermal_px` (n, 2) is drawn by its name; the
+stages that only the bench's own detectors have are read by their names. Coordinates are the image's
+pixels. The pictures can be made again at any time, so nothing is synced to the disk.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.report.overlays import Points, overlays, project_all, stage_overlays
+from bench.record.writer import Row
+from bench.report.tables import covariance_of
 from detector.calibration import Calibration
-from reports.frames import ImageView
+from detector.fused.model import COUNT, Outline, contours, pixels_of
+from detector.geometry import Motion
+from reports.frames import (
+    Circle,
+    Cross,
+    Ellipse,
+    ImageView,
+    Label,
+    LayerTone,
+    Overlay,
+    Polyline,
+    Rect,
+    Shape,
+)
+
+Points = NDArray[np.float64]
 
 JPEG_QUALITY = 80
 MARGIN_PX = 90  # round the teats, in the enlarged view of the optical frames
-CAMERAS = ("left", "right", "thermal")
 IMAGES = "images"
+# 95 % of a plane's normal distribution lies within this Mahalanobis distance squared
+CHI2_95_OF_2 = 5.991
+OUTLINE = Outline.of(60.0, 4, 9)  # of a model, as far as it is drawn
+STEP_MM = 0.05  # for the slope of a projection
+NAMES: dict[LayerTone, str] = {
+    "truth": "truth",
+    "nomination": "thermal nomination",
+    "region": "search region",
+    "point": "final point",
+    "model": "fitted model",
+    "spread": "95 % region stated",
+    "other": "other stages",
+}
+FINAL = {"ends"}  # stages that repeat the answer
 
 
 def pictures(
     run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path
 ) -> Iterator[ImageView]:
     """Every view of a trial; its files are written into ``folder``/images, which must be there."""
-    truth = project_all(
-        calibration,
-        np.array([[r["x_mm"], r["y_mm"], r["z_mm"]] for r in trial.truth]).reshape(-1, 3),
-    )
+    ends = [[r["x_mm"], r["y_mm"], r["z_mm"]] for r in trial.truth]
+    truth = project_all(calibration, np.array(ends).reshape(-1, 3))
     paths = {row["camera"]: row["path"] for row in trial.frames}
-    for camera in CAMERAS:
+    for camera, points in truth.items():
         image = grey(run.folder / paths[camera]) if camera in paths else None
         if image is None:
             continue  # the store's check names a frame that is gone; the page does without
-        mirrored = camera == "thermal" and calibration.thermal.mirrored
-        if mirrored:
+        label = camera
+        if camera == "thermal" and calibration.thermal.mirrored:
             image = np.ascontiguousarray(image[:, ::-1])  # as the detector and the overlays count
+            label = f"{camera}, un-mirrored"
         name = f"{IMAGES}/{trial.id}-{camera}.jpg"
-        (folder / name).write_bytes(_jpeg(image, name))
+        _write(image, folder / name, cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
         height, width = image.shape
-        points = truth[camera]
-        label = f"{camera}, un-mirrored" if mirrored else camera
         yield ImageView(
             label=label,
             src=name,
@@ -54,32 +86,18 @@ def pictures(
             original=f"../{paths[camera]}",
         )
     for detection in trial.detections:
-        yield from _edges(run, trial, str(detection["detector"]), folder)
-
-
-def _edges(run: RunRecord, trial: TrialRecord, detector: str, folder: Path) -> Iterator[ImageView]:
-    """The detector's edge picture, where it has one, with the points that were taken from it."""
-    path = next((row["path"] for row in trial.frames if row["camera"] == f"{detector}-edges"), None)
-    image = None if path is None else grey(run.folder / path)
-    if path is None or image is None:
-        return
-    name = f"{IMAGES}/{trial.id}-{detector}-edges.png"
-    done, data = cv2.imencode(".png", 255 - image, [cv2.IMWRITE_PNG_BILEVEL, 1])
-    if not done:
-        raise ValueError(f"OpenCV can't write {name} as PNG")
-    (folder / name).write_bytes(bytes(data))
-    detection = next(d for d in trial.detections if d["detector"] == detector)
-    height, width = image.shape
-    label = f"{detector}: edges in the thermal frame"
-    yield ImageView(
-        label,
-        name,
-        width,
-        height,
-        f"{label}, trial {trial.id}",
-        stage_overlays(detection),
-        original=f"../{path}",
-    )
+        # the detector's edge picture, where it has one, with the points that were taken from it
+        path = paths.get(f"{detection['detector']}-edges")
+        image = None if path is None else grey(run.folder / path)
+        if image is None:
+            continue
+        name = f"{IMAGES}/{trial.id}-{detection['detector']}-edges.png"
+        _write(255 - image, folder / name, cv2.IMWRITE_PNG_BILEVEL, 1)
+        height, width = image.shape
+        label = f"{detection['detector']}: edges in the thermal frame"
+        alt = f"{label}, trial {trial.id}"
+        layers = stage_overlays(detection)
+        yield ImageView(label, name, width, height, alt, layers, original=f"../{path}")
 
 
 def round_teats(points: Points | None, width: int, height: int) -> tuple[int, int, int, int] | None:
@@ -110,8 +128,150 @@ def grey(path: Path) -> NDArray[np.uint8] | None:
     return None if image is None else np.asarray(image, dtype=np.uint8)
 
 
-def _jpeg(image: NDArray[np.uint8], name: str) -> bytes:
-    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+def _write(image: NDArray[np.uint8], path: Path, setting: int, value: int) -> None:
+    done, data = cv2.imencode(path.suffix, image, [setting, value])
     if not done:
-        raise ValueError(f"OpenCV can't write {name} as JPEG")
-    return bytes(data)
+        raise ValueError(f"OpenCV can't write {path.name}")
+    path.write_bytes(bytes(data))
+
+
+def project_all(calibration: Calibration, world_mm: Points) -> dict[str, Points | None]:
+    """Pixels (n, 2) of world points (n, 3) by camera, thermal un-mirrored; None without a pose."""
+    left, right = calibration.project(world_mm)
+    in_right = calibration.world_from_right.inverse().apply(world_mm)
+    lens, pose = calibration.thermal.lens, calibration.thermal_from_right
+    thermal = lens.project(pose.apply(in_right)) if lens and pose else None
+    return {"left": left, "right": right, "thermal": thermal}
+
+
+def overlays(
+    trial: TrialRecord, camera: str, truth_px: Points | None, calibration: Calibration
+) -> tuple[Overlay, ...]:
+    """All layers over one camera's frame; ``truth_px`` (n, 2) is the truth in its pixels."""
+    shapes: dict[LayerTone, list[Shape]] = {tone: [] for tone in NAMES}
+    if truth_px is not None:
+        for row, (x, y) in zip(trial.truth, truth_px, strict=True):
+            if np.isfinite([x, y]).all():
+                hidden = "" if row["visible"] else " (hidden)"
+                shapes["truth"].append(Circle(x, y, 7, f"truth {row['teat']}{hidden}"))
+                shapes["truth"].append(Label(x + 9, y - 5, str(row["teat"])))
+    for detection in trial.detections:
+        trace, name = json.loads(detection["trace"]), str(detection["detector"])
+        for tone, shape in (
+            *_stages(trace, camera, name),
+            *_models(trace, camera, calibration, name),
+        ):
+            shapes[tone].append(shape)
+        for row in trial.found:
+            if row["detector"] == name:
+                shapes["point"] += _final(row, camera)
+                shapes["spread"] += _spread(row, camera, calibration)
+    return tuple(
+        Overlay(tone, NAMES[tone], tuple(found)) for tone, found in shapes.items() if found
+    )
+
+
+def stage_overlays(detection: Row) -> tuple[Overlay, ...]:
+    """Over the thesis's picture of edges: the points taken from it, and those nominated."""
+    trace = json.loads(detection["trace"])
+    taken = tuple(
+        Circle(x, y, 4, stage)
+        for stage in ("vertical ends", "horizontal middles")
+        for x, y in points_of(trace, stage, "points_px")
+    )
+    ends = points_of(trace, "teat ends", "points_px")
+    nominated = tuple(Cross(x, y, 6, title="nominated") for x, y in ends)
+    other = Overlay("other", NAMES["other"], taken)
+    layers = (other, Overlay("nomination", NAMES["nomination"], nominated))
+    return tuple(layer for layer in layers if layer.shapes)
+
+
+def points_of(trace: Mapping[str, Any], stage: str, key: str) -> Points:
+    """The finite points (n, 2) of a stage; none where it has no such thing."""
+    points = _rows(trace.get(stage, {}).get(key), 2)
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _rows(value: Any, width: int) -> Points:
+    """A stage's numbers as rows (n, width); none where they have another shape."""
+    try:
+        array = np.array(value if isinstance(value, list) else [], dtype=np.float64)
+    except (TypeError, ValueError):  # text, or rows of different lengths
+        return np.empty((0, width))
+    return array.reshape(-1, width) if array.size % width == 0 else np.empty((0, width))
+
+
+def _stages(
+    trace: Mapping[str, Any], camera: str, detector: str
+) -> Iterator[tuple[LayerTone, Shape]]:
+    """Points of stages in this camera's picture; the thesis's own stages by their names."""
+    for stage in trace:
+        tone: LayerTone = "nomination" if stage == "nominations" else "other"
+        if stage not in FINAL:
+            for x, y in points_of(trace, stage, f"{camera}_px"):
+                yield tone, Cross(x, y, 6, title=f"{detector}: {stage}")
+    if camera == "thermal":
+        for x, y in points_of(trace, "teat ends", "points_px"):
+            yield "nomination", Cross(x, y, 6, title=f"{detector}: nominated")
+        return
+    region = trace.get("regions", {}).get(camera)
+    if isinstance(region, dict) and len(region["shape"]) >= 2:
+        high, wide = region["shape"][-2:]
+        for x, y in np.round(points_of(trace, "nominations", f"{camera}_px")):
+            title = f"{detector}: search region"
+            yield "region", Rect(x - wide / 2, y - high / 2, wide, high, title)
+
+
+def _models(
+    trace: Mapping[str, Any], camera: str, calibration: Calibration, detector: str
+) -> Iterator[tuple[LayerTone, Shape]]:
+    """The outlines of fused's fitted teats (right camera), reasons of rejection, thermal ends."""
+    if camera == "thermal":
+        # fused nominates in the sensor's pixels, of which the picture may have several each
+        size = calibration.thermal.image_size[0] / calibration.thermal.sensor_size[0]
+        for what in ("end", "bar"):
+            for x, y in (points_of(trace, "thermal", f"{what}_px") + 0.5) * size - 0.5:
+                yield "nomination", Cross(x, y, 6, title=f"{detector}: warm {what}")
+    decided = trace.get("decisions", {})
+    teats = _rows(decided.get("teats"), COUNT)
+    reasons = decided.get("reasons") if isinstance(decided.get("reasons"), list) else []
+    lens, from_right = {
+        "left": (calibration.left, calibration.right_from_left.inverse()),
+        "right": (calibration.right, Motion.identity()),
+        "thermal": (calibration.thermal.lens, calibration.thermal_from_right),
+    }[camera]
+    if not len(teats) or lens is None or from_right is None:
+        return
+    lines = pixels_of(contours(teats, from_right, OUTLINE).points, lens)
+    for line, reason in zip(lines, reasons, strict=False):
+        if np.isfinite(line).all():
+            told = f"{detector}: rejected, {reason}" if reason else f"{detector}: fitted teat"
+            tone: LayerTone = "other" if reason else "model"
+            yield tone, Polyline(tuple((float(x), float(y)) for x, y in line), title=told)
+
+
+def _final(row: Row, camera: str) -> Iterator[Shape]:
+    at = row.get(f"{camera}_px")
+    if at:
+        x, y = json.loads(at)
+        if np.isfinite([x, y]).all():
+            yield Cross(x, y, 6, turned=True, title=f"{row['detector']}: end")
+
+
+def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:
+    """The stated covariance in this camera: an ellipse for 95 % of cases."""
+    covariance = covariance_of(row)
+    if covariance is None:
+        return
+    end = np.array([row["x_mm"], row["y_mm"], row["z_mm"]])
+    around = np.vstack([end, end + STEP_MM * np.eye(3), end - STEP_MM * np.eye(3)])
+    seen = project_all(calibration, around)[camera]
+    if seen is None or not np.isfinite(seen).all():
+        return
+    slope = (seen[1:4] - seen[4:7]).T / (2 * STEP_MM)  # px / mm, (2, 3)
+    sizes, directions = np.linalg.eigh(slope @ covariance @ slope.T)
+    minor, major = np.sqrt(CHI2_95_OF_2 * np.clip(sizes, 0.0, None)).tolist()
+    turn_deg = float(np.degrees(np.arctan2(directions[1, 1], directions[0, 1])))
+    told = f"{row['detector']}: stated 95 % region, {major:.1f} by {minor:.1f} px"
+    x, y = seen[0].tolist()
+    yield Ellipse(x, y, major, minor, turn_deg, told)

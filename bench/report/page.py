@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +12,15 @@ from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, read_run
 from bench.record.schema import RULES, SCRIPT
 from bench.report import tables
-from bench.report.accuracy import accuracy_tables, gage_parts
+from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
 from bench.report.bath import bath_parts
-from bench.report.calibration_parts import limit_parts, record_parts
-from bench.report.provenance import fault_parts, provenance_parts
+from bench.report.comparison import detectors_section
+from bench.report.provenance import fault_parts, provenance_parts, record_parts
 from bench.report.spread import pose_parts, spread_parts
-from bench.report.tables import attribution_parts
 from bench.report.thesis import published_counts, thesis_chapter
 from bench.report.trials import first_looks, trial_id, trial_parts, trial_table, worst_trials
 from bench.report.truth import arm_parts, deviation_parts, truth_parts
-from bench.report.wording import headline, id_of, number
+from bench.report.wording import headline, id_of, table
 from bench.results.exports import write_exports
 from bench.results.latency import LATENCY_RULE, failures_told, latency_of
 from bench.results.verdicts import Judgement, judge, scored, truth_u_mm
@@ -30,47 +28,36 @@ from bench.scoring.guard_band import acceptance_limit_mm
 from bench.scoring.rates import zero_failure_n
 from bench.script.model import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
-from reports.figures import (
-    error_histogram,
-    error_scatter,
-    found_bars,
-    latency_strip,
-    per_axis_errors,
-)
+from reports import figures
 from reports.mail import write_single_file
-from reports.page import Banner, Page, Section
-from reports.parts import Figure, Paragraph, Part, Table, columns
+from reports.page import Banner, Figure, Page, Paragraph, Part, Section
 from reports.render import write_report
 
 REPORT, SINGLE_FILE, PDF = "report", "single-file.html", "report.pdf"
 
 
-@dataclass(frozen=True, slots=True)
-class Extras:
-    """What a report has besides: chapters after the results, a single file for mail."""
-
-    chapters: tuple[Section, ...] = ()
-    single_file: bool = False
-
-
-PLAIN = Extras()
-
-
 def write_run_report(
-    folder: Path, extras: Extras = PLAIN, damage: tuple[str, ...] = ()
+    folder: Path,
+    chapters: tuple[Section, ...] = (),
+    damage: tuple[str, ...] = (),
+    *,
+    single_file: bool = False,
 ) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
-    """(Re)write a run's report and exports; return the page's path. Raises ConfigError."""
+    """(Re)write a run's report and exports; return the page's path. Raises ConfigError.
+
+    ``chapters`` come after the results; ``single_file`` writes the file for mail too.
+    """
     run = read_run(folder, damage)
     rules = stored_rules(folder)
     judgements = judge(run, rules) if any(trial.scores for trial in run.trials) else ()
     calibration = read_calibration(folder / "calibration.toml")
-    page = build_page(run, rules, judgements, calibration, folder / REPORT, extras.chapters)
+    page = build_page(run, rules, judgements, calibration, folder / REPORT, chapters)
     # by another reading of the run: it may not stand beside this one
-    for told_before in (SINGLE_FILE, PDF):
-        (folder / REPORT / told_before).unlink(missing_ok=True)
+    for written_before in (SINGLE_FILE, PDF):
+        (folder / REPORT / written_before).unlink(missing_ok=True)
     path = write_report(page, folder / REPORT)
     write_exports(run, judgements, folder / REPORT)
-    if extras.single_file:
+    if single_file:
         write_single_file(page, folder / REPORT, folder / REPORT / SINGLE_FILE)
     return path, run, judgements
 
@@ -94,63 +81,55 @@ def build_page(
     chapters: tuple[Section, ...] = (),
 ) -> Page:
     """The page; writes the trials' pictures into ``folder``/images. ``chapters`` come later."""
-    # late: what compares is itself made of this package's tables
-    from bench.report.comparison import detectors_section
-
     verdict, why, then = headline(run, judgements)
-    facts = run.facts
-    poses = len({trial.pose for trial in run.counted})
+    facts, limit_mm, looks = run.facts, rules.visible_within_mm, first_looks(run)
+    poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
+    left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
     banner = Banner(
         kind=facts["kind"],
         verdict=verdict,
         tested=(
             f"{facts['title']}: teat detector {', '.join(run.detectors)} "
-            f"on {len(run.counted)} frame sets of {poses} poses{_left_out(run)}."
+            f"on {len(run.counted)} frame sets of {poses} poses{left_out}."
         ),
         sentence=why,
         confidence=_confidence(run, rules, poses),
         next_action=then,
     )
+    accuracy = _accuracy_parts(run, rules, calibration)
+    reference = (
+        *truth_parts(run),
+        *gage_parts(run, limit_mm),
+        *arm_parts(run),
+        *record_parts(run),
+    )
+    deviations = (*deviation_parts(run), *fault_parts(run))
+    listed: tuple[Part, ...] = (*([looks] if looks else []), trial_table(run))
+    results = (*_result_parts(run, rules), *tables.attribution_parts(run))
     sections = (
         Section("requirements", "Requirements", tuple(_requirement_parts(judgements, rules))),
-        Section(
-            "results", "Results by situation", (*_result_parts(run, rules), *attribution_parts(run))
-        ),
+        Section("results", "Results by situation", results),
         *thesis_chapter(run, rules, calibration),
         *chapters,
         *detectors_section(run),
-        Section("accuracy", "Accuracy", tuple(_accuracy_parts(run, rules, calibration))),
-        Section("poses", "Poses", tuple(pose_parts(run, rules.visible_within_mm, anchors_of(run)))),
+        Section("accuracy", "Accuracy", tuple(accuracy)),
+        Section("poses", "Poses", tuple(pose_parts(run, limit_mm, anchors_of(run)))),
         Section("latency", "Time", tuple(_latency_parts(run, rules))),
         Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),
-        Section(
-            "deviations", "Deviations and exclusions", (*deviation_parts(run), *fault_parts(run))
-        ),
-        Section(
-            "reference",
-            "Measurand and reference",
-            (
-                *truth_parts(run),
-                *gage_parts(run, rules.visible_within_mm),
-                *arm_parts(run),
-                *record_parts(run),
-            ),
-        ),
+        Section("deviations", "Deviations and exclusions", deviations),
+        Section("reference", "Measurand and reference", reference),
         Section("provenance", "Provenance", tuple(provenance_parts(run))),
-        Section("trial-list", "Trials", _list_parts(run)),
+        Section("trial-list", "Trials", listed),
     )
+    alarm = f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
     return Page(
         title=str(facts["title"]),
         subtitle=str(facts.get("about", "")),
         banner=banner,
         sections=sections,
         trials=trial_parts(run, calibration, folder),
-        worst=worst_trials(run),
-        alarm=(
-            f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
-            if run.damage
-            else ""
-        ),
+        worst=tuple(map(trial_id, worst_trials(run))),
+        alarm=alarm if run.damage else "",
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
     )
 
@@ -158,16 +137,6 @@ def build_page(
 def anchors_of(run: RunRecord) -> dict[str, str]:
     """Each trial's link by its id."""
     return {trial.id: f"#{trial_id(trial)}" for trial in run.trials}
-
-
-def _list_parts(run: RunRecord) -> tuple[Part, ...]:
-    first = first_looks(run)
-    return (trial_table(run),) if first is None else (first, trial_table(run))
-
-
-def _left_out(run: RunRecord) -> str:
-    invalid = len(run.trials) - len(run.counted)
-    return f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
 
 
 def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
@@ -179,55 +148,41 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
     if not claims:
         return f"{poses} poses."
     rate, confidence = claims[0]
-    needed = zero_failure_n(rate, confidence)
+    needed, sure = zero_failure_n(rate, confidence), f"{100 * confidence:g} % confidence"
     if not poses:
         return (
             f"No pose was tried; {needed} without a failure would show {100 * rate:g} % with"
-            f" {100 * confidence:g} % confidence."
+            f" {sure}."
         )
     best = (1.0 - confidence) ** (1.0 / poses)
-    shown = (
-        f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %, with"
-        f" {100 * confidence:g} % confidence."
-    )
-    more = (
-        ""
-        if poses >= needed
-        else f" To show {100 * rate:g} % takes {needed} poses without a failure."
-    )
-    return f"{shown}{more}{_truth_told(run)}"
-
-
-def _truth_told(run: RunRecord) -> str:
+    told = f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %, with"
+    told += f" {sure}."
+    if poses < needed:
+        told += f" To show {100 * rate:g} % takes {needed} poses without a failure."
     known = [row["u_mm"] for trial in run.counted for row in trial.truth if row["u_mm"] is not None]
-    return f" The truth is known to ± {2 * max(known):.2f} mm (k = 2)." if known else ""
+    if known:
+        told += f" The truth is known to ± {2 * max(known):.2f} mm (k = 2)."
+    return told
 
 
 def _requirement_parts(judgements: Sequence[Judgement], rules: Rules) -> Iterator[Part]:
     if not judgements:
         yield Paragraph("Nothing was scored, so no requirement was decided.", tone="warn")
-        return
     yield from (tables.requirements(judgement, rules) for judgement in judgements)
 
 
 def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     published = published_counts(rules)
     names = tables.situations(run)
+    theirs = [published[name][0] if name in published else None for name in names]
     for detector in run.detectors:
         counts = [scored(run, detector, name).counts for name in names]
-        theirs = [published[name][0] if name in published else None for name in names]
-        svg = found_bars(
-            names,
-            [c.matched for c in counts],
-            [c.visible for c in counts],
-            theirs,
-            name=f"found-{id_of(detector)}",
-        )
-        alt = "; ".join(
-            f"{n}: {c.matched} of {c.visible}" for n, c in zip(names, counts, strict=True)
-        )
+        found, visible = [c.matched for c in counts], [c.visible for c in counts]
+        each = zip(names, found, visible, strict=True)
         yield Figure(
-            svg, f"Teats found by {detector}, beside the thesis's own count", alt or "not measured"
+            figures.found_bars(names, found, visible, theirs, name=f"found-{id_of(detector)}"),
+            f"Teats found by {detector}, beside the thesis's own count",
+            "; ".join(f"{name}: {k} of {n}" for name, k, n in each) or "not measured",
         )
         yield tables.found_by_situation(run, detector, published)
         yield tables.rates(run, detector)
@@ -238,9 +193,9 @@ def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
 def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
     limit_mm = rules.visible_within_mm
     names = tables.situations(run)
+    camera_from_world = calibration.world_from_right.inverse().R
     for detector in run.detectors:
-        pool = scored(run, detector)
-        camera_from_world = calibration.world_from_right.inverse().R
+        pool, name = scored(run, detector), id_of(detector)
         yield from accuracy_tables(run, detector, limit_mm, camera_from_world)
         camera = pool.errors_mm @ camera_from_world.T
         radial = np.linalg.norm(pool.errors_mm, axis=1)
@@ -252,38 +207,27 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
             for _ in t.scores[detector].errors_mm
         ]
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
-        scatter = error_scatter(
-            lateral,
-            camera[:, 2],
-            limit_mm,
-            accept_mm=accept_mm,
-            links=links,
-            name=f"scatter-{id_of(detector)}",
-        )
+        cloud = (lateral, camera[:, 2], limit_mm)
         yield Figure(
-            scatter,
+            figures.error_scatter(*cloud, accept_mm=accept_mm, links=links, name=f"scatter-{name}"),
             f"Depth error against lateral error, {detector}; each point opens its trial",
             f"{len(radial)} points",
         )
-        histogram = error_histogram(
-            radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{id_of(detector)}"
-        )
-        within = f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit"
-        yield Figure(histogram, f"Distance to the teat end, {detector}", within)
-        strips = per_axis_errors(
-            names,
-            [scored(run, detector, n).errors_mm for n in names],
-            limit_mm,
-            name=f"axes-{id_of(detector)}",
-        )
         yield Figure(
-            strips,
+            figures.error_histogram(
+                radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{name}"
+            ),
+            f"Distance to the teat end, {detector}",
+            f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit",
+        )
+        errors = [scored(run, detector, situation).errors_mm for situation in names]
+        yield Figure(
+            figures.per_axis_errors(names, errors, limit_mm, name=f"axes-{name}"),
             f"Errors along the world's axes by situation, {detector}",
             "strips of signed errors",
             wide=True,
         )
         yield from spread_parts(run, detector, limit_mm, anchors_of(run), camera_from_world)
-    yield Paragraph(tables.depth_limit(run, calibration))
     yield from limit_parts(run, calibration)
 
 
@@ -303,34 +247,20 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         times = latency_of(run, detector)
         seconds = times.seconds
         yield Figure(
-            latency_strip(seconds, limits, name=f"latency-{id_of(detector)}"),
+            figures.latency_strip(seconds, limits, name=f"latency-{id_of(detector)}"),
             f"Detection time, {detector}",
             f"{len(seconds)} detections",
         )
         if times.starved:
             yield Paragraph(f"{detector}: {times.starved}", tone="warn")
-        told = [
-            times.median_s,
-            times.p95_s,
-            times.p99_s,
-            max(seconds, default=None),
-            max(times.cold_s, default=None),
-            times.start_up_s,
-        ]
+        quantiles = (times.median_s, times.p95_s, times.p99_s, max(seconds, default=None))
+        first = (max(times.cold_s, default=None), times.start_up_s)
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
-        rows.append(
-            (
-                detector,
-                str(len(seconds)),
-                *(number(value, digits=3) for value in told),
-                *over,
-                failures_told(times),
-            )
-        )
-    heads = columns(
-        "detector | >n",
-        ">median [s] | >p95 [s] | >p99 [s] | >max [s] | >first call (cold) [s] | >start-up [s]",
-        "above 1 s | above 2 s | no answer",
+        told = failures_told(times)
+        rows.append((detector, len(seconds), *quantiles, *first, *over, told))
+    heads = (
+        "detector | >n | >median [s] ~.3f | >p95 [s] ~.3f | >p99 [s] ~.3f | >max [s] ~.3f"
+        " | >first call (cold) [s] ~.3f | >start-up [s] ~.3f | above 1 s | above 2 s | no answer"
     )
     note = f"Real time of the detector alone, on the machine named under Provenance. {LATENCY_RULE}"
-    yield Table("Detection time", heads, tuple(rows), note)
+    yield table("Detection time", heads, rows, note)

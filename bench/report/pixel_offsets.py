@@ -4,7 +4,6 @@ point, beside what the thesis printed.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,15 +12,17 @@ import numpy as np
 
 from bench import __version__
 from bench.config import ConfigError, read_calibration, read_text
-from bench.files import write_synced
+from bench.files import sha256_of, write_synced
 from bench.record.schema import SCRIPT
 from bench.record.writer import new_run_folder
 from bench.report.thesis import (
+    Row,
     components_table,
     elsewhere_table,
-    first_test_table,
-    second_test_table,
+    figures_table,
+    rows_of_test,
 )
+from bench.report.wording import listed, table
 from bench.results.thesis_figures import Thesis, thesis
 from bench.rig.loading import LoadedRig
 from bench.script.pixel_offsets import (
@@ -34,16 +35,17 @@ from bench.script.pixel_offsets import (
 )
 from instruments.clock import wall_time
 from reports.figures import error_histogram
-from reports.page import Banner, Page, Section
-from reports.parts import (
+from reports.page import (
+    Banner,
     Figure,
+    Page,
     Paragraph,
     Part,
     Requirement,
     Requirements,
+    Section,
     Table,
     Verdict,
-    columns,
 )
 from reports.render import write_report
 
@@ -57,34 +59,14 @@ def offset_verdict(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Verdict:
 
 def offset_page(loaded: LoadedOffsets, found: Sequence[Outcome], calibration_sha256: str) -> Page:
     """The whole report."""
-    script = loaded.script
-    sections = (
-        Section("requirements", "Requirements", (_requirements(loaded, found),)),
-        Section(
-            "results", "What the offsets do", (_table(loaded, found), *_figures(loaded, found))
-        ),
-        Section("published", "Beside the thesis", tuple(_published(loaded, found))),
-        Section("provenance", "How it was done", tuple(_method(loaded, calibration_sha256))),
-    )
-    return Page(
-        script.title,
-        script.about,
-        _banner(loaded, found),
-        sections,
-        footer=(f"teatbench {__version__}",),
-    )
-
-
-def _banner(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Banner:
-    verdict, limit = offset_verdict(loaded, found), loaded.script.limit_mm
+    script, verdict, limit = loaded.script, offset_verdict(loaded, found), loaded.script.limit_mm
     worst = max(found, key=lambda one: one.worst_mm)
-    tried = sum(len(one.errors_mm) for one in found)
-    return Banner(
+    banner = Banner(
         kind="computed",
         verdict=verdict,
         tested=(
-            f"{loaded.script.title}: {len(found)} offsets of known points, {tried} directions in"
-            " all."
+            f"{script.title}: {len(found)} offsets of known points,"
+            f" {sum(len(one.errors_mm) for one in found)} directions in all."
         ),
         sentence=(
             f"{offset_told(worst.offset)} moves teat {worst.offset.teat} by up to"
@@ -97,11 +79,21 @@ def _banner(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Banner:
             else "A picking error of this size is no reason to change the cameras."
         ),
     )
+    results: tuple[Part, ...] = (_directions(found, limit), *_figures(found, limit))
+    method = tuple(_method(loaded, calibration_sha256))
+    sections = (
+        Section("requirements", "Requirements", (_requirements(loaded, found),)),
+        Section("results", "What the offsets do", results),
+        Section("published", "Beside the thesis", tuple(_published(loaded, found))),
+        Section("provenance", "How it was done", method),
+    )
+    footer = (f"teatbench {__version__}",)
+    return Page(script.title, script.about, banner, sections, footer=footer)
 
 
 def _requirements(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Requirements:
     limit = loaded.script.limit_mm
-    rows = [
+    rows = tuple(
         Requirement(
             name=f"teat {one.offset.teat}, {offset_told(one.offset)}",
             rule="the largest error of all directions is at most the limit",
@@ -113,124 +105,79 @@ def _requirements(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Requiremen
             source=loaded.script.source,
         )
         for one in found
-    ]
-    return Requirements("Error below the limit, whatever the direction of the offset", tuple(rows))
-
-
-def _table(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Table:
-    limit = loaded.script.limit_mm
-    heads = columns(
-        ">teat | offset | >directions | >least [mm] | >median [mm] | >most [mm]",
-        f">most along x [mm] | >along y [mm] | >along z [mm] | >above {limit:g} mm",
     )
+    return Requirements("Error below the limit, whatever the direction of the offset", rows)
+
+
+def _directions(found: Sequence[Outcome], limit: float) -> Table:
     rows = []
     for one in found:
-        far = one.distances_mm
-        figures = (far.min(), np.median(far), far.max(), *one.most_mm)
+        far, who = one.distances_mm, (one.offset.teat, offset_told(one.offset))
         above = f"{int((far > limit).sum())} of {len(far)}"
-        rows.append(
-            (
-                str(one.offset.teat),
-                offset_told(one.offset),
-                str(len(far)),
-                *(f"{value:.2f}" for value in figures),
-                above,
-            )
-        )
-    return Table(
-        "Errors over all directions, world frame",
-        heads,
-        tuple(rows),
-        "Each axis in its own worst direction.",
+        figures = (far.min(), np.median(far), far.max(), *one.most_mm)
+        rows.append((*who, len(far), *figures, above))
+    heads = (
+        ">teat | offset | >directions | >least [mm] ~.2f | >median [mm] ~.2f | >most [mm] ~.2f"
+        " | >most along x [mm] ~.2f | >along y [mm] ~.2f | >along z [mm] ~.2f"
+        f" | >above {limit:g} mm"
     )
+    note = "Each axis in its own worst direction."
+    return table("Errors over all directions, world frame", heads, rows, note)
 
 
-def _figures(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Figure]:
+def _figures(found: Sequence[Outcome], limit: float) -> Iterator[Figure]:
     for number, one in enumerate(found, 1):
-        within = int((one.distances_mm <= loaded.script.limit_mm).sum())
-        svg = error_histogram(one.distances_mm, loaded.script.limit_mm, name=f"offset-{number}")
+        within = int((one.distances_mm <= limit).sum())
         yield Figure(
-            svg,
+            error_histogram(one.distances_mm, limit, name=f"offset-{number}"),
             f"Teat {one.offset.teat}, {offset_told(one.offset)}: error over all directions",
             f"{within} of {len(one.distances_mm)} within",
         )
 
 
 def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part]:
-    figures = thesis()
-    heads = columns(
-        ">teat | offset | >published: x, y, z [mm] | >most possible: x, y, z [mm]",
-        ">published against the truth [mm] | beyond every direction",
-    )
-    rows = [_published_row(loaded, one) for one in found]
-    note = (
+    figures, offsets = thesis(), loaded.script.offsets
+    rows = []
+    for one in found:
+        moved, end = published_move_mm(one.offset), one.offset.published_mm
+        truth_mm = loaded.points_mm[one.offset.teat - 1]
+        off = NOT_SAID if end is None else f"{np.linalg.norm(np.subtract(end, truth_mm)):.2f}"
+        printed = NOT_SAID if moved is None else listed(moved, "+.1f")
+        beyond = ", ".join(beyond_axes(one)) or "no"
+        rows.append((one.offset.teat, offset_told(one.offset), printed, one.most_mm, off, beyond))
+    yield table(
+        "The thesis's figures",
+        ">teat | offset | >published: x, y, z [mm] | >most possible: x, y, z [mm] ~.1f"
+        " | >published against the truth [mm] | beyond every direction",
+        rows,
         "Published: the point with the offset less the point without, both as printed. Most"
-        " possible: each axis in its worst direction."
+        " possible: each axis in its worst direction.",
     )
-    yield Table("The thesis's figures", heads, tuple(rows), note)
-    beyond = [one.offset.teat for one in found if beyond_axes(one)]
-    if beyond:
-        teats = ", ".join(str(teat) for teat in beyond)
+    teats = ", ".join(str(one.offset.teat) for one in found if beyond_axes(one))
+    if teats:
         yield Paragraph(
             f"For teat {teats} no direction of the stated offset gives what was printed, under this"
             " calibration; other causes than the offset must have been in those figures.",
             tone="info",
         )
-    if _of_thesis(loaded, figures):
-        yield second_test_table(figures, found)
-        yield first_test_table(figures, {})
+    # the script's offsets are of the thesis's own printed ends, all of them
+    if tuple(one.published_mm for one in offsets) == figures.test_2.triangulated_mm:
+        yield figures_table(_beside(figures, found))
         yield components_table(figures)
-        yield _one_pixel(figures, found)
         yield elsewhere_table(figures, "offsets")
 
 
-def _of_thesis(loaded: LoadedOffsets, figures: Thesis) -> bool:
-    """Whether the script's offsets are of the thesis's own printed ends, all of them."""
-    return (
-        tuple(one.published_mm for one in loaded.script.offsets) == figures.test_2.triangulated_mm
-    )
-
-
-def _one_pixel(figures: Thesis, found: Sequence[Outcome]) -> Table:
-    """Section 6.1's figure beside every offset of one pixel in one picture."""
-    one = [
-        outcome
-        for outcome in found
-        if {outcome.offset.left_px, outcome.offset.right_px} == {0.0, 1.0}
-    ]
-    heads = columns("figure | section | >thesis [mm] | >median [mm] | >most [mm]")
-    rows = tuple(
-        (
-            f"teat {outcome.offset.teat}, {offset_told(outcome.offset)}",
-            figures.one_pixel.section,
-            f"{figures.one_pixel.error_mm:g}",
-            f"{outcome.median_mm:.2f}",
-            f"{outcome.worst_mm:.2f}",
-        )
-        for outcome in one
-    )
-    return Table(
-        "What one pixel is worth, over all directions", heads, rows, figures.one_pixel.wrong
-    )
-
-
-def _published_row(loaded: LoadedOffsets, one: Outcome) -> tuple[str, ...]:
-    moved, end = published_move_mm(one.offset), one.offset.published_mm
-    against = (
-        NOT_SAID
-        if end is None
-        else f"{float(np.linalg.norm(np.subtract(end, loaded.points_mm[one.offset.teat - 1]))):.2f}"
-    )
-    printed = NOT_SAID if moved is None else ", ".join(f"{value:+.1f}" for value in moved)
-    possible = ", ".join(f"{value:.1f}" for value in one.most_mm)
-    return (
-        str(one.offset.teat),
-        offset_told(one.offset),
-        printed,
-        possible,
-        against,
-        ", ".join(beyond_axes(one)) or "no",
-    )
+def _beside(figures: Thesis, found: Sequence[Outcome]) -> Iterator[Row]:
+    """Both tests, and section 6.1's figure beside every offset of one pixel in one picture."""
+    every = np.concatenate([outcome.errors_mm for outcome in found])
+    yield from rows_of_test(figures, 2, {"every direction": every})
+    yield from rows_of_test(figures, 1, {})
+    one = figures.one_pixel
+    for outcome in found:
+        if {outcome.offset.left_px, outcome.offset.right_px} == {0.0, 1.0}:
+            what = f"one pixel: teat {outcome.offset.teat}, {offset_told(outcome.offset)}"
+            told = f"median {outcome.median_mm:.2f} mm, at most {outcome.worst_mm:.2f} mm"
+            yield what, one.section, f"{one.error_mm:g} mm", "", told, one.wrong
 
 
 def _method(loaded: LoadedOffsets, calibration_sha256: str) -> Iterator[Part]:
@@ -239,14 +186,13 @@ def _method(loaded: LoadedOffsets, calibration_sha256: str) -> Iterator[Part]:
         " triangulated with the same calibration: what differs is the offset's doing alone. All"
         " directions are tried, since the thesis doesn't state its own."
     )
-    heads = columns("what | value")
-    rows = (
-        ("layout", loaded.layout.name),
-        ("directions a picture", str(loaded.script.directions)),
-        ("calibration SHA-256", calibration_sha256),
-        ("script", loaded.path.name),
-    )
-    yield Table("Inputs", heads, rows)
+    inputs = {
+        "layout": loaded.layout.name,
+        "directions a picture": loaded.script.directions,
+        "calibration SHA-256": calibration_sha256,
+        "script": loaded.path.name,
+    }
+    yield table("Inputs", "what | value", list(inputs.items()))
 
 
 def published_move_mm(offset: Offset) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None:
@@ -261,21 +207,14 @@ def beyond_axes(one: Outcome) -> list[str]:
     moved = published_move_mm(one.offset)
     if moved is None:
         return []
-    return [
-        axis
-        for axis, value, most in zip("xyz", np.abs(moved), one.most_mm, strict=True)
-        if value > most
-    ]
+    pairs = zip("xyz", np.abs(moved), one.most_mm, strict=True)
+    return [axis for axis, value, most in pairs if value > most]
 
 
 def offset_told(offset: Offset) -> str:
     """``1 px left and 1 px right``."""
-    parts = [
-        f"{px:g} px {name}"
-        for name, px in (("left", offset.left_px), ("right", offset.right_px))
-        if px
-    ]
-    return " and ".join(parts)
+    offsets = {"left": offset.left_px, "right": offset.right_px}
+    return " and ".join(f"{px:g} px {name}" for name, px in offsets.items() if px)
 
 
 CALIBRATION, REPORT = "calibration.toml", "report"
@@ -314,7 +253,7 @@ def report_offsets(folder: Path) -> tuple[Path, LoadedOffsets, tuple[Outcome, ..
     """(Re)write the report of such a run; return its path and results. Raises ConfigError."""
     loaded = load_offsets(folder / SCRIPT)
     found = outcomes(loaded, read_calibration(folder / CALIBRATION))
-    digest = hashlib.sha256((folder / CALIBRATION).read_bytes()).hexdigest()
+    digest = sha256_of(folder / CALIBRATION)
     path = write_report(offset_page(loaded, found, digest), folder / REPORT)
     verdict = offset_verdict(loaded, found)
     write_synced(folder / REPORT / "run.json", _json(loaded, found, verdict, digest).encode())

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from bench.config import ConfigError
+from bench.report.wording import NOT_MEASURED
 from bench.results.sensitivity import DISPARITY_PX, Measured, Quantity
 from bench.scoring.errors import summarise_radial
 from reports.figures.drawing import COLOURS
@@ -31,7 +32,6 @@ COLUMNS = (
 POINTS, PAGE = "points.csv", "measured.md"
 Results = Mapping[str, Sequence[Measured]]
 Row = Mapping[str, str]
-NOT_MEASURED = "not measured"
 
 
 def check_curves(names: Sequence[str]) -> None:
@@ -53,10 +53,8 @@ def write_figure(folder: Path, quantity: Quantity, points: Sequence[Measured]) -
     start, rest = figure_of(quantity, points).split(">", 1)
     # a page brings its own paper and letters, a file must
     paper = f'<rect width="100%" height="100%" fill="{COLOURS["paper"]}"/>'
-    return _written(
-        folder / f"{quantity.name}.svg",
-        f'{start} font-family="system-ui, sans-serif">{paper}{rest}\n',
-    )
+    text = f'{start} font-family="system-ui, sans-serif">{paper}{rest}\n'
+    return _written(folder / f"{quantity.name}.svg", text)
 
 
 def write_numbers(
@@ -68,7 +66,7 @@ def write_numbers(
         for quantity in quantities
         for row in _rows(quantity, results[quantity.name])
     ]
-    _written(folder / POINTS, csv_text([COLUMNS, *([*row.values()] for row in rows)]))
+    _written(folder / POINTS, csv_text([COLUMNS, *(list(row.values()) for row in rows)]))
     _written(folder / PAGE, numbers_page(quantities, rows, made_with))
 
 
@@ -83,7 +81,6 @@ def numbers_page(quantities: Sequence[Quantity], rows: Sequence[Row], made_with:
 
 def figure_of(quantity: Quantity, points: Sequence[Measured]) -> str:
     """The SVG text: errors and shares of every detector over the quantity, beside the limit."""
-    names = list(points[0].tallies) if points else []
     bounds = [(point.value, point.limit) for point in points if point.limit]
     shares = [(value, limit.share) for value, limit in bounds if limit.share is not None]
     bound = Bound(
@@ -93,9 +90,8 @@ def figure_of(quantity: Quantity, points: Sequence[Measured]) -> str:
         DISPARITY_PX,
         *zip(*shares, strict=True),
     )
-    curves = [_curve(name, points) for name in names]
     return sensitivity(
-        curves,
+        [_curve(name, points) for name in (points[0].tallies if points else ())],
         bound,
         quantity.label,
         logarithmic=quantity.logarithmic,
@@ -104,88 +100,58 @@ def figure_of(quantity: Quantity, points: Sequence[Measured]) -> str:
 
 
 def _curve(name: str, points: Sequence[Measured]) -> Curve:
-    summaries = [
-        (point.value, summarise_radial(point.tallies[name].distances_mm)) for point in points
-    ]
+    tallies = [(point, point.tallies[name].distances_mm) for point in points]
     found = [
-        (value, summary.median_mm, summary.p95_mm) for value, summary in summaries if summary.n
+        (point.value, summary.median_mm, summary.p95_mm)
+        for point, summary in ((point, summarise_radial(mm)) for point, mm in tallies)
+        if summary.median_mm is not None and summary.p95_mm is not None
     ]
-    shown = [point for point in points if point.visible]
-    shares = [len(point.tallies[name].distances_mm) / point.visible for point in shown]
-    return Curve(
-        name,
-        [value for value, _, _ in found],
-        [median for _, median, _ in found if median is not None],
-        [p95 for _, _, p95 in found if p95 is not None],
-        [point.value for point in shown],
-        shares,
-    )
+    shares = [(point.value, len(mm) / point.visible) for point, mm in tallies if point.visible]
+    x, median_mm, p95_mm = zip(*found, strict=True) if found else ((), (), ())
+    return Curve(name, x, median_mm, p95_mm, *(zip(*shares, strict=True) if shares else ((), ())))
 
 
 def _rows(quantity: Quantity, points: Sequence[Measured]) -> Iterator[tuple[str, ...]]:
     for point in points:
         limit = point.limit
-        allowed = (
-            (limit.median_mm, limit.p95_mm, limit.disparity_mm, limit.share)
-            if limit
-            else (None, None, None, None)
-        )
+        allowed: tuple[float | None, ...] = (None,) * 4
+        if limit:
+            allowed = (limit.median_mm, limit.p95_mm, limit.disparity_mm, limit.share)
         for name, tally in point.tallies.items():
             errors = summarise_radial(tally.distances_mm)
-            counts = (
-                str(count)
-                for count in (point.visible, len(tally.distances_mm), tally.false, tally.failures)
-            )
+            counts = (point.visible, len(tally.distances_mm), tally.false, tally.failures)
             numbers = (errors.median_mm, errors.p95_mm, errors.max_mm, *allowed)
-            yield (
-                quantity.name,
-                f"{point.value:g}",
-                name,
-                *counts,
-                *("" if number is None else f"{number:.4f}" for number in numbers),
-            )
+            texts = ("" if number is None else f"{number:.4f}" for number in numbers)
+            yield quantity.name, f"{point.value:g}", name, *map(str, counts), *texts
 
 
 def _table(quantity: Quantity, rows: Sequence[Row]) -> str:
     """One quantity in Markdown: a row a value, three columns a detector."""
-    names = list(dict.fromkeys(row["detector"] for row in rows))
+    names = dict.fromkeys(row["detector"] for row in rows)
     heads = [f"{name}: {what}" for name in names for what in ("found", "false", "median, p95 (mm)")]
-    lines = [
-        _line(
-            [
-                quantity.label,
-                *heads,
-                "limit: median, p95 (mm)",
-                *(["limit: found"] if quantity.thermal else []),
-            ]
-        )
-    ]
-    lines.append("|" + "---|" * (lines[0].count("|") - 1))
+    heads = [quantity.label, *heads, "limit: median, p95 (mm)"]
+    heads += ["limit: found"] if quantity.thermal else []
+    lines = [heads]
     for value in dict.fromkeys(row["value"] for row in rows):
         of_value = [row for row in rows if row["value"] == value]
-        limit = [_pair(of_value[0], "limit_median_mm", "limit_p95_mm", 3)]
+        line = [value]
+        for row in of_value:
+            found = f"{row['found']} of {row['visible']}{no_answers(int(row['no_answer']))}"
+            line += [found, row["false"], _pair(row, "median_mm", "p95_mm", 2)]
+        line.append(_pair(of_value[0], "limit_median_mm", "limit_p95_mm", 3))
         if quantity.thermal:
             share = of_value[0]["limit_share"]
-            limit.append(f"{100 * float(share):.0f} %" if share else NOT_MEASURED)
-        lines.append(_line([value, *(cell for row in of_value for cell in _cells(row)), *limit]))
-    return "\n".join([f"## {quantity.name}", "", quantity.about, "", *lines])
-
-
-def _cells(row: Row) -> tuple[str, str, str]:
-    found = f"{row['found']} of {row['visible']}{no_answers(int(row['no_answer']))}"
-    return found, row["false"], _pair(row, "median_mm", "p95_mm", 2)
+            line.append(f"{100 * float(share):.0f} %" if share else NOT_MEASURED)
+        lines.append(line)
+    head, *texts = (f"| {' | '.join(line)} |" for line in lines)
+    rule = "|" + "---|" * len(heads)
+    return "\n".join([f"## {quantity.name}", "", quantity.about, "", head, rule, *texts])
 
 
 def _pair(row: Row, first: str, second: str, digits: int) -> str:
-    return (
-        f"{float(row[first]):.{digits}f}, {float(row[second]):.{digits}f}"
-        if row[first]
-        else NOT_MEASURED
-    )
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
+    if not row[first]:
+        return NOT_MEASURED
+    return f"{float(row[first]):.{digits}f}, {float(row[second]):.{digits}f}"
 
 
 def _written(path: Path, text: str) -> Path:

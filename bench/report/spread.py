@@ -5,7 +5,6 @@ requirement.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -13,10 +12,11 @@ import numpy as np
 from bench.record.reader import RunRecord
 from bench.record.writer import Row
 from bench.report.accuracy import precision_parts
-from bench.report.wording import NOT_MEASURED, id_of
+from bench.report.tables import covariance_of
+from bench.report.wording import NOT_MEASURED, id_of, table
 from bench.results.error_rows import (
+    Bias,
     ErrorRows,
-    PosePlace,
     TeatErrors,
     error_rows,
     pose_places,
@@ -25,27 +25,10 @@ from bench.results.error_rows import (
     teat_errors,
 )
 from bench.scoring.errors import Floats
-from bench.scoring.regions import (
-    LEAST_POSES,
-    BiasTest,
-    Ellipsoid,
-    consistency,
-    prediction_ellipsoid,
-)
+from bench.scoring.regions import LEAST_POSES, Ellipsoid, consistency, prediction_ellipsoid
 from bench.scoring.trends import LEAST_TREND_POSES, Trend
-from reports.figures import (
-    MOST_GROUPS,
-    ErrorGroup,
-    Slope,
-    TeatPlaces,
-    error_drift,
-    error_map,
-    error_maps,
-    error_regions,
-    slope_intervals,
-    teat_boxes,
-)
-from reports.parts import Cell, Figure, Notes, Paragraph, Part, Table, columns
+from reports import figures
+from reports.page import Cell, Figure, Notes, Paragraph, Part
 
 
 def claimed_mm2(answer: Row, truth: Row) -> Floats | None:
@@ -54,17 +37,8 @@ def claimed_mm2(answer: Row, truth: Row) -> Floats | None:
     if stated is None:
         return None
     own = covariance_of(truth)
-    if own is None:
-        own = np.eye(3) * float(truth["u_mm"] or 0.0) ** 2
-    total = stated + own
+    total = stated + (np.eye(3) * float(truth["u_mm"] or 0.0) ** 2 if own is None else own)
     return total if np.all(np.linalg.eigvalsh(total) > 0.0) else None
-
-
-def covariance_of(row: Row) -> Floats | None:
-    """The covariance (3, 3) of a row, mm^2; None where there is none or it is malformed."""
-    text = row["covariance_mm2"]
-    matrix = np.array(json.loads(text) if text else [], dtype=np.float64)
-    return matrix if matrix.shape == (3, 3) and np.isfinite(matrix).all() else None
 
 
 POSE_SET = "pose set"
@@ -83,69 +57,58 @@ def pose_parts(run: RunRecord, limit_mm: float, anchors: Mapping[str, str]) -> I
     else:
         yield Paragraph("The poses are those of the recording; how they were chosen isn't in it.")
     for detector in run.detectors:
-        yield from _map(error_rows(run, detector), detector, limit_mm, anchors)
+        yield _map(error_rows(run, detector), detector, limit_mm, anchors)
         yield from precision_parts(run, detector)
 
 
-def _map(
-    rows: ErrorRows, detector: str, limit_mm: float, anchors: Mapping[str, str]
-) -> Iterator[Part]:
+def _map(rows: ErrorRows, detector: str, limit_mm: float, anchors: Mapping[str, str]) -> Part:
     """Each pose once, with the worst of its repeats."""
     places = pose_places(rows)
     if len(places) < MAP_FROM:
-        yield Paragraph(
+        return Paragraph(
             f"Error over the places, {detector}: {len(places)} places of a teat are no map;"
             f" {MAP_FROM} are the least."
         )
-        return
-    teats = [
-        _teat_places(teat, [place for place in places if place.teat == teat], anchors)
-        for teat in rows.teat_names
-    ]
-    within, beyond = (
-        sum(
-            place.worst_mm is not None and (place.worst_mm <= limit_mm) is inside
-            for place in places
+    teats = []
+    for teat in rows.teat_names:
+        own = [place for place in places if place.teat == teat]
+        found = [place for place in own if place.worst_mm is not None]
+        missed = [place for place in own if place.found < place.repeats]
+        teats.append(
+            figures.TeatPlaces(
+                teat,
+                np.array([place.place_mm for place in found]).reshape(-1, 3),
+                np.array([place.worst_mm for place in found], dtype=np.float64),
+                np.array([place.place_mm for place in missed]).reshape(-1, 3),
+                tuple(anchors[str(place.worst_trial)] for place in found),
+                tuple(anchors[str(place.missed_trial)] for place in missed),
+            )
         )
-        for inside in (True, False)
-    )
-    missed = sum(place.found < place.repeats for place in places)
+    within = [place.worst_mm <= limit_mm for place in places if place.worst_mm is not None]
     alt = (
-        f"{len(places)} places: {within} within {limit_mm:g} mm, {beyond} beyond, {missed} not"
-        " found"
-    )
-    repeated = max(place.repeats for place in places) > 1
-    more = (
-        " Of a pose's repeats the worst is drawn, and a triangle where any of them missed the teat."
-        if repeated
-        else ""
+        f"{len(places)} places: {sum(within)} within {limit_mm:g} mm,"
+        f" {len(within) - sum(within)} beyond,"
+        f" {sum(place.found < place.repeats for place in places)} not found"
     )
     caption = (
         f"Error over the plane, {detector}; the area of a disc is the error, and each mark opens"
-        f" its trial. {alt}.{more}"
+        f" its trial. {alt}."
     )
+    if any(place.repeats > 1 for place in places):
+        caption += (
+            " Of a pose's repeats the worst is drawn, and a triangle where any of them missed the"
+            " teat."
+        )
+    name = f"map-{id_of(detector)}"
     if len(teats) == 1:
-        svg = error_map(teats[0], limit_mm, name=f"map-{id_of(detector)}")
+        svg = figures.error_map(teats[0], limit_mm, name=name)
     else:
-        svg = error_maps(teats, limit_mm, name=f"map-{id_of(detector)}")
+        svg = figures.error_maps(teats, limit_mm, name=name)
         caption += (
             " Each teat has a panel of its own, all on one scale; y points away from the cameras,"
             " z up."
         )
-    yield Figure(svg, caption, alt, wide=True)
-
-
-def _teat_places(teat: str, places: Sequence[PosePlace], anchors: Mapping[str, str]) -> TeatPlaces:
-    found = [place for place in places if place.worst_mm is not None]
-    missed = [place.place_mm for place in places if place.found < place.repeats]
-    return TeatPlaces(
-        teat,
-        np.array([place.place_mm for place in found], dtype=np.float64).reshape(-1, 3),
-        np.array([place.worst_mm for place in found], dtype=np.float64),
-        np.array(missed, dtype=np.float64).reshape(-1, 3),
-        tuple(anchors[place.worst_trial] for place in found if place.worst_trial is not None),
-        tuple(anchors[place.missed_trial] for place in places if place.missed_trial is not None),
-    )
+    return Figure(svg, caption, alt, wide=True)
 
 
 # A quantity of the rows: what it is called, its unit in the report, and how many of its own units
@@ -177,108 +140,55 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
             f" {LEAST_TREND_POSES} are the least."
         )
         return
-    lines = run_trends(rows)
-    slopes = [_slope(line) for line in lines if line.slope is not None]
+    slopes, measured, unmeasured = [], [], {}
+    for line in run_trends(rows):
+        name, unit, factor = QUANTITIES[line.quantity]
+        response = line.response if line.response == "distance" else f"{line.response} error"
+        sizes = (f"{name} ({unit})", line.n, line.groups)
+        span = line.span / factor
+        if line.slope is None or line.low is None or line.high is None:
+            why = Cell(f"{NOT_MEASURED}: {_why_not(line)}", "muted")
+            row = ("any error", *sizes, span if line.n else "", "", "", "", "", "", why)
+            unmeasured[line.quantity] = row  # one row for each
+            continue
+        effect, low, high = (value * line.span for value in (line.slope, line.low, line.high))
+        slopes.append(figures.Slope(name, response, effect, low, high, line.significant))
+        interval = f"{line.low * factor:+.3g} to {line.high * factor:+.3g}"
+        p = line.p_value if line.p_holm is None else line.p_holm
+        told = Cell("trend shown", "warn") if line.significant else Cell("no trend shown", "muted")
+        most = max(abs(low), abs(high))
+        drawn = (span, line.slope * factor, interval, effect, most, p, told)
+        measured.append((response, *sizes, *drawn))
     shown = [f"{slope.response} with {slope.against}" for slope in slopes if slope.shown]
-    told = f"Trend shown: {', '.join(shown)}." if shown else "No trend is shown."
-    caption = f"What each trend makes of its quantity's whole range, {detector}. {told}"
-    yield Figure(
-        slope_intervals(slopes, name=f"trends-{id_of(detector)}"), caption, told, wide=True
+    says = f"Trend shown: {', '.join(shown)}." if shown else "No trend is shown."
+    svg = figures.slope_intervals(slopes, name=f"trends-{id_of(detector)}")
+    caption = f"What each trend makes of its quantity's whole range, {detector}. {says}"
+    yield Figure(svg, caption, says, wide=True)
+    heads = (
+        "error | against | >n | >poses # independent units; within poses: trials"
+        " | >range [of the unit] ~.3g | >slope [mm per unit] ~+.3g | >95 % interval [mm per unit]"
+        " | >over the range [mm] ~+.2f | >could be up to [mm] ~.2f # over the range, either way,"
+        " 95 % | >p (Holm) ~.3g? | trend"
     )
-    measured = (_row(line) for line in lines if line.slope is not None)
-    heads = columns(
-        "error | against | >n",
-        ">poses # independent units; within poses: trials",
-        ">range [of the unit] | >slope [mm per unit] | >95 % interval [mm per unit]",
-        ">over the range [mm]",
-        ">could be up to [mm] # over the range, either way, 95 %",
-        ">p (Holm) | trend",
-    )
-    yield Table(f"Trends of the error, {detector}", heads, (*measured, *_not_measured(lines)), NOTE)
-
-
-def _slope(line: Trend) -> Slope:
-    slope, low, high = _figures(line)
-    return Slope(
-        QUANTITIES[line.quantity][0],
-        _response(line),
-        slope * line.span,
-        low * line.span,
-        high * line.span,
-        line.significant,
-    )
-
-
-def _row(line: Trend) -> tuple[str | Cell, ...]:
-    name, unit, factor = QUANTITIES[line.quantity]
-    start = (
-        _response(line),
-        f"{name} ({unit})",
-        str(line.n),
-        str(line.groups),
-        f"{line.span / factor:.3g}",
-    )
-    slope, low, high = _figures(line)
-    most = max(abs(low), abs(high)) * line.span
-    p = line.p_value if line.p_holm is None else line.p_holm
-    told = Cell("trend shown", "warn") if line.significant else Cell("no trend shown", "muted")
-    interval = f"{low * factor:+.3g} to {high * factor:+.3g}"
-    return (
-        *start,
-        f"{slope * factor:+.3g}",
-        interval,
-        f"{slope * line.span:+.2f}",
-        f"{most:.2f}",
-        "" if p is None else f"{p:.3g}",
-        told,
-    )
-
-
-def _not_measured(lines: Sequence[Trend]) -> Iterator[tuple[str | Cell, ...]]:
-    """One row for each quantity that no line could be drawn against."""
-    for quantity, line in {line.quantity: line for line in lines if line.slope is None}.items():
-        name, unit, factor = QUANTITIES[quantity]
-        span = f"{line.span / factor:.3g}" if line.n else ""
-        why = Cell(f"{NOT_MEASURED}: {_why_not(line)}", "muted")
-        yield (
-            "any error",
-            f"{name} ({unit})",
-            str(line.n),
-            str(line.groups),
-            span,
-            "",
-            "",
-            "",
-            "",
-            "",
-            why,
-        )
-
-
-def _figures(line: Trend) -> tuple[float, float, float]:
-    """Slope, low and high of a line that was measured."""
-    slope, low, high = line.slope, line.low, line.high
-    if slope is None or low is None or high is None:
-        raise ValueError(f"the trend of {line.response} with {line.quantity} has no slope")
-    return slope, low, high
-
-
-def _response(line: Trend) -> str:
-    return line.response if line.response == "distance" else f"{line.response} error"
+    lines = (*measured, *unmeasured.values())
+    yield table(f"Trends of the error, {detector}", heads, lines, NOTE)
 
 
 def _why_not(line: Trend) -> str:
     if not line.n:
         return "it isn't known in this run"
-    return (
-        f"in {line.groups} poses, {LEAST_TREND_POSES} are the least"
-        if line.groups < LEAST_TREND_POSES
-        else "it hardly varied"
-    )
+    if line.groups < LEAST_TREND_POSES:
+        return f"in {line.groups} poses, {LEAST_TREND_POSES} are the least"
+    return "it hardly varied"
 
 
 CORNERS = 49  # of a drawn ellipse
-VIEWS = (("world x", "world y"), ("world x", "world z"), ("camera x, across", "camera z, depth"))
+# a view's names of its axes, whether it is the camera's, and the axes
+VIEWS = (
+    (("world x", "world y"), False, (0, 1)),
+    (("world x", "world z"), False, (0, 2)),
+    (("camera x, across", "camera z, depth"), True, (0, 2)),
+)
 
 
 def spread_parts(
@@ -291,48 +201,30 @@ def spread_parts(
     """All of one detector. ``anchors``: links by trial; ``camera_from_world``: rotation."""
     rows = error_rows(run, detector)
     distances = np.linalg.norm(rows.errors_mm, axis=1)
-    yield _boxes(run, rows, distances, limit_mm, detector)
-    yield from _drift(rows, distances, limit_mm, anchors, detector)
-    teats = teat_errors(rows)
-    yield _drawn(teats, limit_mm, anchors, camera_from_world, detector)
-    yield from _ellipsoids(run, rows, teats, detector)
-    yield from trend_parts(rows, detector)
-
-
-def _boxes(
-    run: RunRecord, rows: ErrorRows, distances: Floats, limit_mm: float, detector: str
-) -> Figure:
     names = sorted({str(row["teat"]) for trial in run.counted for row in trial.truth})
-    of = np.array(rows.of_found(rows.teats))
-    each = [distances[of == name] if len(of) else distances for name in names]
-    alt = (
-        "; ".join(f"{name}: {len(errors)} found" for name, errors in zip(names, each, strict=True))
-        or "none"
-    )
-    return Figure(
-        teat_boxes(names, each, limit_mm, name=f"teats-{id_of(detector)}"),
+    of = np.array(rows.of_found(rows.teats), dtype=np.str_)
+    each = {name: distances[of == name] for name in names}
+    yield Figure(
+        figures.teat_boxes(names, list(each.values()), limit_mm, name=f"teats-{id_of(detector)}"),
         f"Distance by teat, {detector}",
-        alt,
+        "; ".join(f"{name}: {len(errors)} found" for name, errors in each.items()) or "none",
     )
-
-
-def _drift(
-    rows: ErrorRows, distances: Floats, limit_mm: float, anchors: Mapping[str, str], detector: str
-) -> Iterator[Figure]:
     minutes = rows.quantities["time_s"] / 60.0
     timed = np.isfinite(minutes)
-    if not timed.any():
-        return
-    links = [
-        anchors[trial]
-        for trial, known in zip(rows.of_found(rows.trials), timed, strict=True)
-        if known
-    ]
-    svg = error_drift(
-        minutes[timed], distances[timed], limit_mm, links=links, name=f"drift-{id_of(detector)}"
-    )
-    caption = f"Drift: distance over the time of the run, {detector}; each point opens its trial"
-    yield Figure(svg, caption, f"{int(timed.sum())} points")
+    if timed.any():
+        trials = zip(rows.of_found(rows.trials), timed, strict=True)
+        links = [anchors[trial] for trial, known in trials if known]
+        at = (minutes[timed], distances[timed])
+        name = f"drift-{id_of(detector)}"
+        yield Figure(
+            figures.error_drift(*at, limit_mm, links=links, name=name),
+            f"Drift: distance over the time of the run, {detector}; each point opens its trial",
+            f"{int(timed.sum())} points",
+        )
+    teats = teat_errors(rows)
+    yield _drawn(teats, limit_mm, anchors, camera_from_world, detector)
+    yield _ellipsoids(run, run_bias(rows), teats, detector)
+    yield from trend_parts(rows, detector)
 
 
 def _drawn(
@@ -343,28 +235,29 @@ def _drawn(
     detector: str,
 ) -> Figure:
     """Each teat's pose means with its 95 % ellipsoid; too many teats are one group."""
-    apart = len(teats) <= MOST_GROUPS
-    clouds = (
-        [(f"teat {one.teat}", one.means_mm, one.worst_trials) for one in teats]
-        if apart
-        else [_together(teats)]
-    )
-    groups = [
-        ErrorGroup(
-            name,
-            _flat(means, camera_from_world),
-            _outlines(means, camera_from_world),
-            tuple(anchors[t] for t in trials),
-        )
-        for name, means, trials in clouds
-    ]
-    svg = error_regions(groups, VIEWS, limit_mm, name=f"regions-{id_of(detector)}")
-    counts = (
-        "; ".join(
-            f"{name}: {len(means)} poses{'' if len(means) >= LEAST_POSES else ', too few'}"
-            for name, means, _ in clouds
-        )
-        or "none"
+    clouds = [(f"teat {one.teat}", one.means_mm, one.worst_trials) for one in teats]
+    if len(clouds) > figures.MOST_GROUPS:
+        together = np.concatenate([means for _, means, _ in clouds])
+        worst = tuple(trial for _, _, trials in clouds for trial in trials)
+        clouds = [(f"{len(clouds)} teats", together, worst)]
+    groups = []
+    for name, means, trials in clouds:
+        frames = means, means @ camera_from_world.T
+        bodies = [prediction_ellipsoid(points) for points in frames]
+        outlines = [
+            body.outline_mm(*axes, CORNERS)
+            for _, in_camera, axes in VIEWS
+            if (body := bodies[in_camera]) is not None
+        ]
+        flat = [frames[in_camera][:, axes] for _, in_camera, axes in VIEWS]
+        links = tuple(anchors[trial] for trial in trials)
+        outlined = outlines if len(outlines) == len(VIEWS) else []
+        groups.append(figures.ErrorGroup(name, flat, outlined, links))
+    views = [names for names, _, _ in VIEWS]
+    svg = figures.error_regions(groups, views, limit_mm, name=f"regions-{id_of(detector)}")
+    counts = "; ".join(
+        f"{name}: {len(means)} poses{'' if len(means) >= LEAST_POSES else ', too few'}"
+        for name, means, _ in clouds
     )
     told = (
         f"Errors with their 95 % ellipsoids, {detector}: from above, from the front, and along the"
@@ -372,103 +265,50 @@ def _drawn(
         f" poses. A line holds the next pose's error with 95 %; below {LEAST_POSES} poses there is"
         " none. The red circle is the limit's sphere."
     )
-    return Figure(svg, told, f"Errors with 95 % ellipsoids by teat. {counts}.", wide=True)
+    alt = f"Errors with 95 % ellipsoids by teat. {counts or 'none'}."
+    return Figure(svg, told, alt, wide=True)
 
 
-def _together(teats: Sequence[TeatErrors]) -> tuple[str, Floats, tuple[str, ...]]:
-    return (
-        f"{len(teats)} teats",
-        np.concatenate([one.means_mm for one in teats]),
-        tuple(t for one in teats for t in one.worst_trials),
-    )
-
-
-def _flat(means_mm: Floats, camera_from_world: Floats) -> tuple[Floats, Floats, Floats]:
-    return means_mm[:, [0, 1]], means_mm[:, [0, 2]], (means_mm @ camera_from_world.T)[:, [0, 2]]
-
-
-def _outlines(means_mm: Floats, camera_from_world: Floats) -> tuple[Floats, ...]:
-    world, camera = (
-        prediction_ellipsoid(means_mm),
-        prediction_ellipsoid(means_mm @ camera_from_world.T),
-    )
-    if world is None or camera is None:
-        return ()
-    return (
-        world.outline_mm(0, 1, CORNERS),
-        world.outline_mm(0, 2, CORNERS),
-        camera.outline_mm(0, 2, CORNERS),
-    )
-
-
-def _ellipsoids(
-    run: RunRecord, rows: ErrorRows, teats: Sequence[TeatErrors], detector: str
-) -> Iterator[Part]:
+def _ellipsoids(run: RunRecord, whole: Bias, teats: Sequence[TeatErrors], detector: str) -> Part:
     """Of each pose's mean error, since repeats of a pose share its error; then by teat."""
-    whole = run_bias(rows)
-    if whole.test.n < LEAST_POSES:
-        yield Paragraph(
-            f"Ellipsoids, {detector}: {NOT_MEASURED}; teats were found in {whole.test.n} poses, and"
+    test = whole.test
+    if test.n < LEAST_POSES:
+        return Paragraph(
+            f"Ellipsoids, {detector}: {NOT_MEASURED}; teats were found in {test.n} poses, and"
             f" {LEAST_POSES} are the least."
         )
-        return
-    several = len(teats) > 1
-    bodies = [
-        ("all teats" if several else "the teat", whole),
-        *((f"teat {one.teat}", one.bias) for one in teats if several),
-    ]
+    bodies = {"all teats": whole} | {f"teat {one.teat}": one.bias for one in teats}
+    if len(teats) == 1:
+        bodies = {"the teat": whole}
+    heads = (
+        "of | holds | >poses | >centre x, y, z [mm] ~.2f | >half axes [mm] ~.2f"
+        " | >longest axis along ~.2f # unit vector in the world frame"
+        " | >is there a bias? # p of Hotelling's T²: below 0.05 the mean error isn't zero"
+    )
     lines = [
-        _ellipsoid_row(who, what, body, bias.test)
-        for who, bias in bodies
+        (who, *_ellipsoid(what, body, bias))
+        for who, bias in bodies.items()
         for what, body in (
             ("next pose's mean error, 95 %", bias.next_error),
             ("bias, 95 % confidence", bias.bias),
         )
     ]
-    heads = columns(
-        "of | holds | >poses | >centre x, y, z [mm] | >half axes [mm]",
-        ">longest axis along # unit vector in the world frame",
-        ">is there a bias? # p of Hotelling's T²: below 0.05 the mean error isn't zero",
-    )
-    test = whole.test
     told = (
         ""
         if test.p_value is None
         else f"Is there a bias? Hotelling's T² = {test.t_squared:.2f}, p = {test.p_value:.3g}. "
     )
-    yield Table(
-        f"Ellipsoids of the error, {detector}",
-        heads,
-        tuple(lines),
-        told + _consistent(run, detector),
-    )
+    note = told + _consistent(run, detector)
+    return table(f"Ellipsoids of the error, {detector}", heads, lines, note)
 
 
-def _ellipsoid_row(who: str, what: str, body: Ellipsoid | None, test: BiasTest) -> tuple[str, ...]:
+def _ellipsoid(what: str, body: Ellipsoid | None, bias: Bias) -> tuple[object, ...]:
+    test = bias.test
     if body is None:
-        return (
-            who,
-            what,
-            str(test.n),
-            NOT_MEASURED,
-            NOT_MEASURED,
-            "",
-            f"{NOT_MEASURED}: {LEAST_POSES} poses are the least",
-        )
-
-    def told(values: Floats, digits: int) -> str:
-        return ", ".join(f"{value:.{digits}f}" for value in values)
-
-    p = NOT_MEASURED if test.p_value is None else f"p = {test.p_value:.3g}"
-    return (
-        who,
-        what,
-        str(body.n),
-        told(body.centre_mm, 2),
-        told(body.half_axes_mm, 2),
-        told(body.directions[0], 2),
-        p,
-    )
+        few = f"{NOT_MEASURED}: {LEAST_POSES} poses are the least"
+        return what, test.n, None, None, "", few
+    p = None if test.p_value is None else f"p = {test.p_value:.3g}"
+    return what, body.n, body.centre_mm, body.half_axes_mm, body.directions[0], p
 
 
 def _consistent(run: RunRecord, detector: str) -> str:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.report.tables import key_values
-from bench.report.wording import number
+from bench.report.tables import covariance_of
+from bench.report.wording import key_values, listed, number, spanned, table, xyz
 from bench.results.verdicts import VERIFICATION_FACT, age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
 from bench.run.metadata import FRAME_FACT
@@ -22,18 +22,14 @@ from bench.truth.registration import Registration
 from bench.truth.registration_file import registration_from_facts
 from bench.truth.uncertainty import CHI2_95, How
 from instruments.teat_end import DEFINITION
-from reports.parts import Cell, Column, Notes, Paragraph, Part, Table, columns
+from reports.page import Cell, Column, Notes, Paragraph, Part, Table
 
-COLUMNS = columns(
-    "divot | >touches",
-    (
-        ">largest deviation [mm] # from the mean of the touches: articulated location error,"
-        " ASME B89.4.22"
-    ),
-    ">2 sd [mm]",
-    ">least sphere [mm] # its diameter, the form of ISO 10360-12",
-    ">swing [°] # largest angle between two stylus directions",
-    ">shift [mm] # of the mean from the known place",
+LOCATIONS = (
+    "divot | >touches | >largest deviation [mm] ~.2f # from the mean of the touches: articulated"
+    " location error, ASME B89.4.22 | >2 sd [mm] ~.2f"
+    " | >least sphere [mm] ~.2f # its diameter, the form of ISO 10360-12"
+    " | >swing [°] ~.0f # largest angle between two stylus directions"
+    " | >shift [mm] ~.2f? # of the mean from the known place"
 )
 
 
@@ -49,7 +45,7 @@ def arm_parts(run: RunRecord) -> Iterator[Part]:
         yield Paragraph(
             "The rig names no dated verification of the arm ('teatbench arm verify').", tone="warn"
         )
-    yield from _arm_checks(run)
+    yield _arm_checks(run)
 
 
 def _frame(fact: dict[str, Any] | None) -> Part:
@@ -59,79 +55,61 @@ def _frame(fact: dict[str, Any] | None) -> Part:
             " moved on the table."
         )
     residuals = ", ".join(f"{name} {value:.2f} mm" for name, value in fact["residuals_mm"].items())
-    entries: list[tuple[str, object]] = [
-        ("file", fact["file"]),
-        ("made", fact["made"]),
-        ("arm", fact["serial_number"]),
-        (
-            "largest residual of a check point",
-            None if fact["residual_mm"] is None else number(fact["residual_mm"], "mm"),
-        ),
-        ("residuals", residuals or None),
-        ("om, rad", ", ".join(f"{v:.6f}" for v in fact["om"])),
-        ("T, mm", ", ".join(f"{v:.3f}" for v in fact["T"])),
-    ]
+    entries = {
+        "file": fact["file"],
+        "made": fact["made"],
+        "arm": fact["serial_number"],
+        "largest residual of a check point": number(fact["residual_mm"], "mm"),
+        "residuals": residuals or None,
+        "om, rad": listed(fact["om"], ".6f"),
+        "T, mm": listed(fact["T"], ".3f"),
+    }
     return key_values("World frame: the table, X_world = R(om) X_arm + T", entries)
 
 
 def _verification(run: RunRecord, dated: Verification) -> Iterator[Part]:
-    rows = tuple(_row(test, None) for test in dated.locations)
     caption = (
         f"Verification of arm {dated.serial_number} on {dated.made:%Y-%m-%d},"
         f" {age_of(dated, run.facts).days} days before the run"
     )
-    yield Table(
-        caption, COLUMNS, rows, "The tip in one divot at each distance while wrist and elbow swing."
-    )
+    note = "The tip in one divot at each distance while wrist and elbow swing."
+    yield table(caption, LOCATIONS, [_location(test, None) for test in dated.locations], note)
     if not dated.lengths:
         yield Paragraph("No calibrated length was measured in it.", tone="warn")
         return
-    heads = columns("direction | >calibrated [mm] | >measured [mm] | >error [mm]")
-    lengths = tuple(
-        (t.where, f"{t.calibrated_mm:.3f}", f"{t.measured_mm:.2f}", f"{t.error_mm:+.2f}")
-        for t in dated.lengths
-    )
-    note = (
+    lengths = [(t.where, t.calibrated_mm, t.measured_mm, t.error_mm) for t in dated.lengths]
+    yield table(
+        "A calibrated length, measured in several directions",
+        "direction | >calibrated [mm] ~.3f | >measured [mm] ~.2f | >error [mm] ~+.2f",
+        lengths,
         f"Largest error {number(dated.length_mm, 'mm')}; 2 rms"
-        f" {number(dated.length_two_rms_mm, 'mm')}."
+        f" {number(dated.length_two_rms_mm, 'mm')}.",
     )
-    yield Table("A calibrated length, measured in several directions", heads, lengths, note)
 
 
-def _arm_checks(run: RunRecord) -> Iterator[Part]:
+def _arm_checks(run: RunRecord) -> Part:
     facts = {
         when: run.facts[CHECK_FACT.format(when)]
         for when in (BEFORE, AFTER)
         if CHECK_FACT.format(when) in run.facts
     }
     if not facts:
-        yield Paragraph(
+        return Paragraph(
             "The arm was not checked before and after the trials: the rig names no check point.",
             tone="warn",
         )
-        return
-    rows = tuple(
-        _row(location_of(fact, f"check point, {when} the trials"), shift_mm(fact))
-        for when, fact in facts.items()
-    )
+    tests = [location_of(fact, f"check point, {when} the trials") for when, fact in facts.items()]
+    rows = [_location(*pair) for pair in zip(tests, map(shift_mm, facts.values()), strict=True)]
     note = ""
-    if len(facts) == 2:
-        first, last = (location_of(fact, when).centre_mm for when, fact in facts.items())
-        note = (
-            "Between the two the check point moved by"
-            f" {float(np.linalg.norm(last - first)):.2f} mm."
-        )
-    yield Table("The arm before and after the trials", COLUMNS, rows, note)
+    if len(tests) == 2:
+        moved_mm = np.linalg.norm(tests[1].centre_mm - tests[0].centre_mm)
+        note = f"Between the two the check point moved by {moved_mm:.2f} mm."
+    return table("The arm before and after the trials", LOCATIONS, rows, note)
 
 
-def _row(test: LocationTest, shift: float | None) -> tuple[str, ...]:
-    figures = (
-        f"{test.largest_mm:.2f}",
-        f"{test.two_sd_mm:.2f}",
-        f"{test.sphere_mm:.2f}",
-        f"{test.swing_deg:.0f}",
-    )
-    return (test.where, str(test.n), *figures, "" if shift is None else f"{shift:.2f}")
+def _location(test: LocationTest, shift: float | None) -> tuple[object, ...]:
+    mm = (test.largest_mm, test.two_sd_mm, test.sphere_mm)
+    return test.where, test.n, *mm, test.swing_deg, shift
 
 
 NO_TRUTH = "truth: "  # what bench.truth.touching's NoTruthError begins with
@@ -150,15 +128,16 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
     registration = registration_from_facts(run.facts)
     if registration is not None:
         yield from _registration(run, registration)
-    yield from _check_touches(run)
-    exact = _truth_error(run)
+    if run.checks:
+        yield _check_touches(run)
+    exact = [row for trial in run.counted for row in trial.truth if row["exact_mm"]]
     if exact:
-        yield Paragraph(exact, tone="info")
+        yield Paragraph(_truth_error(exact), tone="info")
 
 
 def deviation_parts(run: RunRecord) -> Iterator[Part]:
     """What was not done as the script says, and what left the counts."""
-    left_out = [_skipped(row) for row in run.skipped]
+    left_out = [_skipped(row["trial"], str(row["reason"])) for row in run.skipped]
     if left_out:
         yield Notes("Deviations from the script; what was skipped is in no count", tuple(left_out))
     why: dict[str, list[str]] = {}
@@ -176,18 +155,24 @@ def deviation_parts(run: RunRecord) -> Iterator[Part]:
             f" {', '.join(since)}.",
             tone="warn",
         )
-    refused = [
+    refused = tuple(
         f"{trial.id}, teat {row['teat']}: {row['refused']}"
         for trial in run.trials
         for row in trial.touches
         if row["refused"]
-    ]
+    )
     if refused:
-        yield Notes("Touches that were refused and asked for again", tuple(refused))
+        yield Notes("Touches that were refused and asked for again", refused)
     if not (left_out or why or since or refused):
         yield Paragraph(
             "None: every trial of the script was done and counts, and no touch was refused."
         )
+
+
+def _skipped(trial: str, reason: str) -> str:
+    if reason.startswith(NO_TRUTH):
+        return f"{trial} has no truth: {reason.removeprefix(NO_TRUTH)}"
+    return f"{trial} was skipped by the operator: {reason}"
 
 
 def trial_truth(trial: TrialRecord) -> Table | None:
@@ -195,51 +180,39 @@ def trial_truth(trial: TrialRecord) -> Table | None:
     rows = [(row, json.loads(row["budget"])) for row in trial.truth if row["budget"]]
     if not rows:
         return None
-    names = [line["name"] for line in rows[0][1]["components"]]
-    heads = columns(
-        "teat | truth", *(Column(name, "right", "mm") for name in names), ">combined [mm]"
-    )
-    table = [
-        (
-            str(row["teat"]),
-            str(row["how"]),
-            *(f"{line['u_mm']:.3f}" for line in budget["components"]),
-            f"{budget['u_mm']:.3f}",
-        )
-        for row, budget in rows
-    ]
-    return Table(
+    names = [Column(line["name"], "right", "mm") for line in rows[0][1]["components"]]
+    return table(
         "Uncertainty of the truth",
-        heads,
-        tuple(table),
+        ("teat | truth", *names, ">combined [mm] ~.3f"),
+        [
+            (
+                str(row["teat"]),
+                str(row["how"]),
+                *(f"{line['u_mm']:.3f}" for line in budget["components"]),
+                budget["u_mm"],
+            )
+            for row, budget in rows
+        ],
         f"Sources stand under Measurand and reference; {U_NOTE}.",
     )
 
 
-def _skipped(row: Mapping[str, Any]) -> str:
-    trial, reason = row["trial"], str(row["reason"])
-    if reason.startswith(NO_TRUTH):
-        return f"{trial} has no truth: {reason.removeprefix(NO_TRUTH)}"
-    return f"{trial} was skipped by the operator: {reason}"
-
-
 def _budgets(run: RunRecord) -> Iterator[Part]:
-    counted_rows = [row for trial in run.counted for row in trial.truth]
+    ends = [row for trial in run.counted for row in trial.truth]
     for how in How:
-        budgets = [
-            json.loads(row["budget"]) for row in counted_rows if row["how"] == how and row["budget"]
-        ]
+        budgets = [json.loads(row["budget"]) for row in ends if row["how"] == how and row["budget"]]
         if not budgets:
             continue
         worst = max(budgets, key=lambda budget: budget["u_mm"])
-        lines = [(c["name"], f"{c['u_mm']:.3f}", c["source"]) for c in worst["components"]]
-        lines.append(
-            ("combined, along one axis", f"{worst['u_mm']:.3f}", "root of the sum of squares")
+        lines = [(c["name"], c["u_mm"], c["source"]) for c in worst["components"]]
+        lines.append(("combined, along one axis", worst["u_mm"], "root of the sum of squares"))
+        yield table(
+            f"Uncertainty budget of the {how} truth: the worst of {len(budgets)} ends",
+            "component | >u [mm] ~.3f | source",
+            lines,
+            f"Each trial has its own, per teat; {U_NOTE}.",
         )
-        heads = columns("component | >u [mm] | source")
-        caption = f"Uncertainty budget of the {how} truth: the worst of {len(budgets)} ends"
-        yield Table(caption, heads, tuple(lines), f"Each trial has its own, per teat; {U_NOTE}.")
-    known = [row["u_mm"] for row in counted_rows if row["u_mm"] is not None]
+    known = [row["u_mm"] for row in ends if row["u_mm"] is not None]
     if known:
         yield Paragraph(
             "Every decision's guard band is that of the largest uncertainty in the run: u ="
@@ -250,135 +223,89 @@ def _budgets(run: RunRecord) -> Iterator[Part]:
 def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
     for fault in found.faults:
         yield Paragraph(fault, tone="warn")
-    fits, n = found.comparison, len(found.stations)
-    entries: list[tuple[str, object]] = [
-        ("made", found.made.isoformat(timespec="seconds")),
-        ("stage", found.stage),
-        ("positions touched", f"{n}, teat {found.teat}"),
-        (
-            "residual of the rigid fit (FRE)",
-            (
-                f"{fits.rigid.fre_mm:.2f} mm rms; {found.expected_fre_mm:.2f} mm expected of"
-                " touches as stated"
-            ),
+    fits = found.comparison
+    places = [json.loads(trial.head["stage_mm"]) for trial in run.trials if trial.head["stage_mm"]]
+    entries = {
+        "made": found.made.isoformat(timespec="seconds"),
+        "stage": found.stage,
+        "positions touched": f"{len(found.stations)}, teat {found.teat}",
+        "residual of the rigid fit (FRE)": (
+            f"{fits.rigid.fre_mm:.2f} mm rms; {found.expected_fre_mm:.2f} mm expected of touches as"
+            " stated"
         ),
-        ("target error (TRE) at the run's poses", _target_errors(run, found)),
-        ("om, rad", ", ".join(f"{v:.6f}" for v in found.world_from_stage.om)),
-        ("T, mm", ", ".join(f"{v:.3f}" for v in found.world_from_stage.T)),
-        ("chance of these axes, if as stated", f"{found.p_value:.2g}"),
-    ]
+        "target error (TRE) at the run's poses": spanned(
+            [found.target_error_mm(place) for place in places], unit="mm"
+        ),
+        "om, rad": listed(found.world_from_stage.om, ".6f"),
+        "T, mm": listed(found.world_from_stage.T, ".3f"),
+        "chance of these axes, if as stated": f"{found.p_value:.2g}",
+    }
     yield key_values("Registration of the stage, X_world = R(om) X_stage + T", entries)
-    heads = columns("fit | >residual [mm] | >held out [mm] | >singular values")
-    rows = [
-        (
-            f.model,
-            f"{f.fre_mm:.3f}",
-            number(fits.held_out_mm[f.model], "", 3),
-            ", ".join(f"{v:.4f}" for v in f.singular_values),
-        )
-        for f in fits.fits
-    ]
-    note = (
+    yield table(
+        "Fits of the touched positions",
+        "fit | >residual [mm] ~.3f | >held out [mm] ~.3f | >singular values ~.4f",
+        [(f.model, f.fre_mm, fits.held_out_mm[f.model], f.singular_values) for f in fits.fits],
         "The rigid fit carries. Where affine is much better, held out too, the stage's axes or the"
-        " arm are off."
-    )
-    yield Table("Fits of the touched positions", heads, tuple(rows), note)
-    yield _diagnostics(found)
-
-
-def _diagnostics(found: Registration) -> Table:
-    rows = [
-        (
-            d.name,
-            f"{1e3 * d.value:+.2f}",
-            f"{1e3 * d.u:.2f}",
-            f"{d.value / d.u:+.1f}",
-            Cell("yes", "warn") if d.significant else Cell("no"),
-        )
-        for d in found.diagnostics
-    ]
-    heads = columns(
-        "axes | >off by [mm/m] | >u [mm/m] | >off by / u",
-        "significant # beyond 2.58 u: touch noise explains it in one of 100 cases",
+        " arm are off.",
     )
     stated = found.stated
-    note = (
+    yield table(
+        "The stage's axes",
+        "axes | >off by [mm/m] ~+.2f | >u [mm/m] ~.2f | >off by / u ~+.1f"
+        " | significant # beyond 2.58 u: touch noise explains it in one of 100 cases",
+        [
+            (
+                d.name,
+                1e3 * d.value,
+                1e3 * d.u,
+                d.value / d.u,
+                Cell("yes", "warn") if d.significant else "no",
+            )
+            for d in found.diagnostics
+        ],
         "Diagnostics, not corrections; squareness is in mrad. The rig file states u ="
         f" {1e3 * stated.scale_u:g} mm/m of scale and {1e3 * stated.squareness_u_rad:g} mrad of"
         " squareness"
+        + (
+            "; what was found here is added, since it casts doubt on that."
+            if found.doubted
+            else ", which the carry's uncertainty is made of."
+        ),
     )
-    more = (
-        "; what was found here is added, since it casts doubt on that."
-        if found.doubted
-        else ", which the carry's uncertainty is made of."
+
+
+def _check_touches(run: RunRecord) -> Table:
+    heads = (
+        ">check | after trial | teat | >touched x, y, z [mm] | >carried x, y, z [mm]"
+        " | >apart [mm] ~.2f | >limit [mm] ~g | carry"
     )
-    return Table("The stage's axes", heads, tuple(rows), note + more)
+    states = (Cell("lost", "bad"), Cell("held", "good"))
+    rows = []
+    for row in run.checks:
+        places = (xyz(row), xyz(row, "carried_"))
+        who = (row["number"], str(row["after_trial"]), str(row["teat"]))
+        rows.append((*who, *places, row["off_mm"], row["limit_mm"], states[bool(row["held"])]))
+    return table("Check touches of the carried truth", heads, rows)
 
 
-def _target_errors(run: RunRecord, found: Registration) -> str | None:
-    places = [json.loads(trial.head["stage_mm"]) for trial in run.trials if trial.head["stage_mm"]]
-    if not places:
-        return None
-    errors = [found.target_error_mm(place) for place in places]
-    return f"{min(errors):.2f} to {max(errors):.2f} mm"
-
-
-def _check_touches(run: RunRecord) -> Iterator[Part]:
-    if not run.checks:
-        return
-    heads = columns(
-        ">check | after trial | teat | >touched x, y, z [mm] | >carried x, y, z [mm]",
-        ">apart [mm] | >limit [mm] | carry",
-    )
-    rows = [
-        (
-            str(row["number"]),
-            str(row["after_trial"]),
-            str(row["teat"]),
-            _xyz(row, ""),
-            _xyz(row, "carried_"),
-            f"{row['off_mm']:.2f}",
-            f"{row['limit_mm']:g}",
-            Cell("held", "good") if row["held"] else Cell("lost", "bad"),
-        )
-        for row in run.checks
-    ]
-    yield Table("Check touches of the carried truth", heads, tuple(rows))
-
-
-def _xyz(row: Mapping[str, Any], prefix: str) -> str:
-    return ", ".join(f"{row[f'{prefix}{axis}_mm']:.1f}" for axis in "xyz")
-
-
-def _truth_error(run: RunRecord) -> str:
+def _truth_error(rows: Sequence[Mapping[str, Any]]) -> str:
     """What the truth was off by, known on an emulated rig only."""
-    rows = [row for trial in run.counted for row in trial.truth if row["exact_mm"]]
-    if not rows:
-        return ""
-    distances = np.array([_off_mm(row) for row in rows])
+    off_mm = np.array(
+        [
+            np.subtract([row["x_mm"], row["y_mm"], row["z_mm"]], json.loads(row["exact_mm"]))
+            for row in rows
+        ]
+    )
+    regions = [
+        (off, covariance)
+        for off, row in zip(off_mm, rows, strict=True)
+        if (covariance := covariance_of(row)) is not None
+    ]
+    inside = sum(off @ np.linalg.solve(covariance, off) <= CHI2_95 for off, covariance in regions)
+    held = f"; the stated 95 % regions hold {inside} of {len(regions)}" if regions else ""
+    far = np.linalg.norm(off_mm, axis=1)
     return (
-        "Emulated rig: the scene's exact teat ends are kept aside. The truth is"
-        f" {distances.mean():.2f} mm from them on the mean, {distances.max():.2f} mm at most"
-        f" ({len(rows)} ends){_held(rows)}. Scores are against the measured truth, as in a"
-        " laboratory."
+        f"Emulated rig: the scene's exact teat ends are kept aside. The truth is {far.mean():.2f}"
+        f" mm from them on the mean, {far.max():.2f} mm at most ({len(rows)} ends){held}. Scores"
+        " are against the measured truth, as in a laboratory."
     )
-
-
-def _off_mm(row: Mapping[str, Any]) -> float:
-    return float(
-        np.linalg.norm(
-            np.array([row["x_mm"], row["y_mm"], row["z_mm"]])
-            - np.array(json.loads(row["exact_mm"]))
-        )
-    )
-
-
-def _held(rows: Sequence[Mapping[str, Any]]) -> str:
-    regions = [row for row in rows if row["covariance_mm2"]]
-    inside = sum(_holds(row) for row in regions)
-    return f"; the stated 95 % regions hold {inside} of {len(regions)}" if regions else ""
-
-
-def _holds(row: Mapping[str, Any]) -> bool:
-    off = np.array([row["x_mm"], row["y_mm"], row["z_mm"]]) - np.array(json.loads(row["exact_mm"]))
-    return bool(off @ np.linalg.solve(np.array(json.loads(row["covariance_mm2"])), off) <= CHI2_95)

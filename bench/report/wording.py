@@ -1,11 +1,15 @@
-"""How figures, verdicts and names become words and ids: the same for terminal, page and exports."""
+"""How values become text, tables and ids, and a run's verdict a headline: once for page, terminal
+and exports.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord
@@ -13,9 +17,13 @@ from bench.results.verdicts import Judgement, run_verdict
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
 from detector.protocol import Outcome
-from reports.parts import Verdict as PageVerdict
+from reports.page import Align, Cell, Column, KeyValues, Table
+from reports.page import Verdict as PageVerdict
 
 LONGEST = 60  # with what stands before it an id has room
+NOT_MEASURED = "not measured"
+LONGEST_WORDS = 200
+DIGITS = {"s": 3, "%": 1, "": 0}  # of a decision's figures by unit; 2 of the others
 
 
 def id_of(name: str) -> str:
@@ -26,10 +34,6 @@ def id_of(name: str) -> str:
     return f"{plain[: LONGEST - 7]}-{hashlib.sha256(name.encode()).hexdigest()[:6]}".lstrip("-")
 
 
-NOT_MEASURED = "not measured"
-LONGEST_WORDS = 200
-
-
 def number(value: float | None, unit: str = "", digits: int = 2) -> str:
     """``1.23 mm``; ``not measured`` for None. Whole numbers (counts) without decimals."""
     if value is None:
@@ -38,54 +42,122 @@ def number(value: float | None, unit: str = "", digits: int = 2) -> str:
     return f"{text} {unit}".rstrip()
 
 
+def listed(values: Iterable[float], form: str = ".2f") -> str:
+    """``1.00, 2.00, 3.00``."""
+    return ", ".join(f"{value:{form}}" for value in values)
+
+
+def xyz(row: Mapping[str, Any], prefix: str = "") -> str:
+    """The point of a record's row, mm."""
+    return listed((row[f"{prefix}{axis}_mm"] for axis in "xyz"), ".1f")
+
+
+def spanned(values: Any, form: str = ".2f", unit: str = "") -> str:
+    """``1.00 to 2.00 mm``, the least and the greatest; ``not measured`` where there is none."""
+    if not len(values):
+        return NOT_MEASURED
+    return f"{min(values):{form}} to {max(values):{form}} {unit}".rstrip()
+
+
+def shown(value: Any, form: str = "") -> str | Cell:
+    """A table's value as text: with the format ``form``, else as `number` has it.
+
+    Several numbers are listed. None is ``not measured``; empty where ``form`` ends with ``?``.
+    """
+    if isinstance(value, str | Cell):
+        return value
+    if value is None:
+        return "" if form.endswith("?") else NOT_MEASURED
+    form = form.removesuffix("?")
+    if np.ndim(value):
+        return listed(value, form)
+    return f"{value:{form}}" if form else number(value)
+
+
+def table(
+    caption: str,
+    heads: str | Sequence[str | Column],
+    rows: Iterable[Sequence[Any]],
+    note: str = "",
+    *,
+    searchable: bool = False,
+) -> Table:
+    """A table of values, as `shown` has them.
+
+    ``heads`` are texts ``title | >title [unit] ~form # hint``: ``>`` sets figures to the right,
+    ``form`` is the numbers' format. A title that anybody gave, as a detector's name, comes as a
+    `Column`: it may hold such signs.
+    """
+    columns: list[Column] = []
+    forms: list[str] = []
+    for head in [heads] if isinstance(heads, str) else heads:
+        for text in [head] if isinstance(head, Column) else head.split(" | "):
+            column, form = (text, "") if isinstance(text, Column) else _column(text)
+            columns.append(column)
+            forms.append(form)
+    cells = (tuple(shown(*pair) for pair in zip(row, forms, strict=True)) for row in rows)
+    return Table(caption, tuple(columns), tuple(cells), note, searchable)
+
+
+def _column(text: str) -> tuple[Column, str]:
+    rest, _, hint = text.partition(" # ")
+    rest, _, form = rest.partition(" ~")
+    title, _, unit = rest.partition(" [")
+    align: Align = "right" if title.startswith(">") else "left"
+    return Column(title.removeprefix(">"), align, unit.removesuffix("]"), hint), form
+
+
+def key_values(
+    title: str, entries: Mapping[str, object] | Iterable[tuple[str, object]]
+) -> KeyValues:
+    """A list of names and values as text."""
+    pairs = entries.items() if isinstance(entries, Mapping) else entries
+    return KeyValues(
+        title,
+        tuple(
+            (
+                name,
+                value if isinstance(value, Cell) else NOT_MEASURED if value is None else str(value),
+            )
+            for name, value in pairs
+        ),
+    )
+
+
 def measured(decision: Decision) -> str:
     """The decided figure and the one-sided bound decided on: ``100.0 % (at least 60.7 %)``."""
-    value, digits = decision.measured, _digits(decision)
-    text = number(value, decision.unit, digits)
+    value, unit, digits = decision.measured, decision.unit, DIGITS.get(decision.unit, 2)
+    text = number(value, unit, digits)
     if value is None or not decision.uncertainty:
         return text
-    if (decision.verdict is Verdict.NOT_MET) == (decision.unit == "%"):
-        side, bound = "at most", value + decision.uncertainty
-    else:
-        side, bound = "at least", value - decision.uncertainty
+    above = (decision.verdict is Verdict.NOT_MET) == (unit == "%")
+    bound = value + decision.uncertainty if above else value - decision.uncertainty
     told = (
         percent_apart(bound / 100, decision.limit / 100)
-        if decision.unit == "%"
-        else number(bound, decision.unit, digits)
+        if unit == "%"
+        else number(bound, unit, digits)
     )
-    return f"{text} ({side} {told})"
+    return f"{text} ({'at most' if above else 'at least'} {told})"
 
 
 def limit(decision: Decision) -> str:
     """The limit with its unit."""
-    return number(decision.limit, decision.unit, _digits(decision))
+    return number(decision.limit, decision.unit, DIGITS.get(decision.unit, 2))
 
 
 def margin(decision: Decision) -> str:
     """What is left to the limit; negative beyond it."""
-    return (
-        ""
-        if decision.margin is None
-        else f"{decision.margin:+.{_digits(decision)}f} {decision.unit}".rstrip()
-    )
-
-
-def _digits(decision: Decision) -> int:
-    return {"s": 3, "%": 1, "": 0}.get(decision.unit, 2)
+    if decision.margin is None:
+        return ""
+    return f"{decision.margin:+.{DIGITS.get(decision.unit, 2)}f} {decision.unit}".rstrip()
 
 
 def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
     """The run's verdict, why, and what to do next; a detector without answers comes first."""
     if run.damage:
         why = f"{NOT_AS_WRITTEN}, so that nothing is decided by it. {shortened(run.damage)}"
-        return (
-            "no verdict",
-            why,
-            (
-                "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
-                " damaged."
-            ),
-        )
+        then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
+        return "no verdict", why, f"{then} damaged."
     if run.ending != "finished":
         return "aborted", _why_ended(run), _after_ending(run)
     verdict, why, then = _finished(run, judgements)
@@ -95,55 +167,47 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
     first = (
         "First find out why the detector did not answer: its reasons stand with the trials below."
     )
-    return (
-        verdict,
-        "\n".join([*silent, why]),
-        f"{first} {then}" if verdict == "not met" else f"{first} Then run it again.",
-    )
+    then = then if verdict == "not met" else "Then run it again."
+    return verdict, "\n".join([*silent, why]), f"{first} {then}"
 
 
 def _silence(run: RunRecord, detector: str) -> Iterator[str]:
     """How often it gave no answer, with the last reason and the last line that it wrote."""
     rows = [row for trial in run.counted for row in trial.detections if row["detector"] == detector]
     silent = [row for row in rows if row["outcome"] != Outcome.ANSWERED.value]
-    if silent:
-        reasons = [
-            row["reason"] for row in silent if row["outcome"] != Outcome.OFF.value and row["reason"]
-        ]
-        words = [
-            line.strip()
-            for row in silent
-            for line in (row["wall_stderr"] or "").splitlines()
-            if line.strip()
-        ]
-        last = f' Its last words: "{words[-1][:LONGEST_WORDS]}".' if words else ""
-        yield (
-            f"{detector} did not answer on {len(silent)} of {len(rows)} frame"
-            f" sets{': ' if reasons else ''}{''.join(reasons[-1:])}.{last}"
-        )
+    if not silent:
+        return
+    reasons = [
+        row["reason"] for row in silent if row["outcome"] != Outcome.OFF.value and row["reason"]
+    ]
+    written = "\n".join(row["wall_stderr"] or "" for row in silent).splitlines()
+    words = [line.strip() for line in written if line.strip()]
+    last = f' Its last words: "{words[-1][:LONGEST_WORDS]}".' if words else ""
+    yield (
+        f"{detector} did not answer on {len(silent)} of {len(rows)} frame"
+        f" sets{': ' if reasons else ''}{''.join(reasons[-1:])}.{last}"
+    )
 
 
 def _finished(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
     if not judgements and run.skipped:
         nothing = f"All {len(run.skipped)} trials were left out, so nothing was scored."
-        return (
-            "no verdict",
-            nothing,
-            "Remove the reasons, which are listed under the deviations, then run the script again.",
-        )
+        then = "Remove the reasons, which are listed under the deviations, then run the script"
+        return "no verdict", nothing, f"{then} again."
     if not judgements:
-        return (
-            "no verdict",
-            "The recording has no truth, so nothing was scored.",
-            "Add truth.csv to the recording, then score it again.",
-        )
+        nothing = "The recording has no truth, so nothing was scored."
+        return "no verdict", nothing, "Add truth.csv to the recording, then score it again."
     verdict = run_verdict(judgements)
-    worst = _worst(judgements, verdict)
-    return (
-        verdict.value,
-        _why(worst, len(judgements)),
-        _next_action(verdict, worst, judgements[0].of_bench),
+    same = {verdict}
+    if verdict is Verdict.INCONCLUSIVE:
+        same.add(Verdict.NOT_MEASURED)
+    worst = [(j.detector, d) for j in judgements for d in j.decisions if d.verdict in same]
+    why = "\n".join(
+        f"{f'{name}: ' if len(judgements) > 1 else ''}{d.name[0].upper()}{d.name[1:]}: {d.sentence}"
+        for name, d in worst
     )
+    names = list(dict.fromkeys(decision.name for _, decision in worst))
+    return verdict.value, why, _next_action(verdict, names, judgements[0].of_bench)
 
 
 def _why_ended(run: RunRecord) -> str:
@@ -166,17 +230,16 @@ def guardian_told(record: Mapping[str, Any]) -> str:
         "hung": f"The bench hung ({why}); its last sign of life was at {record['wall_last_sign']}",
         "gave up": f"At {when} the bench gave up: {why}",
     }[record["cause"]]
-    if record["standby"]:
-        more = " The hung bench kept the port and was ended." if record.get("killed") else ""
-        more += f" The pump {record['pump']}." if "pump" in record else ""
-        safe = (
-            f"the guardian had the bath in standby at {record['wall_safe']},"
-            f" {record['seconds']:.1f} s after it took notice"
+    if not record["standby"]:
+        return (
+            f"{befell}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
+            f" ({record['error']}): switch it off by hand."
         )
-        return f"{befell}; {safe}.{more}"
+    more = " The hung bench kept the port and was ended." if record.get("killed") else ""
+    more += f" The pump {record['pump']}." if "pump" in record else ""
     return (
-        f"{befell}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
-        f" ({record['error']}): switch it off by hand."
+        f"{befell}; the guardian had the bath in standby at {record['wall_safe']},"
+        f" {record['seconds']:.1f} s after it took notice.{more}"
     )
 
 
@@ -192,54 +255,24 @@ def _after_ending(run: RunRecord) -> str:
     )
 
 
-def _worst(judgements: Sequence[Judgement], verdict: Verdict) -> list[tuple[str, Decision]]:
-    same = (
-        (verdict,)
-        if verdict is not Verdict.INCONCLUSIVE
-        else (Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED)
-    )
-    return [(j.detector, d) for j in judgements for d in j.decisions if d.verdict in same]
-
-
-def _why(worst: Sequence[tuple[str, Decision]], detectors: int) -> str:
-    return "\n".join(
-        f"{f'{name}: ' if detectors > 1 else ''}{d.name[0].upper()}{d.name[1:]}: {d.sentence}"
-        for name, d in worst
-    )
-
-
-def _next_action(
-    verdict: Verdict, worst: Sequence[tuple[str, Decision]], of_bench: frozenset[str]
-) -> str:
+def _next_action(verdict: Verdict, named: Sequence[str], of_bench: frozenset[str]) -> str:
     if verdict is Verdict.MET:
         return (
             "Keep this run folder as the evidence; it names everything that is needed to repeat it."
         )
-    named = list(dict.fromkeys(decision.name for _, decision in worst))
     bench, names = (
         ", ".join(name for name in named if (name in of_bench) is of) for of in (True, False)
     )
     if verdict is Verdict.NOT_MET:
-        first = (
-            f"Put the bench right before all else: {bench}; what it measured may be wrong. "
-            if bench
-            else ""
-        )
-        then = "Start with the trials marked below; each shows where its points went wrong."
-        return (
-            first
-            + (
-                f"The detector has to become better at: {names}. {then}"
-                if names
-                else "Then run the script again."
-            )
-        ).strip()
-    first = f"Complete what is missing of: {bench}. " if bench else ""
-    return (
-        first
-        + (
-            f"Run more poses to decide: {names}. Each row says how many are missing."
+        first = f"Put the bench right before all else: {bench}; what it measured may be wrong."
+        then = (
+            f"The detector has to become better at: {names}. Start with the trials marked below;"
+            " each shows where its points went wrong."
             if names
-            else ""
+            else "Then run the script again."
         )
-    ).strip()
+    else:
+        first = f"Complete what is missing of: {bench}."
+        then = f"Run more poses to decide: {names}. Each row says how many are missing."
+        then = then if names else ""
+    return f"{first} {then}".strip() if bench else then

@@ -4,8 +4,7 @@ Without data a figure says "not measured"; numbers that are not finite are refus
 loads matplotlib (some tenths of a second), so importers do it late.
 """
 
-from reports.figures.calibration import precision_by_distance, residual_field
-from reports.figures.course import bath_curve, latency_strip
+from reports.figures.course import Slope, bath_curve, found_bars, latency_strip, slope_intervals
 from reports.figures.errors import (
     change_scatter,
     error_drift,
@@ -14,9 +13,15 @@ from reports.figures.errors import (
     per_axis_errors,
     teat_boxes,
 )
-from reports.figures.plane import TeatPlaces, error_map, error_maps
-from reports.figures.rates import Slope, found_bars, slope_intervals
-from reports.figures.regions import MOST_GROUPS, ErrorGroup, error_regions
+from reports.figures.plane import (
+    MOST_GROUPS,
+    ErrorGroup,
+    TeatPlaces,
+    error_map,
+    error_maps,
+    error_regions,
+)
+from reports.figures.sensitivity import precision_by_distance, residual_field
 
 __all__ = [
     "MOST_GROUPS",

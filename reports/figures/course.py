@@ -1,29 +1,40 @@
-"""What went on over time: the bath's temperature and the detection times."""
+"""What went on over time (the bath's temperature, the detection times), shares as bars with their
+counts, and slopes with intervals. A share of nothing is "not measured".
+"""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import ArrayLike
 
 from reports.figures.drawing import (
     COLOURS,
     HALF_INCHES,
     WIDE_INCHES,
-    Floats,
     LegendEntry,
+    Marker,
     draw,
     envelope,
     finite,
     legend,
+    marks,
     not_measured,
+    plain,
     telling,
     together,
 )
 
 _MOST_CAPTURES = 250  # more marks than that stand on each other
+_TIMES = (HALF_INCHES, 3.6)
+_THESIS_PRESENT = 4  # teats in each of the thesis's pictures
 
 
 def bath_curve(
@@ -57,35 +68,36 @@ def bath_curve(
     if not times.size:
         return not_measured(name, inches, "the bath gave no reading")
     shown = envelope(temps)
-    times, temps, teats = times[shown], temps[shown], None if teats is None else teats[shown]
+    minutes, temps, teats = times[shown] / 60, temps[shown], None if teats is None else teats[shown]
     captures = captures[telling(captures, _MOST_CAPTURES)]
+    single = "o" if minutes.size == 1 else ""
 
     def plot(figure: Figure) -> None:
         whole, close = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         for panel in (whole, close):
             for start, end in stable_spans_s:
                 panel.axvspan(start / 60, end / 60, color=COLOURS["span"], linewidth=0)
-        _bath_lines(whole, times / 60, temps, teats, setpoint_c)
-        _deviation(close, times / 60, temps - setpoint_c, band_k)
-        marks = close.plot(
-            captures / 60,
-            np.full(captures.size, 1.0),
-            linestyle="none",
-            marker="v",
-            markersize=5,
-            color=COLOURS["ink"],
-        )
-        marks[0].set(transform=close.get_xaxis_transform(), clip_on=False)
+        whole.axhline(setpoint_c, color=COLOURS["good"], linewidth=1, linestyle="--")
+        if teats is not None:
+            whole.plot(minutes, teats, color=COLOURS["theirs"], linewidth=0.9)
+        whole.plot(minutes, temps, color=COLOURS["ours"], marker=single)
+        whole.set(ylabel="temperature (°C)")
+        whole.margins(x=0.01, y=0.12)
+        close.axhspan(-band_k, band_k, facecolor=COLOURS["band"], linewidth=0)
+        for side in (-band_k, band_k):
+            close.axhline(side, color=COLOURS["good"], linewidth=0.8)
+        off_k = temps - setpoint_c
+        close.plot(minutes, off_k, color=COLOURS["ours"], marker=single, linewidth=1.1)
+        close.set(ylim=(-3 * band_k, 3 * band_k), ylabel="from set point (K)")
+        ticks = {"linestyle": "none", "marker": "v", "markersize": 5, "color": COLOURS["ink"]}
+        (drawn,) = close.plot(captures / 60, np.full(captures.size, 1.0), **ticks)
+        drawn.set(transform=close.get_xaxis_transform(), clip_on=False)
         close.set_xlabel("time (min)")
-        teat_entry: list[LegendEntry] = [] if teats is None else [("teats", "theirs", "-")]
-        limits: list[LegendEntry] = [
-            (f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--"),
-            ("stable", "span", "patch"),
-        ]
-        legend(
-            figure,
-            [("bath", "ours", "-"), *teat_entry, *limits, (f"capture ({taken})", "ink", "v")],
-        )
+        entries: list[LegendEntry] = [("bath", "ours", "-")]
+        if teats is not None:
+            entries.append(("teats", "theirs", "-"))
+        entries.append((f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--"))
+        legend(figure, [*entries, ("stable", "span", "patch"), (f"capture ({taken})", "ink", "v")])
 
     return draw(name, inches, plot)
 
@@ -96,70 +108,114 @@ def latency_strip(
     """Every detection time (n,) in order, with limits; p50, p95 and the longest written out."""
     times = finite("latency_strip", "times_s", times_s)
     if not times.size:
-        return not_measured(name, (HALF_INCHES, 3.6), "no detection was timed")
+        return not_measured(name, _TIMES, "no detection was timed")
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        order = np.arange(1, times.size + 1)
-        shown = telling(times)
-        axes.plot(
-            order[shown],
-            times[shown],
-            linestyle="none",
-            marker="o",
-            markersize=4.2,
-            color=COLOURS["ours"],
-            markeredgewidth=0,
-        )
+        order, shown = np.arange(1, times.size + 1), telling(times)
+        marks(axes, order[shown], times[shown])
         top = 1.12 * max(float(times.max()), *limits_s, 1e-6)
-        axes.set(
-            xlim=(0.5, times.size + 0.5),
-            ylim=(0, top),
-            xlabel="detection, in order",
-            ylabel="time (s)",
-        )
+        axes.set(xlim=(0.5, times.size + 0.5), ylim=(0, top))
+        axes.set(xlabel="detection, in order", ylabel="time (s)")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        place: dict[str, Any] = {
+            "ha": "right",
+            "va": "bottom",
+            "transform": axes.get_yaxis_transform(),
+        }
         for limit in limits_s:
             axes.axhline(limit, color=COLOURS["limit"], linewidth=1.2)
-            axes.text(
-                1,
-                limit,
-                f"limit {limit:g} s",
-                color=COLOURS["limit"],
-                ha="right",
-                va="bottom",
-                transform=axes.get_yaxis_transform(),
-            )
+            axes.text(1, limit, f"limit {limit:g} s", color=COLOURS["limit"], **place)
         p50, p95 = np.quantile(times, [0.5, 0.95])
-        axes.set_title(
-            f"p50 {p50:.3g} s · p95 {p95:.3g} s · longest {times.max():.3g} s",
-            loc="left",
-            color=COLOURS["muted"],
+        title = f"p50 {p50:.3g} s · p95 {p95:.3g} s · longest {times.max():.3g} s"
+        axes.set_title(title, loc="left", color=COLOURS["muted"])
+
+    return draw(name, _TIMES, plot)
+
+
+def found_bars(
+    situations: Sequence[str],
+    found: Sequence[int],
+    present: Sequence[int],
+    thesis_found: Sequence[int | None],
+    *,
+    name: str = "found-bars",
+) -> str:
+    """Share found in each situation, ours over the thesis's (None: no figure), with counts."""
+    if not len(situations) == len(found) == len(present) == len(thesis_found):
+        raise ValueError(
+            f"found_bars: {len(situations)} situations, {len(found)} found, {len(present)} present,"
+            f" {len(thesis_found)} of the thesis; the lengths differ"
+        )
+    inches = (HALF_INCHES, 0.9 + 0.52 * max(len(situations), 3))
+    if not situations:
+        return not_measured(name, inches, "no situation was run")
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        for row, (ours, of, theirs) in enumerate(zip(found, present, thesis_found, strict=True)):
+            _share_bar(axes, row - 0.2, ours, of, "ours")
+            if theirs is not None:
+                _share_bar(axes, row + 0.2, theirs, _THESIS_PRESENT, "theirs")
+        axes.set(xlim=(0, 1.28), ylim=(len(situations) - 0.45, -0.55))
+        axes.set(xlabel="share of visible teats found", xticks=[0, 0.25, 0.5, 0.75, 1])
+        axes.set_yticks(range(len(situations)), [plain(text) for text in situations])
+        axes.xaxis.set_major_formatter(PercentFormatter(1))
+        axes.tick_params(axis="y", length=0)
+        axes.grid(visible=False, axis="y")
+        legend(figure, [("this run", "ours", "patch"), ("thesis, section 5.2", "theirs", "patch")])
+
+    return draw(name, inches, plot)
+
+
+def _share_bar(axes: Axes, y: float, found: int, of: int, role: str) -> None:
+    if of:
+        axes.barh(y, found / of, height=0.36, color=COLOURS[role])
+    text = f"{found} of {of}" if of else "not measured"
+    axes.text((found / of if of else 0) + 0.02, y, text, va="center", color=COLOURS[role])
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """A line: quantity, response, effect over the range, mm, interval; ``shown``: significant."""
+
+    against: str
+    response: str
+    value: float
+    low: float
+    high: float
+    shown: bool
+
+
+def slope_intervals(slopes: Sequence[Slope], *, name: str = "slope-intervals") -> str:
+    """A panel a response, a row a question, with intervals. Raises ValueError if not finite."""
+    for one in slopes:
+        if not all(map(isfinite, (one.value, one.low, one.high))):
+            raise ValueError(
+                f"slope_intervals: {one.against} is not finite; leave out what was not measured"
+            )
+    rows = list(dict.fromkeys(slope.against for slope in slopes))
+    panels = list(dict.fromkeys(slope.response for slope in slopes))
+    if not rows:
+        return not_measured(name, (WIDE_INCHES, 2.0), "no line was drawn through the errors")
+
+    def plot(figure: Figure) -> None:
+        reach = 1.1 * max(1e-6, *(max(abs(slope.low), abs(slope.high)) for slope in slopes))
+        every = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+        for axes, panel in zip(every, panels, strict=True):
+            axes.axvline(0, color=COLOURS["muted"], linewidth=0.8)
+            for slope in (one for one in slopes if one.response == panel):
+                y, role = rows.index(slope.against), "limit" if slope.shown else "ours"
+                axes.plot([slope.low, slope.high], [y, y], color=COLOURS[role], linewidth=1.4)
+                form: Marker = "D" if slope.shown else "o"
+                marks(axes, [slope.value], [y], role, 4.5, form, line="-")
+            axes.set(xlim=(-reach, reach), ylim=(len(rows) - 0.5, -0.5))
+            axes.set(xlabel=f"{plain(panel)} (mm)")
+            axes.set_yticks(np.arange(len(rows)), [plain(row) for row in rows])
+            axes.tick_params(axis="y", length=0)
+            axes.grid(visible=False, axis="y")
+        legend(
+            figure, [("no trend shown, 95 % interval", "ours", "o"), ("trend shown", "limit", "D")]
         )
 
-    return draw(name, (HALF_INCHES, 3.6), plot)
-
-
-def _bath_lines(
-    axes: Axes, minutes: Floats, temps: Floats, teats: Floats | None, setpoint_c: float
-) -> None:
-    axes.axhline(setpoint_c, color=COLOURS["good"], linewidth=1, linestyle="--")
-    if teats is not None:
-        axes.plot(minutes, teats, color=COLOURS["theirs"], linewidth=0.9)
-    axes.plot(minutes, temps, color=COLOURS["ours"], marker="o" if minutes.size == 1 else "")
-    axes.set(ylabel="temperature (°C)")
-    axes.margins(x=0.01, y=0.12)
-
-
-def _deviation(axes: Axes, minutes: Floats, deviation_k: Floats, band_k: float) -> None:
-    axes.axhspan(-band_k, band_k, facecolor=COLOURS["band"], linewidth=0)
-    for side in (-band_k, band_k):
-        axes.axhline(side, color=COLOURS["good"], linewidth=0.8)
-    axes.plot(
-        minutes,
-        deviation_k,
-        color=COLOURS["ours"],
-        marker="o" if minutes.size == 1 else "",
-        linewidth=1.1,
-    )
-    axes.set(ylim=(-3 * band_k, 3 * band_k), ylabel="from set point (K)")
+    return draw(name, (WIDE_INCHES, 0.9 + 0.28 * max(len(rows), 3)), plot)

@@ -13,11 +13,12 @@ import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib import style
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -159,26 +160,12 @@ def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
             return Patch(facecolor=COLOURS[role], label=text)
         if form == "-" or form == "--":
             return Line2D([], [], color=COLOURS[role], linestyle=form, label=text)
-        return Line2D(
-            [],
-            [],
-            color=COLOURS[role],
-            linestyle="none",
-            marker=form,
-            markersize=4.5,
-            markeredgewidth=0,
-            label=text,
-        )
+        return Line2D([], [], **_mark(role, 4.5, form), label=text)
 
     handles = [handle(*entry) for entry in entries]
+    where: dict[str, Any] = {"loc": "outside upper center", "frameon": False, "handlelength": 1.8}
     for columns in range(len(entries), 0, -1):
-        made = figure.legend(
-            handles=handles,
-            loc="outside upper center",
-            ncols=columns,
-            frameon=False,
-            handlelength=1.8,
-        )
+        made = figure.legend(handles=handles, ncols=columns, **where)
         if columns == 1 or made.get_window_extent().width <= figure.bbox.width:
             return
         made.remove()
@@ -190,6 +177,51 @@ def plain(text: str, most: int = 30) -> str:
     return line if len(line) <= most else line[: most - 1].rstrip() + "…"
 
 
+def _mark(role: str, size: float, form: Marker) -> dict[str, Any]:
+    look = {"color": COLOURS[role], "linestyle": "none", "marker": form, "markersize": size}
+    return look | {"markeredgewidth": 0}
+
+
+def marks(
+    axes: Axes,
+    x: ArrayLike,
+    y: ArrayLike,
+    role: str = "ours",
+    size: float = 4.2,
+    form: Marker = "o",
+    *,
+    line: LegendForm | Literal["none"] = "none",
+    **more: Any,
+) -> Line2D:
+    """Markers at (x, y), joined where `line` is given; `more` are a line's properties."""
+    (made,) = axes.plot(x, y, **_mark(role, size, form) | {"linestyle": line} | more)
+    return made
+
+
+def linked(
+    axes: Axes,
+    x: Floats,
+    y: Floats,
+    drawn: NDArray[np.intp],
+    links: Sequence[str] | None = None,
+    *,
+    role: str = "ours",
+    size: float = 18,
+    **more: Any,
+) -> None:
+    """A cloud of the points `drawn` of (x, y); `links` (n) are what a click on each opens."""
+    colour = COLOURS[role]
+    points = axes.scatter(x[drawn], y[drawn], s=size, color=colour, linewidths=0, **more)
+    if links:
+        points.set_urls([links[index] for index in drawn])
+
+
+def one_each(function: str, links: Sequence[str] | None, points: int) -> None:
+    """Raises ValueError where there are links, and not one for each point."""
+    if links is not None and len(links) != points:
+        raise ValueError(f"{function}: {len(links)} links for {points} points; give one a point")
+
+
 def _for_a_page(svg: str, name: str) -> str:
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<(style|metadata)\b.*?</\1>", "", body, flags=re.DOTALL)
@@ -198,10 +230,10 @@ def _for_a_page(svg: str, name: str) -> str:
     # short: every point of a cloud names one
     defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}
     body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
-    return _MARKS.sub(_marks, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
+    return _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
 
 
-def _marks(run: re.Match[str]) -> str:
+def _grouped(run: re.Match[str]) -> str:
     """Marks of one look: a cloud is most of a page's weight."""
     look, _, paint = run.groups()
     inner = run.group(0).replace(f'<use class="{look}"', "<use").replace(f"{paint}/>", "/>")
@@ -211,11 +243,8 @@ def _marks(run: re.Match[str]) -> str:
 def _links(run: re.Match[str]) -> str:
     """The same of marks that each open something."""
     clip, look, _, paint = run.groups()
-    inner = (
-        run.group(0)
-        .replace(f'<g clip-path="{clip}"><use class="{look}"', "<use")
-        .replace(f"{paint}/></g>", "/>")
-    )
+    inner = run.group(0).replace(f'<g clip-path="{clip}"><use class="{look}"', "<use")
+    inner = inner.replace(f"{paint}/></g>", "/>")
     return f'<g class="{look}" clip-path="{clip}"{paint}>{inner}</g>'
 
 
@@ -225,52 +254,38 @@ def _rewritten(tag: re.Match[str], name: str, defined: Mapping[str, str]) -> str
         return tag.group(0)
     attributes: dict[str, str] = {}
     for key, value in _ATTRIBUTE.findall(rest):
-        attributes.update(
-            _declarations(value) if key == "style" else {key.removeprefix("xlink:"): value}
-        )
+        if key == "style":
+            attributes |= _declarations(value)
+        else:
+            attributes[key.removeprefix("xlink:")] = value
+    title = ""
     if element == "svg":
-        attributes = {
-            "class": f"plot plot-{name}",
-            "viewBox": attributes["viewBox"],
-            "xmlns": attributes["xmlns"],
-        }
+        kept = {key: attributes[key] for key in ("viewBox", "xmlns")}
+        attributes = {"class": f"plot plot-{name}", **kept}
     if element == "a":
         attributes = {"href": attributes["href"], "tabindex": "-1"}
-    kept = {
-        key: value for key, value in _with_classes(attributes).items() if _kept(key, value, defined)
-    }
-    text = "".join(f' {key}="{_value(key, value, defined)}"' for key, value in kept.items())
-    name_of_link = (
-        f"<title>{attributes['href'].removeprefix('#')}</title>" if element == "a" else ""
+        title = f"<title>{attributes['href'].removeprefix('#')}</title>"
+    colours = {key: _ROLES.get(attributes.get(key, "")) for key in ("fill", "stroke")}
+    classes = " ".join(f"{key}-{role}" for key, role in colours.items() if role)
+    if classes:
+        attributes = {"class": classes, **attributes}
+    text = "".join(
+        f' {key}="{_value(key, value, defined)}"'
+        for key, value in attributes.items()
+        if not (key == "id" and value not in defined)
+        and not (key == "transform" and value.startswith("rotate(-0 "))
+        and key != "target"
     )
-    return f"<{element}{text}{empty}>{name_of_link}"
+    return f"<{element}{text}{empty}>{title}"
 
 
 def _declarations(css: str) -> dict[str, str]:
     pairs = (part.split(":", 1) for part in css.split(";") if part.strip())
     known = {key.strip(): value.strip() for key, value in pairs}
     known.pop("font-family", None)  # the page's
-    return {
-        key: value.removesuffix("px") if key == "font-size" else value
-        for key, value in known.items()
-    }
-
-
-def _with_classes(attributes: dict[str, str]) -> dict[str, str]:
-    classes = [
-        f"{key}-{_ROLES[attributes[key]]}"
-        for key in ("fill", "stroke")
-        if attributes.get(key) in _ROLES
-    ]
-    return {"class": " ".join(classes), **attributes} if classes else attributes
-
-
-def _kept(key: str, value: str, defined: Mapping[str, str]) -> bool:
-    return (
-        not (key == "id" and value not in defined)
-        and not (key == "transform" and value.startswith("rotate(-0 "))
-        and key != "target"
-    )
+    if "font-size" in known:
+        known["font-size"] = known["font-size"].removesuffix("px")
+    return known
 
 
 def _value(key: str, value: str, defined: Mapping[str, str]) -> str:
@@ -297,8 +312,8 @@ def telling(weight: Floats, most: int = MOST_POINTS) -> NDArray[np.intp]:
 
 
 def told(drawn: int, of: int) -> str:
-    """What a legend says of the choice; nothing where all are drawn."""
-    return "" if drawn == of else f" ({drawn} of {of} drawn, the worst among them)"
+    """What a figure says of the choice."""
+    return f"{drawn} of {of} drawn, the worst among them"
 
 
 def envelope(values: Floats, most: int = MOST_STEPS) -> NDArray[np.intp]:

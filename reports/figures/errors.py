@@ -25,14 +25,20 @@ from reports.figures.drawing import (
     draw,
     finite,
     legend,
+    linked,
+    marks,
     not_measured,
+    one_each,
     plain,
     telling,
     together,
     told,
 )
 
-_CHANGE_SQUARE = (HALF_INCHES, 4.2)
+_SQUARE = (HALF_INCHES, 4.2)
+_FLAT = (HALF_INCHES, 3.6)
+_NOTHING = "no teat end was paired with a truth"
+_MOST_BEYOND = 60  # points beyond the whiskers of a box
 
 
 def change_scatter(
@@ -41,7 +47,7 @@ def change_scatter(
     """Errors of the same scenes before and now (n,); above the diagonal it grew worse."""
     old, new = together("change_scatter", old_mm=old_mm, new_mm=new_mm)
     if not old.size:
-        return not_measured(name, _CHANGE_SQUARE, "no scene was found in both")
+        return not_measured(name, _SQUARE, "no scene was found in both")
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot(aspect="equal")
@@ -52,21 +58,13 @@ def change_scatter(
         axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1)
         drawn = telling(np.abs(new - old))
         for grown, role in ((new > old, "limit"), (new <= old, "good")):
-            shown = drawn[grown[drawn]]
-            axes.scatter(
-                old[shown], new[shown], s=18, color=COLOURS[role], alpha=0.75, linewidths=0
-            )
-        entries: list[LegendEntry] = [
-            ("grew", "limit", "o"),
-            ("not grown", "good", "o"),
-            ("no change", "muted", "-"),
-        ]
-        legend(figure, entries)
+            linked(axes, old, new, drawn[grown[drawn]], role=role, alpha=0.75)
+        legend(
+            figure,
+            [("grew", "limit", "o"), ("not grown", "good", "o"), ("no change", "muted", "-")],
+        )
 
-    return draw(name, _CHANGE_SQUARE, plot)
-
-
-_SQUARE = (HALF_INCHES, 4.2)
+    return draw(name, _SQUARE, plot)
 
 
 def error_scatter(
@@ -85,50 +83,32 @@ def error_scatter(
     cloud is the shape of the error.
     """
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
+    one_each("error_scatter", links, across.size)
     if not across.size:
-        return not_measured(name, _SQUARE, "no teat end was paired with a truth")
+        return not_measured(name, _SQUARE, _NOTHING)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot(aspect="equal")
         reach = 1.12 * max(limit_mm, float(np.abs(across).max()), float(np.abs(along).max()))
-        axes.set(
-            xlim=(-reach, reach),
-            ylim=(-reach, reach),
-            xlabel="lateral error (mm)",
-            ylabel="depth error (mm)",
-        )
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+        axes.set(xlabel="lateral error (mm)", ylabel="depth error (mm)")
         axes.axhline(0, color=COLOURS["muted"], linewidth=0.6)
         axes.axvline(0, color=COLOURS["muted"], linewidth=0.6)
         axes.add_patch(
             Circle((0, 0), limit_mm, fill=False, edgecolor=COLOURS["limit"], linewidth=1.4)
         )
         if accept_mm is not None:
+            colour = COLOURS["accept"]
             axes.add_patch(
-                Circle(
-                    (0, 0),
-                    accept_mm,
-                    fill=False,
-                    edgecolor=COLOURS["accept"],
-                    linewidth=1,
-                    linestyle="--",
-                )
+                Circle((0, 0), accept_mm, fill=False, edgecolor=colour, linewidth=1, linestyle="--")
             )
         drawn = telling(np.hypot(across, along))
-        points = axes.scatter(
-            across[drawn], along[drawn], s=18, color=COLOURS["ours"], alpha=0.7, linewidths=0
-        )
-        if links is not None:
-            points.set_urls([links[index] for index in drawn])
+        linked(axes, across, along, drawn, links, alpha=0.7)
         legend(figure, _limits(limit_mm, accept_mm))
         if len(drawn) < across.size:
-            axes.set_title(
-                told(len(drawn), across.size).strip(" ()"), loc="left", color=COLOURS["muted"]
-            )
+            left_out = told(len(drawn), across.size)
+            axes.set_title(left_out, loc="left", color=COLOURS["muted"])
 
-    if links is not None and len(links) != across.size:
-        raise ValueError(
-            f"error_scatter: {len(links)} links for {across.size} points; give one a point"
-        )
     return draw(name, _SQUARE, plot)
 
 
@@ -142,29 +122,20 @@ def error_histogram(
     """Radial errors (n,) in bins of at most a tenth of the limit, cumulative share, limit."""
     errors = finite("error_histogram", "errors_mm", errors_mm)
     if not errors.size:
-        return not_measured(name, _SQUARE, "no teat end was paired with a truth")
+        return not_measured(name, _SQUARE, _NOTHING)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
         reach = 1.12 * max(limit_mm, float(errors.max()))
-        axes.hist(
-            errors,
-            bins=np.linspace(0, reach, 23).tolist(),
-            color=COLOURS["span"],
-            edgecolor=COLOURS["ours"],
-            linewidth=0.7,
-        )
+        bins = np.linspace(0, reach, 23).tolist()
+        axes.hist(errors, bins, color=COLOURS["span"], edgecolor=COLOURS["ours"], linewidth=0.7)
         axes.set(xlim=(0, reach), xlabel="radial error (mm)", ylabel="teat ends")
         axes.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
         share = axes.twinx()
         ordered = np.sort(errors)
         at = np.unique(np.linspace(0, errors.size - 1, MOST_STEPS).round().astype(np.intp))
-        share.step(
-            np.r_[0, ordered[at], reach],
-            np.r_[0, (at + 1) / errors.size, 1],
-            where="post",
-            color=COLOURS["ink"],
-        )
+        steps = (np.r_[0, ordered[at], reach], np.r_[0, (at + 1) / errors.size, 1])
+        share.step(*steps, where="post", color=COLOURS["ink"])
         share.set(ylim=(0, 1.1), ylabel="share at or below")
         share.yaxis.set_major_formatter(PercentFormatter(1))
         share.grid(visible=False)
@@ -181,53 +152,34 @@ def per_axis_errors(
     errors_mm: Sequence[ArrayLike],
     limit_mm: float,
     *,
-    axes_names: tuple[str, str, str] = ("x", "y", "z"),
     name: str = "per-axis-errors",
 ) -> str:
     """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis."""
-    if len(situations) != len(errors_mm):
-        raise ValueError(
-            f"per_axis_errors: {len(situations)} situations for {len(errors_mm)} arrays; give one"
-            " array a situation"
-        )
-    arrays = [
-        finite("per_axis_errors", f"errors_mm[{k}]", errors).reshape(-1, 3)
-        for k, errors in enumerate(errors_mm)
-    ]
+    arrays = _arrays("per_axis_errors", "situation", situations, errors_mm, (-1, 3))
     inches = (WIDE_INCHES, 0.9 + 0.3 * max(len(situations), 3))
     if not any(array.size for array in arrays):
-        return not_measured(name, inches, "no teat end was paired with a truth")
+        return not_measured(name, inches, _NOTHING)
 
     def plot(figure: Figure) -> None:
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
         reach = 1.1 * max(limit_mm, *(float(np.abs(array).max()) for array in arrays if array.size))
         each = max(20, MOST_POINTS // (len(arrays) + 1))
-        every = all(len(array) <= each for array in arrays)
         for axis, panel in enumerate(panels):
             panel.axvline(0, color=COLOURS["muted"], linewidth=0.6)
             for side in (-limit_mm, limit_mm):
                 panel.axvline(side, color=COLOURS["limit"], linewidth=1)
             for row, array in enumerate(arrays):
                 _strip(panel, row, array[:, axis], each)
-            panel.set(
-                xlim=(-reach, reach),
-                ylim=(len(situations) - 0.5, -0.5),
-                xlabel=f"{plain(axes_names[axis])} error (mm)",
-            )
+            panel.set(xlim=(-reach, reach), ylim=(len(situations) - 0.5, -0.5))
+            panel.set(xlabel=f"{'xyz'[axis]} error (mm)")
             panel.grid(visible=False, axis="y")
             panel.tick_params(axis="y", length=0)
+        every = all(len(array) <= each for array in arrays)
+        points = f"teat ends, at most {each} drawn, the worst among them"
         legend(
             figure,
             [
-                (
-                    (
-                        "one teat end"
-                        if every
-                        else f"teat ends, at most {each} drawn, the worst among them"
-                    ),
-                    "ours",
-                    "o",
-                ),
+                ("one teat end" if every else points, "ours", "o"),
                 ("mean", "ink", "-"),
                 (f"limit ± {limit_mm:g} mm", "limit", "-"),
             ],
@@ -237,37 +189,41 @@ def per_axis_errors(
     return draw(name, inches, plot)
 
 
+def _arrays(
+    function: str,
+    what: str,
+    names: Sequence[str],
+    errors_mm: Sequence[ArrayLike],
+    shape: tuple[int, ...],
+) -> list[Floats]:
+    """One array of that shape a name. Raises ValueError where it isn't so."""
+    if len(names) != len(errors_mm):
+        raise ValueError(
+            f"{function}: {len(names)} {what}s for {len(errors_mm)} arrays; give one array a {what}"
+        )
+    return [
+        finite(function, f"errors_mm[{k}]", errors).reshape(shape)
+        for k, errors in enumerate(errors_mm)
+    ]
+
+
 def _limits(limit_mm: float, accept_mm: float | None) -> list[LegendEntry]:
-    accepted: list[LegendEntry] = (
-        [] if accept_mm is None else [(f"accepted to {accept_mm:.3f} mm", "accept", "--")]
-    )
-    return [(f"limit {limit_mm:g} mm", "limit", "-"), *accepted]
+    limit: LegendEntry = (f"limit {limit_mm:g} mm", "limit", "-")
+    if accept_mm is None:
+        return [limit]
+    return [limit, (f"accepted to {accept_mm:.3f} mm", "accept", "--")]
 
 
 def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
     """Points of one situation in a fixed zigzag, so equal values stay apart, and their mean."""
     if not values.size:
-        axes.text(
-            0, row, "not measured", ha="center", va="center", color=COLOURS["muted"], fontsize=7.5
-        )
+        muted = COLOURS["muted"]
+        axes.text(0, row, "not measured", ha="center", va="center", color=muted, fontsize=7.5)
         return
     drawn = values[telling(np.abs(values), most)]
-    axes.plot(
-        drawn,
-        row + 0.11 * (np.arange(drawn.size) % 5 - 2),
-        linestyle="none",
-        marker="o",
-        markersize=3,
-        color=COLOURS["ours"],
-        alpha=0.6,
-        markeredgewidth=0,
-    )
+    marks(axes, drawn, row + 0.11 * (np.arange(drawn.size) % 5 - 2), size=3, alpha=0.6)
     mean = float(values.mean())
     axes.plot([mean, mean], [row - 0.36, row + 0.36], color=COLOURS["ink"], linewidth=1.6)
-
-
-_HIGH = 3.6
-_MOST_BEYOND = 60  # points beyond the whiskers of a box
 
 
 def teat_boxes(
@@ -278,60 +234,40 @@ def teat_boxes(
     name: str = "teat-boxes",
 ) -> str:
     """Radial errors of each teat (n_k,) as box plots (whiskers 1.5 quartile ranges)."""
-    if len(teats) != len(errors_mm):
-        raise ValueError(
-            f"teat_boxes: {len(teats)} teats for {len(errors_mm)} arrays; give one array a teat"
-        )
-    arrays = [
-        finite("teat_boxes", f"errors_mm[{k}]", errors).ravel()
-        for k, errors in enumerate(errors_mm)
-    ]
+    arrays = _arrays("teat_boxes", "teat", teats, errors_mm, (-1,))
     if not any(array.size for array in arrays):
-        return not_measured(name, (HALF_INCHES, _HIGH), "no teat end was paired with a truth")
+        return not_measured(name, _FLAT, _NOTHING)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
         places = [k for k, array in enumerate(arrays) if array.size]
-        line = {"color": COLOURS["ours"], "linewidth": 1.1}
+        ours, line = COLOURS["ours"], {"color": COLOURS["ours"], "linewidth": 1.1}
         boxes = [cbook.boxplot_stats(arrays[k])[0] for k in places]
         for box in boxes:
             box["fliers"] = box["fliers"][telling(box["fliers"], _MOST_BEYOND)]
+        fliers = {"marker": "o", "markersize": 3, "markerfacecolor": ours, "markeredgewidth": 0}
         axes.bxp(
             boxes,
             positions=places,
             widths=0.5,
             patch_artist=True,
-            boxprops={"facecolor": COLOURS["span"], "edgecolor": COLOURS["ours"], "linewidth": 1.1},
+            boxprops={"facecolor": COLOURS["span"], "edgecolor": ours, "linewidth": 1.1},
             whiskerprops=line,
             capprops=line,
             medianprops={"color": COLOURS["ink"], "linewidth": 1.6},
-            flierprops={
-                "marker": "o",
-                "markersize": 3,
-                "markerfacecolor": COLOURS["ours"],
-                "markeredgewidth": 0,
-            },
+            flierprops=fliers,
         )
         axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
-        axes.set(
-            xlim=(-0.6, len(teats) - 0.4), ylim=(0, None), ylabel="distance to the teat end (mm)"
-        )
-        axes.set_xticks(
-            range(len(teats)),
-            [
-                f"{plain(teat, 12)}\nn = {array.size}"
-                for teat, array in zip(teats, arrays, strict=True)
-            ],
-        )
+        axes.set(xlim=(-0.6, len(teats) - 0.4), ylim=(0, None))
+        axes.set(ylabel="distance to the teat end (mm)")
+        pairs = zip(teats, arrays, strict=True)
+        counted = [f"{plain(teat, 12)}\nn = {array.size}" for teat, array in pairs]
+        axes.set_xticks(range(len(teats)), counted)
         axes.grid(visible=False, axis="x")
-        entries: list[LegendEntry] = [
-            ("middle half", "span", "patch"),
-            ("median", "ink", "-"),
-            (f"limit {limit_mm:g} mm", "limit", "-"),
-        ]
-        legend(figure, entries)
+        boxed: list[LegendEntry] = [("middle half", "span", "patch"), ("median", "ink", "-")]
+        legend(figure, [*boxed, *_limits(limit_mm, None)])
 
-    return draw(name, (HALF_INCHES, _HIGH), plot)
+    return draw(name, _FLAT, plot)
 
 
 def error_drift(
@@ -344,35 +280,23 @@ def error_drift(
 ) -> str:
     """Radial errors (n,) over capture times (n,), with their line; `links` by point."""
     time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
-    if links is not None and len(links) != time.size:
-        raise ValueError(
-            f"error_drift: {len(links)} links for {time.size} points; give one a point"
-        )
+    one_each("error_drift", links, time.size)
     if not time.size:
-        return not_measured(name, (HALF_INCHES, _HIGH), "no teat end was paired with a truth")
+        return not_measured(name, _FLAT, _NOTHING)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        drawn = telling(errors)
-        points = axes.scatter(
-            time[drawn], errors[drawn], s=16, color=COLOURS["ours"], alpha=0.7, linewidths=0
-        )
-        if links is not None:
-            points.set_urls([links[index] for index in drawn])
+        linked(axes, time, errors, telling(errors), links, size=16, alpha=0.7)
         entries: list[LegendEntry] = [("one teat end", "ours", "o")]
         if np.ptp(time) > 0:
             slope, level = np.polyfit(time - time.mean(), errors, 1)
             ends = np.array([time.min(), time.max()])
-            axes.plot(
-                ends, level + slope * (ends - time.mean()), color=COLOURS["ink"], linewidth=1.4
-            )
+            line = level + slope * (ends - time.mean())
+            axes.plot(ends, line, color=COLOURS["ink"], linewidth=1.4)
             entries.append((f"line: {slope * np.ptp(time):+.2f} mm over the run", "ink", "-"))
         axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
-        axes.set(
-            ylim=(0, 1.1 * max(limit_mm, float(errors.max()))),
-            xlabel="time of the capture (min)",
-            ylabel="distance (mm)",
-        )
-        legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])
+        axes.set(ylim=(0, 1.1 * max(limit_mm, float(errors.max()))))
+        axes.set(xlabel="time of the capture (min)", ylabel="distance (mm)")
+        legend(figure, [*entries, *_limits(limit_mm, None)])
 
-    return draw(name, (HALF_INCHES, _HIGH), plot)
+    return draw(name, _FLAT, plot)

@@ -1,15 +1,18 @@
-"""The error over places, from above and from the front: a disc's area is the error, a triangle a
-miss. Several teats are small multiples on one scale.
+"""The error over places, from above and from the front (a disc's area is the error, a triangle a
+miss), and errors as clouds with their 95 % ellipsoids. Several teats are small multiples on one
+scale, or a colour and a marker each.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, get_args
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from numpy.typing import ArrayLike, NDArray
 
 from reports.figures.drawing import (
@@ -18,12 +21,16 @@ from reports.figures.drawing import (
     WIDE_INCHES,
     Floats,
     LegendEntry,
+    Marker,
     draw,
     finite,
     legend,
+    linked,
     not_measured,
+    one_each,
     plain,
     telling,
+    told,
 )
 
 _INCHES = (WIDE_INCHES, 5.6)
@@ -60,18 +67,13 @@ class TeatPlaces:
         places = finite("error_map", "places_mm", self.places_mm).reshape(-1, 3)
         errors = finite("error_map", "error_mm", self.error_mm).ravel()
         missed = finite("error_map", "missed_mm", self.missed_mm).reshape(-1, 3)
-        counts = {"error_mm": len(errors), "links": len(self.links) or len(places)}
-        wrong = [f"{what} {n}" for what, n in counts.items() if n != len(places)]
-        wrong += (
-            []
-            if len(self.missed_links) in {0, len(missed)}
-            else [f"missed_links {len(self.missed_links)} for {len(missed)} missed"]
-        )
-        if wrong:
+        if len(errors) != len(places):
             raise ValueError(
-                f"error_map: teat {self.name}: lengths differ: places_mm {len(places)},"
-                f" {', '.join(wrong)}"
+                f"error_map: teat {self.name}: lengths differ: places_mm {len(places)}, error_mm"
+                f" {len(errors)}"
             )
+        for links, points in ((self.links, places), (self.missed_links, missed)):
+            one_each(f"error_map: teat {self.name}", links or None, len(points))
         return _Marks(places, errors, missed, np.array(self.links), np.array(self.missed_links))
 
 
@@ -102,17 +104,17 @@ def error_map(teat: TeatPlaces, limit_mm: float, *, name: str = "error-map") -> 
     """One teat's radial errors over a plane, from above, as discs whose area is the error, one
     colour within the limit and one beyond it; a triangle where it was missed. Equal scales.
     """
-    marks = teat.checked()
-    if not len(marks.everywhere):
+    of = teat.checked()
+    if not len(of.everywhere):
         return not_measured(name, _INCHES, "no place had a truth")
-    drawn = marks.thinned(MOST_POINTS)
+    drawn = of.thinned(MOST_POINTS)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot(aspect="equal")
         _view(axes, "above", drawn, limit_mm, _STEP)
         axes.set(xlabel="x (mm)", ylabel="y (mm), away from the cameras")
         axes.margins(0.06)
-        _told(figure, [marks], [drawn], limit_mm)
+        _describe(figure, [of], [drawn], limit_mm)
 
     return draw(name, _INCHES, plot)
 
@@ -120,88 +122,69 @@ def error_map(teat: TeatPlaces, limit_mm: float, *, name: str = "error-map") -> 
 def error_maps(teats: Sequence[TeatPlaces], limit_mm: float, *, name: str = "error-maps") -> str:
     """The same for each teat, on one scale; a front view too where the places differ in height."""
     columns = [teat.checked() for teat in teats]
-    if not sum(len(marks.everywhere) for marks in columns):
+    there = [of.everywhere for of in columns if len(of.everywhere)]
+    if not there:
         return not_measured(name, _INCHES, "no place had a truth")
-    spans = np.max(
-        [np.ptp(marks.everywhere, axis=0) for marks in columns if len(marks.everywhere)], axis=0
-    )
+    spans = np.max([np.ptp(places, axis=0) for places in there], axis=0)
     views = ["above", "front"] if spans[2] > _APART_MM else ["above"]
     half = 0.5 * np.maximum(1.25 * spans, _LEAST_SPAN_MM)
+    heights = [half[_VIEWS[view][0]] for view in views]
     across = min(_ACROSS, len(columns))
     bands = -(-len(columns) // across)
-    drawn = [marks.thinned(_MOST_MARKS // (len(columns) * len(views))) for marks in columns]
+    drawn = [of.thinned(_MOST_MARKS // (len(columns) * len(views))) for of in columns]
 
     def plot(figure: Figure) -> None:
-        grid = figure.add_gridspec(
-            bands * len(views),
-            across,
-            height_ratios=[half[_VIEWS[view][0]] for view in views] * bands,
-        )
+        grid = figure.add_gridspec(bands * len(views), across, height_ratios=heights * bands)
         for row, view in enumerate(views):
-            for k, (teat, marks) in enumerate(zip(teats, columns, strict=True)):
+            for k, (teat, of) in enumerate(zip(teats, columns, strict=True)):
                 band, column = divmod(k, across)
                 axes = figure.add_subplot(grid[band * len(views) + row, column], aspect="equal")
                 _view(axes, view, drawn[k], limit_mm, _COARSE_STEP)
-                _centre(axes, view, marks.everywhere, half)
+                _centre(axes, view, of.everywhere, half)
                 if row == 0:
-                    axes.set_title(
-                        f"teat {plain(teat.name, 12)}\n{len(marks.places)} found,"
-                        f" {len(marks.missed)} missed",
-                        loc="left",
-                    )
+                    counts = f"{len(of.places)} found, {len(of.missed)} missed"
+                    axes.set_title(f"teat {plain(teat.name, 12)}\n{counts}", loc="left")
                 axes.set(
                     xlabel="x (mm)" if row == len(views) - 1 else "",
                     ylabel=_VIEWS[view][1] if column == 0 else "",
                 )
-        _told(figure, columns, drawn, limit_mm)
+        _describe(figure, columns, drawn, limit_mm)
 
-    high = sum(
-        0.62 + 2.0 * half[_VIEWS[view][0]] / (2.0 * half[0]) * (WIDE_INCHES / across - 0.55)
-        for view in views
-    )
+    width = WIDE_INCHES / across - 0.55
+    high = sum(0.62 + height / half[0] * width for height in heights)
     return draw(name, (WIDE_INCHES, float(min(0.35 + bands * high, 14.0))), plot)
 
 
-def _view(axes: Axes, view: str, marks: _Marks, limit_mm: float, step: float) -> None:
+def _view(axes: Axes, view: str, of: _Marks, limit_mm: float, step: float) -> None:
     """Discs in steps of size: the discs of one size share their outline in the file."""
     flat = [0, _VIEWS[view][0]]
-    across = np.sqrt(np.clip(_MARK * marks.errors / limit_mm, _LEAST, _MOST))
+    across = np.sqrt(np.clip(_MARK * of.errors / limit_mm, _LEAST, _MOST))
     area = (np.maximum(np.round(across / step), 1.0) * step) ** 2
-    for within, role in ((marks.errors <= limit_mm, "good"), (marks.errors > limit_mm, "limit")):
+    x, y = of.places[:, flat].T
+    for within, role in ((of.errors <= limit_mm, "good"), (of.errors > limit_mm, "limit")):
         for size in np.unique(area[within]):
-            alike = within & (area == size)
-            x, y = marks.places[alike][:, flat].T
-            discs = axes.scatter(x, y, s=size, color=COLOURS[role], alpha=0.75, linewidths=0)
-            if len(marks.links):
-                discs.set_urls(marks.links[alike].tolist())
-    x, y = marks.missed[:, flat].T
-    missed = axes.scatter(x, y, s=22, marker="v", color=COLOURS["muted"], linewidths=0)
-    if len(marks.missed_links):
-        missed.set_urls(marks.missed_links.tolist())
+            alike = np.flatnonzero(within & (area == size))
+            linked(axes, x, y, alike, of.links.tolist(), role=role, size=size, alpha=0.75)
+    x, y = of.missed[:, flat].T
+    every, links = np.arange(len(x)), of.missed_links.tolist()
+    linked(axes, x, y, every, links, role="muted", size=22, marker="v")
 
 
 def _centre(axes: Axes, view: str, places: Floats, half: Floats) -> None:
     """Of one size in every panel; a teat that was nowhere has an empty one."""
     middle = (places.min(axis=0) + places.max(axis=0)) / 2.0 if len(places) else np.zeros(3)
-    up = _VIEWS[view][0]
-    axes.set(
-        xlim=(middle[0] - half[0], middle[0] + half[0]),
-        ylim=(middle[up] - half[up], middle[up] + half[up]),
-    )
+    low, high, up = middle - half, middle + half, _VIEWS[view][0]
+    axes.set(xlim=(low[0], high[0]), ylim=(low[up], high[up]))
 
 
-def _told(
+def _describe(
     figure: Figure, all_of: Sequence[_Marks], drawn: Sequence[_Marks], limit_mm: float
 ) -> None:
     """The legend, and what isn't drawn where that is so."""
-    entries: list[LegendEntry] = [
-        (f"within {limit_mm:g} mm", "good", "o"),
-        ("beyond", "limit", "o"),
-        ("not found", "muted", "v"),
-    ]
-    legend(figure, entries)
+    within: LegendEntry = (f"within {limit_mm:g} mm", "good", "o")
+    legend(figure, [within, ("beyond", "limit", "o"), ("not found", "muted", "v")])
     (found, missed), (of_found, of_missed) = (
-        (sum(len(marks.places) for marks in part), sum(len(marks.missed) for marks in part))
+        (sum(len(of.places) for of in part), sum(len(of.missed) for of in part))
         for part in (drawn, all_of)
     )
     if (found, missed) != (of_found, of_missed):
@@ -210,3 +193,109 @@ def _told(
             f" {of_missed} missed"
         )
         figure.supxlabel(left_out, fontsize=8.5, color=COLOURS["muted"])
+
+
+_REGIONS = (WIDE_INCHES, 3.5)
+# so many times as far as the errors a panel reaches at most: the ellipsoid of few poses may run out
+# of it
+_BEYOND = 2.0
+_ROLES = ("ours", "theirs", "accept", "good", "ink", "muted")
+MOST_GROUPS = len(_ROLES)
+_MARKERS: tuple[Marker, ...] = get_args(Marker)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorGroup:
+    """The errors of one teat as each view has them: points (n, 2) mm a view, and its ellipsoid's
+    outline (m, 2) mm a view, or none.
+
+    ``links``: for each error the `#id` that a click opens.
+    """
+
+    name: str
+    points_mm: Sequence[ArrayLike]
+    outlines_mm: Sequence[ArrayLike] = ()
+    links: tuple[str, ...] = ()
+
+    def checked(self, views: int) -> tuple[list[Floats], list[Floats]]:
+        """Points and outlines by view. Raises ValueError for what isn't finite or doesn't fit."""
+        what = f"error_regions: {self.name}"
+        points, outlines = (
+            [finite(what, argument, part).reshape(-1, 2) for part in given]
+            for argument, given in (
+                ("points_mm", self.points_mm),
+                ("outlines_mm", self.outlines_mm),
+            )
+        )
+        same = len({len(part) for part in points}) <= 1
+        if len(points) != views or len(outlines) not in {0, views} or not same:
+            raise ValueError(
+                f"{what}: {len(points)} clouds and {len(outlines)} outlines for {views} views"
+            )
+        one_each(what, self.links or None, len(points[0]))
+        return points, outlines
+
+
+def error_regions(
+    groups: Sequence[ErrorGroup],
+    views: Sequence[tuple[str, str]],
+    limit_mm: float,
+    *,
+    name: str = "error-regions",
+) -> str:
+    """A panel a view, with the names of its two axes: each group's errors, its ellipsoid, and the
+    limit as a circle. Equal scales.
+
+    Raises ValueError for more groups than can be told apart, and for arrays that don't fit.
+    """
+    if len(groups) > MOST_GROUPS:
+        raise ValueError(
+            f"error_regions: {len(groups)} groups; at most {MOST_GROUPS} can be told apart, so pool"
+            " some"
+        )
+    clouds = [group.checked(len(views)) for group in groups]
+    counts = [len(points[0]) for points, _ in clouds]
+    if not sum(counts):
+        return not_measured(name, _REGIONS, "no teat end was paired with a truth")
+    ends = np.concatenate([part.ravel() for points, _ in clouds for part in points])
+    lines = [part.ravel() for _, outlines in clouds for part in outlines]
+    farthest = max(limit_mm, float(np.abs(ends).max()))
+    everything = np.abs(np.concatenate([ends, *lines])).max()
+    reach = 1.08 * min(max(float(everything), farthest), _BEYOND * farthest)
+    each = _MOST_MARKS // (len(groups) * len(views))
+    drawn = [
+        telling(np.max([np.hypot(*flat.T) for flat in points], axis=0), each)
+        for points, _ in clouds
+    ]
+
+    def plot(figure: Figure) -> None:
+        for panel, axes in enumerate(figure.subplots(1, len(views), squeeze=False)[0]):
+            across, up = (f"{plain(axis)} error (mm)" for axis in views[panel])
+            axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
+            axes.set(xlabel=across, ylabel=up)
+            axes.axhline(0, color=COLOURS["muted"], linewidth=0.6)
+            axes.axvline(0, color=COLOURS["muted"], linewidth=0.6)
+            axes.add_patch(
+                Circle((0, 0), limit_mm, fill=False, edgecolor=COLOURS["limit"], linewidth=1.2)
+            )
+            for k, (points, outlines) in enumerate(clouds):
+                x, y = points[panel].T
+                look: dict[str, Any] = {
+                    "role": _ROLES[k],
+                    "size": 20,
+                    "marker": _MARKERS[k],
+                    "alpha": 0.75,
+                }
+                linked(axes, x, y, drawn[k], groups[k].links, **look)
+                if outlines:
+                    axes.plot(*outlines[panel].T, color=COLOURS[_ROLES[k]], linewidth=1.3)
+        entries: list[LegendEntry] = []
+        for k, (group, n) in enumerate(zip(groups, counts, strict=True)):
+            few = "" if group.outlines_mm else " (too few)"
+            entries.append((f"{plain(group.name, 14)}, n = {n}{few}", _ROLES[k], _MARKERS[k]))
+        legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])
+        shown = sum(map(len, drawn))
+        if shown < sum(counts):
+            figure.supxlabel(told(shown, sum(counts)), fontsize=8.5, color=COLOURS["muted"])
+
+    return draw(name, _REGIONS, plot)

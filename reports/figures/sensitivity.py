@@ -1,7 +1,10 @@
-"""How errors grow with one quantity: a curve a method, the physical bound, and the share found."""
+"""What a rig can reach: a calibration's corners with their residuals, its precision by distance,
+and how errors grow with one quantity: a curve a method, the physical bound, and the share found.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,11 +14,13 @@ from numpy.typing import ArrayLike
 
 from reports.figures.drawing import (
     COLOURS,
+    HALF_INCHES,
     WIDE_INCHES,
     Floats,
     LegendEntry,
     draw,
     legend,
+    marks,
     not_measured,
     plain,
     together,
@@ -80,11 +85,8 @@ def sensitivity(
         "sensitivity", x=bound.x, median_mm=bound.median_mm, disparity_mm=bound.disparity_mm
     )
     share_x, share = together("sensitivity", share_x=bound.share_x, share=bound.share)
-    if any(
-        (column <= 0.0).any()
-        for _, *columns in [*errors, (limit_x, limit_mm, disparity)]
-        for column in columns
-    ):
+    columns = [limit_mm, disparity, *(column for _, *two in errors for column in two)]
+    if any((column <= 0.0).any() for column in columns):
         raise ValueError(
             "sensitivity: an error that is not above 0 mm has no place on a logarithmic scale"
         )
@@ -94,35 +96,18 @@ def sensitivity(
     def plot(figure: Figure) -> None:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1.2))
         for role, (x, median, p95), (at, found) in zip(_ROLES, errors, shares, strict=False):
-            above.plot(
-                x, median, color=COLOURS[role], marker="o", markersize=4.2, markeredgewidth=0
-            )
-            above.plot(
-                x,
-                p95,
-                color=COLOURS[role],
-                linestyle="--",
-                marker="v",
-                markersize=4.2,
-                markeredgewidth=0,
-                linewidth=1,
-            )
-            below.plot(
-                at, found, color=COLOURS[role], marker="o", markersize=4.2, markeredgewidth=0
-            )
+            marks(above, x, median, role, line="-")
+            marks(above, x, p95, role, form="v", line="--", linewidth=1)
+            marks(below, at, found, role, line="-")
         above.plot(limit_x, limit_mm, color=COLOURS["limit"], linewidth=1.2)
         above.plot(limit_x, disparity, color=COLOURS["good"], linestyle="--", linewidth=1)
         below.plot(share_x, share, color=COLOURS["limit"], linewidth=1.2)
         _scales(above, below, label, np.concatenate([x for x, _ in shares]), logarithmic)
-        bounds: list[LegendEntry] = [
-            ("p95", "ink", "v"),
-            ("limit by noise", "limit", "-"),
-            (f"disparity to {bound.disparity_px:g} px", "good", "--"),
-        ]
         entries: list[LegendEntry] = [
             (plain(curve.name), role, "-") for role, curve in zip(_ROLES, curves, strict=False)
         ]
-        legend(figure, [*entries, *bounds])
+        entries += [("p95", "ink", "v"), ("limit by noise", "limit", "-")]
+        legend(figure, [*entries, (f"disparity to {bound.disparity_px:g} px", "good", "--")])
 
     return draw(name, _INCHES, plot)
 
@@ -141,3 +126,65 @@ def _scales(above: Axes, below: Axes, label: str, x: Floats, logarithmic: bool) 
         below.xaxis.set_minor_locator(NullLocator())
     below.set_xticks(np.unique(x))
     below.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+_MOST_ARROWS = 1500  # more says no more, and makes the page heavy
+
+
+def residual_field(
+    x_px: ArrayLike,
+    y_px: ArrayLike,
+    dx_px: ArrayLike,
+    dy_px: ArrayLike,
+    image_size: tuple[int, int],
+    *,
+    name: str,
+) -> str:
+    """Corners (n,) in the picture's frame, each with its residual, enlarged."""
+    x, y, dx, dy = together("residual_field", x_px=x_px, y_px=y_px, dx_px=dx_px, dy_px=dy_px)
+    inches = (HALF_INCHES, HALF_INCHES * image_size[1] / image_size[0] + 0.5)
+    if not x.size:
+        return not_measured(name, inches, "no corner was found")
+    every = max(1, -(-len(x) // _MOST_ARROWS))
+    rms = float(np.sqrt(np.mean(dx**2 + dy**2)))
+    factor = 0.03 * image_size[0] / max(rms, 1e-9)
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot(aspect="equal")
+        arrows = [values[::every] for values in (x, y, dx, dy)]
+        look: dict[str, Any] = {
+            "angles": "xy",
+            "scale_units": "xy",
+            "scale": 1.0 / factor,
+            "width": 0.0022,
+        }
+        axes.quiver(*arrows, **look, color=COLOURS["ours"])
+        axes.set(xlim=(-0.5, image_size[0] - 0.5), ylim=(image_size[1] - 0.5, -0.5))
+        axes.set(xlabel="column (px)", ylabel="row (px)")
+        legend(figure, [(f"misses, {factor:.0f} times enlarged; rms {rms:.2f} px", "ours", "-")])
+
+    return draw(name, inches, plot)
+
+
+def precision_by_distance(
+    depth_m: ArrayLike,
+    good_to_mm: ArrayLike,
+    seen_m: tuple[float, float],
+    *,
+    name: str = "precision",
+) -> str:
+    """Precision (n,) mm over distance (n,) m; the board's distances are shaded."""
+    depth, good = together("precision_by_distance", depth_m=depth_m, good_to_mm=good_to_mm)
+    inches = (WIDE_INCHES, 2.8)
+    if not depth.size:
+        return not_measured(name, inches, "no distance was asked for")
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        axes.axvspan(*seen_m, color=COLOURS["span"], linewidth=0)
+        axes.plot(depth, good, color=COLOURS["ours"])
+        axes.set(xlabel="distance from the cameras (m)", ylabel="good to (mm)", ylim=(0, None))
+        good_to: LegendEntry = ("expanded uncertainty, k = 2, worst direction", "ours", "-")
+        legend(figure, [good_to, ("the board was here", "span", "patch")])
+
+    return draw(name, inches, plot)

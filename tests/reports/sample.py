@@ -11,18 +11,22 @@ from numpy.typing import NDArray
 
 from reports import figures
 from reports.frames import Circle, Cross, ImageView, Label, Overlay, Polyline, Rect
-from reports.page import Banner, Page, Section, TrialPart
-from reports.parts import (
+from reports.page import (
+    Banner,
     Cell,
     Code,
     Column,
     Figure,
     KeyValues,
     Notes,
+    Page,
     Paragraph,
     Requirement,
     Requirements,
+    Section,
     Table,
+    TrialPart,
+    Verdict,
 )
 
 SITUATIONS = (
@@ -74,85 +78,54 @@ def write_frames(folder: Path, anchor: str) -> None:
     for number, camera in enumerate(("left", "right", "thermal")):
         picture = np.full((SIZE[1], SIZE[0]), 40 + 15 * number, np.uint8)
         for x, y in ENDS_PX:
-            cv2.ellipse(
-                picture,
-                (int(x) + 4 * number, int(y) - 60),
-                (22, 62),
-                0,
-                0,
-                360,
-                190 - 30 * number,
-                -1,
-                cv2.LINE_AA,
-            )
+            middle, pale = (int(x) + 4 * number, int(y) - 60), 190 - 30 * number
+            cv2.ellipse(picture, (middle, (44, 124), 0), pale, -1, cv2.LINE_AA)
         encoded = cv2.imencode(".png", cv2.GaussianBlur(picture, (0, 0), 1.5))[1]
         (folder / "frames" / anchor / f"{camera}.png").write_bytes(encoded.tobytes())
 
 
 def frame_views(anchor: str) -> tuple[ImageView, ...]:
-    truth = Overlay(
-        "truth",
-        "truth",
-        tuple(Circle(x, y, 9, title=f"teat {k}") for k, (x, y) in enumerate(ENDS_PX, 1)),
-    )
-    final = Overlay(
-        "point", "final point", tuple(Cross(x + 2, y - 1, 9, turned=True) for x, y in ENDS_PX)
-    )
-    region = Overlay(
-        "region", "region searched", tuple(Rect(x - 20.5, y - 20.5, 41, 41) for x, y in ENDS_PX)
-    )
-    hot = Overlay(
-        "nomination", "thermal nomination", tuple(Cross(x - 6, y + 5, 8) for x, y in ENDS_PX)
-    )
-    names = Overlay(
-        "other",
-        "numbers",
-        tuple(Label(x + 14, y + 14, str(k)) for k, (x, y) in enumerate(ENDS_PX, 1)),
+    ends = list(enumerate(ENDS_PX, 1))
+    rings = tuple(Circle(x, y, 9, title=f"teat {k}") for k, (x, y) in ends)
+    final = tuple(Cross(x + 2, y - 1, 9, turned=True) for x, y in ENDS_PX)
+    searched = tuple(Rect(x - 20.5, y - 20.5, 41, 41) for x, y in ENDS_PX)
+    warm = tuple(Cross(x - 6, y + 5, 8) for x, y in ENDS_PX)
+    truth = Overlay("truth", "truth", rings)
+    hot = Overlay("nomination", "thermal nomination", warm)
+    optical = (
+        truth,
+        hot,
+        Overlay("region", "region searched", searched),
+        Overlay("point", "final point", final),
+        Overlay("other", "numbers", tuple(Label(x + 14, y + 14, str(k)) for k, (x, y) in ends)),
     )
     line = Overlay("model", "lower edge", (Polyline(ENDS_PX, title="lower edge"),))
     part = (140, 100, 400, 240)
+    paths = [f"frames/{anchor}/{camera}.png" for camera in ("left", "right", "thermal")]
+    warm_label = "Thermal camera, un-mirrored"
     return (
-        ImageView(
-            "Left camera",
-            f"frames/{anchor}/left.png",
-            *SIZE,
-            "Four teats from the left",
-            (truth, hot, region, final, names),
-            part,
-        ),
-        ImageView(
-            "Right camera",
-            f"frames/{anchor}/right.png",
-            *SIZE,
-            "Four teats from the right",
-            (truth, hot, region, final, names),
-            part,
-        ),
-        ImageView(
-            "Thermal camera, un-mirrored",
-            f"frames/{anchor}/thermal.png",
-            *SIZE,
-            "Four warm teats",
-            (truth, hot, line),
-        ),
+        ImageView("Left camera", paths[0], *SIZE, "Four teats from the left", optical, part),
+        ImageView("Right camera", paths[1], *SIZE, "Four teats from the right", optical, part),
+        ImageView(warm_label, paths[2], *SIZE, "Four warm teats", (truth, hot, line)),
+    )
+
+
+def columns(*heads: tuple[str, str]) -> tuple[Column, ...]:
+    """The first to the left, the others with their units to the right."""
+    return tuple(
+        Column(title, "right" if at else "left", unit) for at, (title, unit) in enumerate(heads)
     )
 
 
 def trial_part(outcome: Outcome) -> TrialPart:
     radial = np.linalg.norm(outcome.errors_mm, axis=1)
-    columns = (
-        Column("teat"),
-        *(Column(axis, "right", "mm") for axis in ("x error", "y error", "z error", "radial")),
-    )
-    rows: list[tuple[str | Cell, ...]] = [
-        (
-            f"teat {k}",
-            *(f"{value:+.2f}".replace("-", "−") for value in error),
-            Cell(f"{r:.2f}", "bad" if r > 5 else "plain"),
-        )
-        for k, (error, r) in enumerate(zip(outcome.errors_mm, radial, strict=True), 1)
-    ]
+    rows: list[tuple[str | Cell, ...]] = []
+    for k, (error, r) in enumerate(zip(outcome.errors_mm, radial, strict=True), 1):
+        axes = (f"{value:+.2f}".replace("-", "−") for value in error)
+        rows.append((f"teat {k}", *axes, Cell(f"{r:.2f}", "bad" if r > 5 else "plain")))
     missed = 4 - len(rows)
+    refused = "The detector refused: no vertical line ends in the thermal image."
+    measured = ((axis, "mm") for axis in ("x error", "y error", "z error", "radial"))
     return TrialPart(
         id=outcome.anchor,
         heading=f"Trial {outcome.number}",
@@ -165,80 +138,48 @@ def trial_part(outcome: Outcome) -> TrialPart:
             ("Bath", "33.01 °C"),
         ),
         images=frame_views(outcome.anchor),
-        tables=(Table("Errors of the teats found", columns, tuple(rows)),),
-        notes=(
-            ("The detector refused: no vertical line ends in the thermal image.",)
-            if not rows
-            else ()
-        ),
+        tables=(Table("Errors of the teats found", columns(("teat", ""), *measured), tuple(rows)),),
+        notes=() if rows else (refused,),
     )
 
 
 def trial_table(runs: list[Outcome]) -> Table:
-    measured = (
-        Column("Found", "right"),
-        Column("Worst error", "right", "mm"),
-        Column("Time", "right", "s"),
-    )
-    columns = (Column("Trial"), Column("Situation"), *measured)
-    rows = tuple(
-        (
-            Cell(run.anchor, href=f"#{run.anchor}"),
-            run.situation,
-            Cell(
-                f"{len(run.errors_mm)} of 4",
-                "good" if len(run.errors_mm) == 4 else "warn",
-                sort=len(run.errors_mm),
-            ),
+    rows = []
+    for run in runs:
+        found = len(run.errors_mm)
+        worst = Cell("not measured", "muted")
+        if found:
+            worst = Cell(f"{np.linalg.norm(run.errors_mm, axis=1).max():.2f}")
+        rows.append(
             (
-                f"{np.linalg.norm(run.errors_mm, axis=1).max():.2f}"
-                if len(run.errors_mm)
-                else Cell("not measured", "muted")
-            ),
-            f"{run.seconds:.3f}",
+                Cell(run.anchor, href=f"#{run.anchor}"),
+                run.situation,
+                Cell(f"{found} of 4", "good" if found == 4 else "warn", sort=found),
+                worst,
+                f"{run.seconds:.3f}",
+            )
         )
-        for run in runs
-    )
-    return Table("Every trial", columns, rows, "Click a column's title to sort.", searchable=True)
+    measured = columns(("Trial", ""), ("Found", ""), ("Worst error", "mm"), ("Time", "s"))
+    heads = (measured[0], Column("Situation"), *measured[1:])
+    note = "Click a column's title to sort."
+    return Table("Every trial", heads, tuple(rows), note, searchable=True)
 
 
 def requirements() -> Requirements:
+    source = "thesis, section 1.4.3"
+    radial = "Largest of n poses at most 4.611 mm (limit less the guard band, u = 0.23 mm)"
+    rate = "Success rate of at least 95 % shown with 95 % confidence (Clopper-Pearson)"
+    gate = "No detection beyond the gate of 25 mm"
+    few, many = "3.92 mm (at most 4.31 mm)", "50.0 % (at most 70.8 %)"
+    rows: list[tuple[str, str, int, str, str, str, Verdict, str]] = [
+        ("Radial error below 5 mm", radial, 15, few, "5 mm", "+0.69 mm", "inconclusive", source),
+        ("Every visible teat found", rate, 18, many, "95 %", "−45.0 %", "not met", source),
+        ("No false teat", gate, 18, "0", "0", "0", "met", ""),
+        ("Detection in 1 s", "p95 of the times", 18, "0.71 s", "1 s", "+0.29 s", "met", ""),
+    ]
     return Requirements(
         "Requirements, fixed in the script before the run",
-        (
-            Requirement(
-                "Radial error below 5 mm",
-                "Largest of n poses at most 4.611 mm (limit less the guard band, u = 0.23 mm)",
-                15,
-                "3.92 mm (at most 4.31 mm)",
-                "5 mm",
-                "+0.69 mm",
-                "inconclusive",
-                "thesis, section 1.4.3",
-            ),
-            Requirement(
-                "Every visible teat found",
-                "Success rate of at least 95 % shown with 95 % confidence (Clopper-Pearson)",
-                18,
-                "50.0 % (at most 70.8 %)",
-                "95 %",
-                "−45.0 %",
-                "not met",
-                "thesis, section 1.4.3",
-            ),
-            Requirement(
-                "No false teat", "No detection beyond the gate of 25 mm", 18, "0", "0", "0", "met"
-            ),
-            Requirement(
-                "Detection within 1 s",
-                "p95 of the detection times",
-                18,
-                "0.71 s",
-                "1 s",
-                "+0.29 s",
-                "met",
-            ),
-        ),
+        tuple(Requirement(*row) for row in rows),
         "Frames of one pose are not independent trials: n counts poses.",
     )
 
@@ -252,68 +193,41 @@ def accuracy_section(runs: list[Outcome]) -> Section:
     links = [f"#{run.anchor}" for run in runs for _ in run.errors_mm]
     scatter = figures.error_scatter(errors[:, 0], errors[:, 1], 5.0, accept_mm=4.611, links=links)
     histogram = figures.error_histogram(np.linalg.norm(errors, axis=1), 5.0, accept_mm=4.611)
-    return Section(
-        "accuracy",
-        "Accuracy",
-        (
-            Figure(scatter, "Teats found; a click opens the trial.", "Lateral and depth errors"),
-            Figure(
-                histogram,
-                "Radial errors and their cumulative share.",
-                "Histogram of the radial errors",
-            ),
-            Figure(
-                figures.per_axis_errors(SITUATIONS, by_situation, 5.0),
-                "Signed errors, world axes.",
-                "Errors by axis",
-                wide=True,
-            ),
-        ),
+    strips = figures.per_axis_errors(SITUATIONS, by_situation, 5.0)
+    parts = (
+        Figure(scatter, "Teats found; a click opens the trial.", "Lateral and depth errors"),
+        Figure(histogram, "Radial errors and their share.", "Histogram of the radial errors"),
+        Figure(strips, "Signed errors, world axes.", "Errors by axis", wide=True),
     )
+    return Section("accuracy", "Accuracy", parts)
 
 
 def rates_section(runs: list[Outcome]) -> Section:
-    found = [
-        sum(len(run.errors_mm) for run in runs if run.situation == name) for name in SITUATIONS
-    ]
-    present = [4 * sum(run.situation == name for run in runs) for name in SITUATIONS]
+    of = {name: [run for run in runs if run.situation == name] for name in SITUATIONS}
+    found = [sum(len(run.errors_mm) for run in mine) for mine in of.values()]
+    present = [4 * len(mine) for mine in of.values()]
     bars = figures.found_bars(SITUATIONS, found, present, THESIS_FOUND)
     strip = figures.latency_strip([run.seconds for run in runs], [1.0, 2.0])
-    columns = (
-        Column("Situation"),
-        Column("Found", "right", "of visible"),
-        Column("Thesis", "right", "of 4"),
-    )
     rows = tuple(
         (name, f"{f} of {p}", str(t))
         for name, f, p, t in zip(SITUATIONS, found, present, THESIS_FOUND, strict=True)
     )
-    return Section(
-        "rates",
-        "Rates, beside the thesis",
-        (
-            Figure(
-                bars,
-                "Teats found of teats visible.",
-                "Bars of the share found, beside the thesis's",
-            ),
-            Figure(strip, "Detection times against the limits.", "All detection times below 1 s"),
-            Table("Found of present", columns, rows),
-        ),
+    heads = columns(("Situation", ""), ("Found", "of visible"), ("Thesis", "of 4"))
+    parts = (
+        Figure(bars, "Teats found of teats visible.", "Bars of the share found"),
+        Figure(strip, "Detection times against the limits.", "All detection times below 1 s"),
+        Table("Found of present", heads, rows),
     )
+    return Section("rates", "Rates, beside the thesis", parts)
 
 
 def bath_section() -> Section:
     times = np.arange(0.0, 3600.0, 10.0)
     temps = 33.0 - 13.0 * np.exp(-times / 350.0) + 0.02 * np.sin(times / 70.0)
-    curve = figures.bath_curve(
-        times, temps, 33.0, 0.1, np.arange(2400.0, 3500.0, 60.0), [(2300.0, 3600.0)], temps - 0.4
-    )
-    return Section(
-        "bath",
-        "Bath",
-        (Figure(curve, "Bath, captures marked.", "Bath reaches 33 °C and stays there", wide=True),),
-    )
+    captures = np.arange(2400.0, 3500.0, 60.0)
+    svg = figures.bath_curve(times, temps, 33.0, 0.1, captures, [(2300.0, 3600.0)], temps - 0.4)
+    alt = "Bath reaches 33 °C and stays there"
+    return Section("bath", "Bath", (Figure(svg, "Bath, captures marked.", alt, wide=True),))
 
 
 def provenance_section() -> Section:
@@ -327,21 +241,16 @@ def provenance_section() -> Section:
         ("Trials as CSV", Cell("trials.csv", href="trials.csv")),
         ("Run as JSON", Cell("run.json", href="run.json")),
     )
-    return Section(
-        "provenance",
-        "Provenance",
-        (
-            KeyValues("Item and bench", entries),
-            KeyValues("Files", files),
-            Code(
-                "The command that repeats it",
-                "teatbench run six-situations --rig emulated --seed 20260101",
-            ),
-            Notes("Deviations", ("Trial 13: the detector refused.", "The stage was homed twice.")),
-            Notes("Exclusions", ()),
-            Paragraph("The truth is the apex of the teat's rounded end on its own axis.", "info"),
-        ),
+    command = "teatbench run six-situations --rig emulated --seed 20260101"
+    parts = (
+        KeyValues("Item and bench", entries),
+        KeyValues("Files", files),
+        Code("The command that repeats it", command),
+        Notes("Deviations", ("Trial 13: the detector refused.", "The stage was homed twice.")),
+        Notes("Exclusions", ()),
+        Paragraph("The truth is the apex of the teat's rounded end on its own axis.", "info"),
     )
+    return Section("provenance", "Provenance", parts)
 
 
 def sample_page(folder: Path, repeats: int = 1) -> Page:

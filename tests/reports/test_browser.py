@@ -1,5 +1,5 @@
 """The page in a real browser, from disk, offline: nothing is asked of a network, everything shows,
-keys and switches work.
+keys and switches work, and axe-core finds nothing.
 """
 
 import re
@@ -9,7 +9,10 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 
+from reports.render import write_report
+from tests.axe import violations
 from tests.chromium import Scheme, Seen, window
+from tests.reports.sample import sample_page
 
 pytestmark = pytest.mark.browser
 
@@ -54,10 +57,8 @@ def test_deep_link_shows_its_trial(seen: Seen, report: Path) -> None:
 
 def test_overlays_switch_one_by_one_and_all_at_once(seen: Seen) -> None:
     page = seen.page
-    truth, region = (
-        page.locator("#trial-001 .pane .layer-truth").first,
-        page.locator("#trial-001 .pane .layer-region").first,
-    )
+    truth = page.locator("#trial-001 .pane .layer-truth").first
+    region = page.locator("#trial-001 .pane .layer-region").first
     expect(truth).to_be_visible()
     page.get_by_label("truth").uncheck()
     expect(truth).to_be_hidden()
@@ -189,6 +190,47 @@ def test_a_frame_is_enlarged_and_back(seen: Seen) -> None:
     assert large > 2.5 * small
     expect(button).to_have_attribute("aria-pressed", "true")
     button.click()
-    assert frame.locator("img").evaluate(
-        "image => image.getBoundingClientRect().width"
-    ) == pytest.approx(small)
+    back = frame.locator("img").evaluate("image => image.getBoundingClientRect().width")
+    assert back == pytest.approx(small)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    few, many = tmp_path_factory.mktemp("few"), tmp_path_factory.mktemp("many")
+    write_report(sample_page(few), few)
+    write_report(sample_page(many, 7), many)
+    return {
+        "page": few / "index.html",
+        "list": many / "index.html",
+        "trial": many / "trials" / "trial-004.html",
+    }
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(
+    ("which", "width"), [("page", 1440), ("page", 390), ("list", 1440), ("trial", 390)]
+)
+def test_axe_is_content(
+    browser: Browser, folders: dict[str, Path], which: str, width: int, scheme: Scheme
+) -> None:
+    with window(browser, width=width, scheme=scheme) as seen:
+        assert violations(seen.open(folders[which])) == []
+
+
+def test_axe_is_content_with_a_zoomed_frame_and_the_list_of_keys(
+    browser: Browser, folders: dict[str, Path]
+) -> None:
+    with window(browser, width=390, scheme="dark") as seen:
+        page = seen.open(folders["page"], "trial-002")
+        page.keyboard.press("+")
+        expect(page.locator("#trial-002 .pane.moved")).to_have_count(3)
+        page.keyboard.press("?")
+        expect(page.locator("#keys")).to_be_visible()
+        assert violations(page) == []
+
+
+def test_axe_would_have_seen_a_fault(browser: Browser, folders: dict[str, Path]) -> None:
+    with window(browser) as seen:
+        page = seen.open(folders["trial"])
+        page.evaluate("() => document.querySelector('.pane img').removeAttribute('alt')")
+        assert [rule for rule, _ in violations(page)] == ["image-alt"]

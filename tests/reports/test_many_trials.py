@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 
-from reports.page import Page, Section
-from reports.parts import Part, Table
+from reports.page import Page, Part, Section, Table
 from reports.render import IN_PAGE, render, write_report
 from reports.trust import PageError
 from tests.chromium import Seen, window
@@ -45,9 +44,7 @@ def test_the_page_has_the_list_and_no_trial(document: Document) -> None:
     assert COUNT > IN_PAGE
     assert document.all("article") == []
     assert document.all("img") == []
-    rows = [
-        element.attributes["id"] for element in document.all("tr") if "id" in element.attributes
-    ]
+    rows = [row.attributes["id"] for row in document.all("tr") if "id" in row.attributes]
     assert rows == [f"trial-{number:03}" for number in range(1, COUNT + 1)]
     links = [value for value in document.values("href") if value.startswith("trials/")]
     assert links == [f"trials/{name}.html" for name in rows]
@@ -71,16 +68,11 @@ def test_each_trial_has_a_file_whose_pictures_and_neighbours_are_there(
         alone = read((folder / f"{name}.html").read_text(encoding="utf-8"))
         assert alone.misplaced == []
         assert [element.attributes["id"] for element in alone.all("article")] == [name]
-        references = [
-            *alone.values("src"),
-            *(value for value in alone.values("href") if not value.startswith("#")),
-        ]
-        assert [value for value in references if not (folder / value.split("#")[0]).is_file()] == []
-        near = [
-            element.attributes["href"]
-            for element in alone.all("a")
-            if element.attributes.get("rel") in ("prev", "next")
-        ]
+        references = [*alone.values("src"), *alone.values("href")]
+        files = [value.split("#")[0] for value in references if not value.startswith("#")]
+        assert [value for value in files if not (folder / value).is_file()] == []
+        links = [link.attributes for link in alone.all("a")]
+        near = [link["href"] for link in links if link.get("rel") in ("prev", "next")]
         assert [link.removeprefix("../trials/") for link in near] == steps
         assert len(alone.all("h1")) == 1
 
@@ -88,9 +80,8 @@ def test_each_trial_has_a_file_whose_pictures_and_neighbours_are_there(
 def test_a_trial_that_no_list_begins_a_row_with_is_refused(page: tuple[Page, Path]) -> None:
     sections = tuple(section for section in page[0].sections if section.id != "trial-list")
     bare = dataclasses.replace(page[0], sections=(*sections, Section("trial-list", "x", ())))
-    with pytest.raises(
-        PageError, match=r"no searchable table begins a row with a link to \['trial-001'"
-    ):
+    said = r"no searchable table begins a row with a link to \['trial-001'"
+    with pytest.raises(PageError, match=said):
         render(bare)
 
 
@@ -100,15 +91,12 @@ def test_a_trial_with_two_rows_has_one_id_and_the_filter_keeps_both(
     """As where two detectors were run."""
 
     def twice(part: Part) -> Part:
-        return (
-            dataclasses.replace(part, rows=tuple(row for row in part.rows for _ in "ab"))
-            if isinstance(part, Table)
-            else part
-        )
+        if not isinstance(part, Table):
+            return part
+        return dataclasses.replace(part, rows=tuple(row for row in part.rows for _ in "ab"))
 
     sections = tuple(
-        dataclasses.replace(s, parts=tuple(twice(part) for part in s.parts))
-        for s in page[0].sections
+        dataclasses.replace(s, parts=tuple(map(twice, s.parts))) for s in page[0].sections
     )
     both = read(render(dataclasses.replace(page[0], sections=sections)))
     ids = both.values("id")

@@ -10,8 +10,19 @@ import pytest
 
 from reports import figures
 from reports.frames import Circle, ImageView, Overlay, Polyline
-from reports.page import Banner, Page, Section, TrialPart
-from reports.parts import Cell, Column, Figure, KeyValues, Requirement, Requirements, Table
+from reports.page import (
+    Banner,
+    Cell,
+    Column,
+    Figure,
+    KeyValues,
+    Page,
+    Requirement,
+    Requirements,
+    Section,
+    Table,
+    TrialPart,
+)
 from reports.trust import PageError
 
 BANNER = Banner("recorded", "met", "t", "s", "c", "n")

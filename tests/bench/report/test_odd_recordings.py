@@ -72,46 +72,23 @@ def test_frames_of_another_size_are_scored_as_nothing_found(
     truth.write_text(
         truth.read_text(encoding="utf-8").replace(",ideal,", ",one|other,"), encoding="utf-8"
     )
-    assert (
-        main(
-            [
-                "score",
-                str(odd),
-                "--detector",
-                "thesis",
-                "--detector",
-                "fused",
-                "--out",
-                str(tmp_path / "runs"),
-            ]
-        )
-        == 1
-    )
+    detectors = ["--detector", "thesis", "--detector", "fused"]
+    assert main(["score", str(odd), *detectors, "--out", str(tmp_path / "runs")]) == 1
     table = cells(capsys.readouterr().out)
     for name in ("thesis", "fused"):
         assert table["one\\|other", name][1:4] == ["0 of 12", "0", "not measured"]
         assert table["one\\|other", name][5] == "none", "an answer with a reason is an answer"
     (run,) = (tmp_path / "runs").iterdir()
-    assert f"{told}, the calibration is for 1360 x 1024" in (
-        run / "report" / "index.html"
-    ).read_text(encoding="utf-8")
+    page = (run / "report" / "index.html").read_text(encoding="utf-8")
+    assert f"{told}, the calibration is for 1360 x 1024" in page
 
 
 def answers(
     recording: Path, capsys: pytest.CaptureFixture[str], *detectors: str
 ) -> dict[tuple[str, str], Any]:
     capsys.readouterr()
-    assert (
-        main(
-            [
-                "detect",
-                str(recording),
-                "--json",
-                *[word for name in detectors for word in ("--detector", name)],
-            ]
-        )
-        == 0
-    )
+    named = [word for name in detectors for word in ("--detector", name)]
+    assert main(["detect", str(recording), "--json", *named]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     return {
         (line["frame"], line["detector"]): (line["teats"], line["hidden"], line.get("reason"))
@@ -137,9 +114,8 @@ def test_colour_and_16_bit_files_give_the_answers_of_grey_ones(
     for key, (teats, hidden, _) in before.items():
         found, unseen, _ = after[key]
         assert (len(found), unseen) == (len(teats), hidden)
-        assert np.allclose(
-            [t["world_mm"] for t in found], [t["world_mm"] for t in teats], atol=0.01
-        )
+        now, then = ([teat["world_mm"] for teat in of] for of in (found, teats))
+        assert np.allclose(now, then, atol=0.01)
 
 
 ECHO = r"""
@@ -159,9 +135,7 @@ def test_shuffled_names_of_files_change_nothing(
     to the last digit.
     """
     names = sorted(path.name for path in (recording / "frames").iterdir())
-    given = {
-        name: f"{number}-{'abc'[number]}" for number, name in zip((2, 0, 1), names, strict=True)
-    }
+    given = dict(zip(names, ("2-c", "0-a", "1-b"), strict=True))
     shuffled = tmp_path / "shuffled"
     shutil.copytree(recording, shuffled)
     for name in names:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench.record.reader import TrialRecord
-from bench.report.overlays import NAMES, overlays, project_all
+from bench.report.frames import NAMES, overlays, project_all
 from bench.rig.loading import find_rig, load_rig
 from detector.calibration import Calibration
 from reports.frames import Ellipse, Overlay, Polyline, Rect
@@ -44,15 +44,13 @@ def test_a_covariance_is_the_ellipse_that_samples_fill(calibration: Calibration)
     for camera in ("left", "right", "thermal"):
         seen = project_all(calibration, drawn)[camera]
         assert seen is not None
-        (ellipse,) = layer(
-            overlays(trial({}, covariance.tolist()), camera, None, calibration), "spread"
-        ).shapes
+        found = overlays(trial({}, covariance.tolist()), camera, None, calibration)
+        (ellipse,) = layer(found, "spread").shapes
         assert isinstance(ellipse, Ellipse)
         turn = np.radians(ellipse.turn_deg)
         axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-        along = (
-            (seen - [ellipse.x_px, ellipse.y_px]) @ axes.T / [ellipse.major_px, ellipse.minor_px]
-        )
+        off = (seen - [ellipse.x_px, ellipse.y_px]) @ axes.T
+        along = off / [ellipse.major_px, ellipse.minor_px]
         assert (np.linalg.norm(along, axis=1) <= 1).mean() == pytest.approx(0.95, abs=0.005)
         assert ellipse.major_px >= ellipse.minor_px
 
@@ -61,9 +59,8 @@ def test_a_covariance_is_the_ellipse_that_samples_fill(calibration: Calibration)
 def test_what_is_no_covariance_is_not_drawn(
     calibration: Calibration, stated: list[list[float]] | None
 ) -> None:
-    assert "spread" not in [
-        one.tone for one in overlays(trial({}, stated), "left", None, calibration)
-    ]
+    found = overlays(trial({}, stated), "left", None, calibration)
+    assert "spread" not in [one.tone for one in found]
 
 
 def test_any_detector_shows_its_stages_by_their_pixels(calibration: Calibration) -> None:
@@ -73,41 +70,22 @@ def test_any_detector_shows_its_stages_by_their_pixels(calibration: Calibration)
         "odd": {"left_px": "nonsense"},
     }
     found = overlays(trial(trace), "left", None, calibration)
-    assert [(one.tone, len(one.shapes)) for one in found] == [
-        ("nomination", 1),
-        ("point", 1),
-        ("other", 1),
-    ]
+    assert [one.tone for one in found if len(one.shapes) == 1] == ["nomination", "point", "other"]
+    assert len(found) == 3
     assert layer(found, "other").shapes[0].title == "d: my stage"  # type: ignore[union-attr]
     assert {one.name for one in found} <= set(NAMES.values())
 
 
 def test_stages_of_a_known_name_and_another_form_are_not_drawn(calibration: Calibration) -> None:
     """Whoever writes a detector may call a stage as the bench's own are called."""
-    odd: list[Any] = [
-        ["a", "b"],
-        [[1.0, 2.0], [3.0]],
-        [1.0, 2.0, 3.0],
-        {"shape": [500], "type": "float64"},
-        7,
-        None,
-    ]
-    for value in odd:
-        trace = {
-            name: {
-                "left": value,
-                "left_px": value,
-                "points_px": value,
-                "teats": value,
-                "reasons": value,
-                "end_px": value,
-            }
-            for name in ("regions", "nominations", "decisions", "teat ends", "thermal", "mine")
-        }
+    rows: list[Any] = [["a", "b"], [[1.0, 2.0], [3.0]], [1.0, 2.0, 3.0]]
+    for value in [*rows, {"shape": [500], "type": "float64"}, 7, None]:
+        keys = ("left", "left_px", "points_px", "teats", "reasons", "end_px")
+        stages = ("regions", "nominations", "decisions", "teat ends", "thermal", "mine")
+        odd_trial = trial(dict.fromkeys(stages, dict.fromkeys(keys, value)))
         for camera in ("left", "thermal"):
-            assert {one.tone for one in overlays(trial(trace), camera, None, calibration)} <= {
-                "point"
-            }
+            found = overlays(odd_trial, camera, None, calibration)
+            assert {one.tone for one in found} <= {"point"}
 
 
 def test_regions_lie_round_their_nominations(calibration: Calibration) -> None:

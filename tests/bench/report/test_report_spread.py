@@ -18,7 +18,7 @@ from bench.report.accuracy import accuracy_tables, gage_parts, precision_parts
 from bench.report.spread import pose_parts, spread_parts, trend_parts
 from bench.report.tables import rates, rates_by_situation
 from bench.results.error_rows import ErrorRows, error_rows, pose_places, teat_errors
-from reports.parts import Cell, Figure, Paragraph, Part, Table
+from reports.page import Cell, Figure, Paragraph, Part, Table
 from tests.bench.results.test_error_rows import ENDS, record, set_ups, touched, trial
 
 POSES = 12
@@ -34,9 +34,8 @@ def two_teats(tmp_path: Path) -> RunRecord:
         pose, repeat = divmod(number, 3)
         ends = np.add(ENDS, [10.0 * pose, 5.0 * pose, 0.0])
         found = ends + BIAS + rng.normal(0, [[0.3, 1.0, 0.3]] * 2)
-        trials.append(
-            trial(number + 1, f"map-{pose:02d}", repeat + 1, ends, found if pose < 4 else found[:1])
-        )
+        found = found if pose < 4 else found[:1]
+        trials.append(trial(number + 1, f"map-{pose:02d}", repeat + 1, ends, found))
     return record(tmp_path, trials)
 
 
@@ -45,12 +44,9 @@ Kind = TypeVar("Kind", Figure, Paragraph, Table)
 
 def told(parts: Sequence[Part], kind: type[Kind], start: str) -> Kind:
     """The part of that kind whose caption or text begins so."""
-    return next(
-        part
-        for part in parts
-        if isinstance(part, kind)
-        and (part.text if isinstance(part, Paragraph) else part.caption).startswith(start)
-    )
+    of_kind = [part for part in parts if isinstance(part, kind)]
+    heads = [part.text if isinstance(part, Paragraph) else part.caption for part in of_kind]
+    return next(p for p, head in zip(of_kind, heads, strict=True) if head.startswith(start))
 
 
 def table(parts: Sequence[Part], start: str) -> list[tuple[str, ...]]:
@@ -71,52 +67,38 @@ def spread(run: RunRecord) -> list[Part]:
 def answered(run: RunRecord) -> RunRecord:
     """With a row for each answer, none of which states a covariance."""
     row = {"detector": "fused", "covariance_mm2": None}
-    return replace(
-        run,
-        trials=tuple(replace(t, found=(row,) * t.scores["fused"].counts.found) for t in run.trials),
-    )
+    found = [(row,) * t.scores["fused"].counts.found for t in run.trials]
+    rows = zip(run.trials, found, strict=True)
+    return replace(run, trials=tuple(replace(t, found=answers) for t, answers in rows))
 
 
 def test_each_teat_counts_its_poses_once(two_teats: RunRecord) -> None:
     rows = error_rows(two_teats, "fused")
     first, second = teat_errors(rows)
-    assert (first.teat, first.means_mm.shape, second.teat, second.means_mm.shape) == (
-        "1",
-        (12, 3),
-        "2",
-        (4, 3),
-    )
+    assert [(one.teat, one.means_mm.shape) for one in (first, second)] == [
+        ("1", (12, 3)),
+        ("2", (4, 3)),
+    ]
     assert first.means_mm.mean(axis=0) == pytest.approx(BIAS[0], abs=0.5)
     assert first.bias.next_error is not None
     assert second.bias.next_error is None
     worst = max(two_teats.trials[:3], key=lambda trial: trial.scores["fused"].radial_mm[0])
     assert first.worst_trials[0] == worst.id
     places = pose_places(rows)
-    assert len(places) == 24
-    assert (places[0].repeats, places[0].found) == (3, 3)
-    assert places[0].worst_mm == pytest.approx(worst.scores["fused"].radial_mm[0])
-    assert (places[-1].teat, places[-1].pose, places[-1].found, places[-1].worst_mm) == (
-        "2",
-        "map-11",
-        0,
-        None,
-    )
+    first_place, last = places[0], places[-1]
+    assert (len(places), first_place.repeats, first_place.found) == (24, 3, 3)
+    assert first_place.worst_mm == pytest.approx(worst.scores["fused"].radial_mm[0])
+    assert (last.teat, last.pose, last.found, last.worst_mm) == ("2", "map-11", 0, None)
 
 
 def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: RunRecord) -> None:
     parts = spread(two_teats)
     drawn = told(parts, Figure, "Errors with their 95 % ellipsoids")
     texts = re.findall(r"<text[^>]*>([^<]*)</text>", drawn.svg)
-    assert {
-        "teat 1, n = 12",
-        "teat 2, n = 4 (too few)",
-        "world x error (mm)",
-        "camera z, depth error (mm)",
-    } <= set(texts)
-    assert (
-        drawn.alt
-        == "Errors with 95 % ellipsoids by teat. teat 1: 12 poses; teat 2: 4 poses, too few."
-    )
+    said = {"teat 1, n = 12", "teat 2, n = 4 (too few)", "world x error (mm)"}
+    assert said | {"camera z, depth error (mm)"} <= set(texts)
+    alt = "Errors with 95 % ellipsoids by teat. teat 1: 12 poses; teat 2: 4 poses, too few."
+    assert drawn.alt == alt
     rows = table(parts, "Ellipsoids of the error")
     assert [(row[0], row[2]) for row in rows[::2]] == [
         ("all teats", "12"),
@@ -130,9 +112,8 @@ def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: 
 def test_too_many_teats_are_one_cloud(two_teats: RunRecord) -> None:
     ends = ENDS[0] + 40.0 * np.arange(7)[:, None]
     many = [trial(k, f"p{k}", 1, ends, ends + 0.1) for k in range(1, 7)]
-    drawn = told(
-        spread(record(two_teats.folder, many)), Figure, "Errors with their 95 % ellipsoids"
-    )
+    parts = spread(record(two_teats.folder, many))
+    drawn = told(parts, Figure, "Errors with their 95 % ellipsoids")
     assert drawn.alt == "Errors with 95 % ellipsoids by teat. 7 teats: 42 poses."
 
 
@@ -143,18 +124,15 @@ def test_the_map_has_a_panel_a_teat_and_counts_the_missed(two_teats: RunRecord) 
     beyond = sum(place.worst_mm is not None and place.worst_mm > 5.0 for place in places)
     assert drawn.alt == f"24 places: {16 - beyond} within 5 mm, {beyond} beyond, 8 not found"
     assert "Of a pose's repeats the worst is drawn" in drawn.caption
-    titles = [
-        text
-        for text in re.findall(r"<text[^>]*>([^<]*)</text>", drawn.svg)
-        if text.startswith("teat") or text.endswith(" missed")
-    ]
+    texts = re.findall(r"<text[^>]*>([^<]*)</text>", drawn.svg)
+    titles = [text for text in texts if text.startswith("teat") or text.endswith(" missed")]
     # the second teat was missed at the fifth pose, first in its first repeat
     assert drawn.facts.links.count("#trial-013") >= 1
     assert titles == ["teat 1", "12 found, 0 missed", "teat 2", "4 found, 8 missed"]
     few = replace(two_teats, trials=two_teats.trials[:9])
-    assert told(
-        list(pose_parts(few, 5.0, anchors(few))), Paragraph, "Error over the places, fused"
-    ).text.endswith("6 places of a teat are no map; 9 are the least.")
+    parts = list(pose_parts(few, 5.0, anchors(few)))
+    text = told(parts, Paragraph, "Error over the places, fused").text
+    assert text.endswith("6 places of a teat are no map; 9 are the least.")
 
 
 def tilted(poses: int, slope: float, tilts: float = 15.0) -> ErrorRows:
@@ -163,25 +141,18 @@ def tilted(poses: int, slope: float, tilts: float = 15.0) -> ErrorRows:
     """
     rng = np.random.default_rng(3)
     tilt = np.linspace(0.0, tilts, poses, dtype=np.float64)
-    errors = np.asarray(
-        rng.normal(0, 0.1, (poses, 3)) + np.outer(tilt, [0.0, 0.0, slope]), dtype=np.float64
-    )
-    places = rng.uniform(-100, 100, (poses, 3))
+    errors = rng.normal(0, 0.1, (poses, 3)) + np.outer(tilt, [0.0, 0.0, slope])
     names = tuple(f"p{k}" for k in range(poses))
-    bath_c, time_s = (
-        np.full(poses, 33.0),
-        np.asarray(60.0 * np.arange(poses)[::-1], dtype=np.float64),
-    )
     return ErrorRows(
-        places,
-        np.ones(poses, dtype=np.bool_),
-        errors,
-        time_s,
-        bath_c,
-        tilt,
-        names,
-        names,
-        ("1",) * poses,
+        places_mm=rng.uniform(-100, 100, (poses, 3)),
+        found=np.ones(poses, dtype=np.bool_),
+        errors_mm=np.asarray(errors, dtype=np.float64),
+        time_s=np.asarray(60.0 * np.arange(poses)[::-1], dtype=np.float64),
+        bath_c=np.full(poses, 33.0),
+        tilt_deg=tilt,
+        poses=names,
+        trials=names,
+        teats=("1",) * poses,
     )
 
 
@@ -197,13 +168,8 @@ def test_a_trend_with_tilt_is_shown_with_its_slope_and_interval() -> None:
     assert row[-1] == "trend shown"
     assert rows["x error", "tilt of the teat (°)"][-1] == "no trend shown"
     assert rows["any error", "bath temperature (K)"][-1] == "not measured: it hardly varied"
-    assert {name for _, name in rows} >= {
-        "x (mm)",
-        "y (mm)",
-        "z (mm)",
-        "time (h)",
-        "tilt of the teat (°)",
-    }
+    names = {"x (mm)", "y (mm)", "z (mm)", "time (h)", "tilt of the teat (°)"}
+    assert {name for _, name in rows} >= names
     drawn = told(parts, Figure, "What each trend makes")
     assert "z error with tilt of the teat" in drawn.caption
 
@@ -220,13 +186,10 @@ def test_trends_of_few_poses_and_unknown_tilts_are_not_measured() -> None:
     (few,) = trend_parts(tilted(4, 0.2), "fused")
     assert isinstance(few, Paragraph)
     assert "teats were found in 4 poses, and 5 are the least" in few.text
-    rows = tilted(10, 0.2)
-    unknown = replace(rows, tilt_deg=np.full(10, np.nan))
+    unknown = replace(tilted(10, 0.2), tilt_deg=np.full(10, np.nan))
     last = table(list(trend_parts(unknown, "fused")), "Trends of the error")[-1]
-    assert (last[1], last[-1]) == (
-        "tilt of the teat (°)",
-        "not measured: it isn't known in this run",
-    )
+    assert last[1] == "tilt of the teat (°)"
+    assert last[-1] == "not measured: it isn't known in this run"
 
 
 def test_axes_distances_and_tolerance_limits(two_teats: RunRecord) -> None:
@@ -236,16 +199,14 @@ def test_axes_distances_and_tolerance_limits(two_teats: RunRecord) -> None:
     assert float(by_teat["1", "world y"][4]) == pytest.approx(3.0, abs=0.5)
     assert {axis for _, axis in by_teat} >= {"world x", "camera z (depth)"}
     y = next(row for row in table(parts, "Errors along each axis, detector") if row[0] == "world y")
-    assert y[-1] == (
-        "refused" if float(y[-2]) >= 5.33 else "between" if float(y[-2]) > 4.67 else "accepted"
-    )
+    most = float(y[-2])
+    assert y[-1] == ("refused" if most >= 5.33 else "between" if most > 4.67 else "accepted")
     far = {row[0]: row for row in table(parts, "Distance to the teat end")}
     assert set(far) == {"all", "map", "teat 1", "teat 2"}
     gospa = np.mean([t.scores["fused"].gospa_mm for t in two_teats.trials])
     assert float(far["all"][-1]) == pytest.approx(gospa, abs=0.005)
-    assert float(far["all"][-3]) == pytest.approx(
-        np.sort([d for t in two_teats.trials for d in t.scores["fused"].radial_mm])[-1], abs=0.005
-    )
+    radial = [d for t in two_teats.trials for d in t.scores["fused"].radial_mm]
+    assert float(far["all"][-3]) == pytest.approx(np.sort(radial)[-1], abs=0.005)
     limit, farther = table(parts, "Tolerance limits")
     # k(12; 95/95), ISO 16269-6
     assert limit[2:5] == ("12", "not measured: 59 poses are the least", "2.736")
@@ -284,15 +245,8 @@ def repeated(folder: Path, teats: int, cycles: int) -> RunRecord:
     made = []
     for number in range(2 * cycles):
         ends = np.add(ENDS[:teats], [100.0 * (number % 2), 0.0, 0.0])
-        made.append(
-            trial(
-                number + 1,
-                f"p{number % 2}",
-                number // 2 + 1,
-                ends,
-                ends + rng.normal([1.0, 0.0, 0.0], 0.1, (teats, 3)),
-            )
-        )
+        found = ends + rng.normal([1.0, 0.0, 0.0], 0.1, (teats, 3))
+        made.append(trial(number + 1, f"p{number % 2}", number // 2 + 1, ends, found))
     return record(folder, made)
 
 

@@ -36,8 +36,7 @@ from detector.calibration.thesis_rig import (
     TEAT_ENDS_MM,
     WORLD_MATRIX,
 )
-from reports.page import Section
-from reports.parts import Cell, Table
+from reports.page import Cell, Section, Table
 from tests.bench.results.test_error_rows import record, trial
 from tests.conftest import SHARED
 
@@ -55,7 +54,10 @@ def text_of(cell: str | Cell) -> str:
     return cell if isinstance(cell, str) else cell.text
 
 
-def rows_of(section: Section, caption: str) -> dict[str, tuple[str, ...]]:
+BESIDE = "Figures of the thesis beside this run"
+
+
+def rows_of(section: Section, caption: str = BESIDE) -> dict[str, tuple[str, ...]]:
     """The rows of the table with that caption's start, by their first cell."""
     table = next(
         part
@@ -202,11 +204,13 @@ def test_the_plane_s_figures_are_those_of_its_places(plane: RunRecord) -> None:
 def test_the_plane_has_the_chapter_with_the_earlier_system(plane: RunRecord) -> None:
     rules = stored_rules_of("plane-map")
     (chapter,) = thesis_chapter(plane, rules, load_rig(find_rig(None)).calibration)
-    rows = rows_of(chapter, "Error over the plane of section 1.4.3.2")
-    assert rows["average error"] == ("11.79 mm", "6.38 mm (24 of 25 found)")
-    assert rows["largest error"] == ("more than 15 mm", "9.00 mm")
-    assert rows["largest middle region with an average within 5 mm"] == (
+    rows = rows_of(chapter)
+    section = "1.4.3.2"
+    assert rows["average error"][:4] == (section, "11.79 mm", "", "6.38 mm (24 of 25 found)")
+    assert rows["largest error"][1:4] == ("more than 15 mm", "", "9.00 mm")
+    assert rows["largest middle region with an average within 5 mm"][1:4] == (
         "150 x 80 mm",
+        "",
         "75 x 100 mm, 4.80 mm (15 of 15 found)",
     )
     other = replace(
@@ -230,7 +234,12 @@ def situations(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> 
 def test_the_six_situations_have_all_their_figures(situations: Path) -> None:
     run, rules = read_run(situations), stored_rules(situations)
     (chapter,) = thesis_chapter(run, rules, read_calibration(situations / "calibration.toml"))
-    found = rows_of(chapter, "Teats found in the situations")
+    rows = rows_of(chapter)
+    found = {
+        name.removeprefix("teats found, "): row
+        for name, row in rows.items()
+        if name.startswith("teats found")
+    }
     assert {name: row[1] for name, row in found.items()} == {
         "non_vertical": "4 of 4",
         "overlapping": "3 of 4",
@@ -240,26 +249,23 @@ def test_the_six_situations_have_all_their_figures(situations: Path) -> None:
         "cooler_bodies": "3 of 4",
         "all 6": "18 of 24",
     }
-    assert found["hot_body_at_ends"][2].startswith("0 of 4, ")
-    first = rows_of(chapter, "Test 1, sections 5.1.1 and 5.1.3")
-    assert first["mean of the signed components: the thesis's “average error” of test 1"][:2] == (
-        "0.5",
-        "+0.54",
-    )
-    assert first["mean distance to the teat end"][:2] == ("", "2.09")
+    assert found["hot_body_at_ends"][3].startswith("0 of 4, ")
+    mean = "test 1: mean of the signed components: the thesis's “average error” of test 1"
+    assert rows[mean][:3] == ("5.1.1 and 5.1.3", "0.5 mm", "+0.54 mm (n = 4)")
+    assert rows["test 1: mean distance to the teat end"][1:3] == ("", "2.09 mm (n = 4)")
     upright = [t for t in run.trials if t.head["situation"] not in ("non_vertical", "overlapping")]
     errors = np.concatenate([t.scores["thesis"].errors_mm for t in upright])
-    assert float(first["largest distance to the teat end"][2]) == pytest.approx(
-        np.linalg.norm(errors, axis=1).max(), abs=0.005
-    )
-    rig = rows_of(chapter, "Other figures of the thesis")
-    assert rig["camera to table: determinant and singular values"][1:3] == (
+    far, counted = rows["test 1: largest distance to the teat end"][3].split(" mm ")
+    assert float(far) == pytest.approx(np.linalg.norm(errors, axis=1).max(), abs=0.005)
+    assert counted == f"(n = {len(errors)})"
+    assert rows["camera to table: determinant and singular values"][1:4] == (
         "0.911; 1.000, 0.990, 0.920",
+        "",
         "1.000; 1.000, 1.000, 1.000",
     )
-    assert rig["distance of the teats from the cameras"][1] == "1750 mm"
+    assert rows["distance of the teats from the cameras"][1:3] == ("1750 mm", "1034 to 1137 mm")
     # as the fact sheet has it
-    assert "the printed ones: 5.8 px on the mean" in rig["homography from thermal to optical"][2]
+    assert "the printed ones: 5.8 px on the mean" in rows["homography from thermal to optical"][3]
     assert rows_of(chapter, "Printed figures without a counterpart")
 
 
@@ -267,12 +273,7 @@ def test_other_cameras_are_not_held_against_the_printed_homographies(situations:
     calibration = read_calibration(situations / "calibration.toml")
     other = replace(calibration, left=replace(calibration.left, fc=(1300.0, 1300.0)))
     (chapter,) = thesis_chapter(read_run(situations), stored_rules(situations), other)
-    assert (
-        "printed"
-        not in rows_of(chapter, "Other figures of the thesis")[
-            "homography from thermal to optical"
-        ][2]
-    )
+    assert "printed" not in rows_of(chapter)["homography from thermal to optical"][3]
 
 
 def test_the_offsets_have_the_tables_beside_them() -> None:
@@ -284,18 +285,18 @@ def test_the_offsets_have_the_tables_beside_them() -> None:
     section = next(
         part for part in offset_page(loaded, found, "0" * 64).sections if part.id == "published"
     )
-    second = rows_of(section, "Test 2, sections 5.1.2 and 5.1.3")
-    assert second["mean of the components' amounts: that of test 2"][:2] == ("5.1", "5.08")
-    assert second["mean distance to the teat end"][1] == "10.69"
+    rows = rows_of(section)
+    amounts = rows["test 2: mean of the components' amounts: that of test 2"]
+    assert amounts[1:3] == ("5.1 mm", "5.08 mm (n = 4)")
+    assert rows["test 2: mean distance to the teat end"][2] == "10.69 mm (n = 4)"
     everything = np.concatenate([one.errors_mm for one in found])
-    assert float(second["largest distance to the teat end"][2]) == pytest.approx(
-        np.linalg.norm(everything, axis=1).max(), abs=0.005
-    )
+    far = rows["test 2: largest distance to the teat end"][3].split(" mm ")[0]
+    assert float(far) == pytest.approx(np.linalg.norm(everything, axis=1).max(), abs=0.005)
     teats = rows_of(section, "Tables 5.1 to 5.4")
     # table 5.4 prints 0.3 for 0.2
     assert [row[-1] for row in teats.values()] == ["nothing", "nothing", "z", "nothing"]
     assert teats["2"][:4] == ("+0.6, -0.9, +0.2", "1.10", "+9.1, +9.2, +0.0", "12.94")
-    assert rows_of(section, "What one pixel is worth")["teat 4, 1 px left"][:2] == ("6.1", "9")
+    assert rows["one pixel: teat 4, 1 px left"][:2] == ("6.1", "9 mm")
 
 
 def test_offsets_of_one_s_own_have_no_thesis_beside_them(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from bench.record.reader import RunRecord, TrialRecord
 from bench.report.tables import attribution_parts
 from bench.results.attribution import Attributed, Cause, What, attributed, counted
 from bench.scoring.scene import SceneScore, score_scene
-from reports.parts import Notes, Table
+from reports.page import Notes, Table
 
 ENDS = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [0.0, 60.0, 0.0], [60.0, 60.0, 0.0]])
 

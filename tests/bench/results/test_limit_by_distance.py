@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from bench.record.reader import RunRecord
-from bench.report.calibration_parts import limit_table, record_parts
+from bench.report.accuracy import limit_table
+from bench.report.provenance import record_parts
 from bench.rig.loading import RIGS
 from bench.script.calibration_age import CALIBRATION_FACT, calibration_fact
 from detector.calibration import Calibration, ParameterCovariance, Record, load_calibration

@@ -19,7 +19,7 @@ from bench.results.latency import latency_of
 from bench.results.verdicts import judge, run_verdict
 from bench.scoring.decisions import Decision, Verdict
 from bench.script.model import RECORDING_RULES, Rules, SuccessRequirement, TimeRequirement
-from reports.parts import Paragraph
+from reports.page import Paragraph
 from tests.bench.results.test_error_rows import ENDS, record, trial
 
 MET, NOT_MET, OPEN, NOTHING = (

@@ -25,7 +25,7 @@ from bench.script.planned_trials import PlannedTrial
 from bench.truth.registration_file import load_registration, write_registration
 from bench.truth.touching import NoTruthError
 from instruments.clock import VirtualClock
-from reports.parts import Notes
+from reports.page import Notes
 from tests.bench.run.test_attempts import PLANNED, attempts
 from tests.bench.truth.touches import registered, stage_of
 from tests.bench.truth.truth_runs import CARRY, done, rig_in, script_in
