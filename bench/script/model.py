@@ -1,9 +1,7 @@
-"""A script's `[truth]`: how the truth of its trials is had, fixed before the run. May not open
-anything.
+"""The trial script: what is to be shown, how it is decided, how the truth of its trials is had, and
+the trials that show it.
 
-The trial script: what is to be shown, how it is decided, and the trials that show it.
-
-A script is fixed before the run and copied into it. Reading it may not open an instrument.
+A script is fixed before the run and copied into it. Reading it opens no instrument.
 """
 
 from __future__ import annotations

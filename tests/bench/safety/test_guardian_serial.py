@@ -28,24 +28,18 @@ from instruments.bath.relay_emulator import RelayEmulator
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
-from tests.bench.real_rig import real_rig, record_one
+from tests.bench.real_rig import real_rig
 from tests.conftest import ROOT
 
 if sys.platform == "win32":
     pytest.skip("needs pseudo-terminals and POSIX signals", allow_module_level=True)
 
-from tests.bench.marked_bench import MARK, MarkedBench, marked_bench, serve
+from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 
 STANDBY_S, HANG_S = 3.0, 10.0  # what docs/safety.md promises; standby takes milliseconds
 RTU_FAMILY = "eurotherm-2400"
 # of the pump; how much later than it happens a busy machine may show us something
 OVERRUN_S, SEEN_LATE_S = 5.0, 4.0
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    serve()
-    return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 
 def to_settling(running: MarkedBench) -> None:

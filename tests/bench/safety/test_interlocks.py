@@ -313,19 +313,6 @@ def test_a_bath_that_the_bench_has_not_started_may_stand_and_have_any_set_point(
         assert interlocks.add(reading) is None
 
 
-def test_silence_is_another_trip_than_an_answer_without_a_temperature() -> None:
-    interlocks = Interlocks(Limits(), PRESTO)
-    nothing = OSError("no answer")
-    assert interlocks.silent(4.9, nothing, answered=False) is None
-    silent, dumb = (
-        interlocks.silent(5.0, nothing, answered=answered) for answered in (False, True)
-    )
-    assert silent is not None
-    assert dumb is not None
-    assert (silent.rule, dumb.rule) == ("communications lost", "implausible reading")
-    assert "may still heat" in str(silent)
-
-
 def test_a_trip_has_the_readings_that_led_to_it() -> None:
     trip = first_trip(lambda t: replace(CALM, temp_c=37.5 if t == 90 else 33.0 + wobbling(t)))
     assert trip is not None
