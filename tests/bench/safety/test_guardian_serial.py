@@ -187,16 +187,8 @@ def hot(tmp_path: Path) -> Iterator[Hot]:
     ]
     plant.pump = "on"
     plant.run(33.0)
-    arguments = [
-        "--url",
-        urls[0],
-        "--profile",
-        RTU_FAMILY,
-        "--pump-url",
-        urls[1],
-        "--pump-profile",
-        "modbus-relay",
-    ]
+    arguments = [f"--url={urls[0]}", f"--profile={RTU_FAMILY}"]
+    arguments += [f"--pump-url={urls[1]}", "--pump-profile=modbus-relay"]
     try:
         yield Hot(plant, relay, arguments, tmp_path / "guardian.json")
     finally:
@@ -238,23 +230,10 @@ def test_a_relay_that_is_dead_keeps_nobody_from_standby(hot: Hot) -> None:
 
 
 def test_a_bench_that_has_made_safe_itself_leaves_the_pump_to_nobody(hot: Hot) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "bench.safety.guardian",
-        *hot.arguments,
-        "--record",
-        str(hot.record),
-        "--bench",
-        "1",
-    ]
+    more = [f"--record={hot.record}", "--bench=1"]
+    command = [sys.executable, "-m", "bench.safety.guardian", *hot.arguments, *more]
     done = subprocess.run(
-        command,
-        cwd=ROOT,
-        input=f"{DONE}\n".encode(),
-        stdout=subprocess.PIPE,
-        timeout=60,
-        check=False,
+        command, cwd=ROOT, input=f"{DONE}\n".encode(), stdout=subprocess.PIPE, timeout=60
     )
     assert done.returncode == 0
     assert (hot.plant.running, hot.plant.pump) == (True, "on")
