@@ -20,7 +20,7 @@ it was changed by hand. A file of another arm is refused too.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime
 from itertools import combinations
 from math import sqrt
@@ -318,20 +318,14 @@ def as_dict(verification: Verification) -> dict[str, Any]:
     return {
         "made": verification.made.isoformat(),
         "serial_number": verification.serial_number,
-        "locations": [
-            {"where": t.where, "tips_mm": t.tips_mm.tolist(), "axes": t.axes.tolist()}
-            for t in verification.locations
-        ],
-        "lengths": [
-            {
-                "where": t.where,
-                "a_mm": t.a_mm.tolist(),
-                "b_mm": t.b_mm.tolist(),
-                "calibrated_mm": t.calibrated_mm,
-            }
-            for t in verification.lengths
-        ],
+        "locations": [_touched(test) for test in verification.locations],
+        "lengths": [_touched(test) for test in verification.lengths],
     }
+
+
+def _touched(test: LocationTest | LengthTest) -> dict[str, Any]:
+    values = {field.name: getattr(test, field.name) for field in fields(test)}
+    return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}
 
 
 def from_dict(table: Mapping[str, Any]) -> Verification:
@@ -354,12 +348,8 @@ def broken_by(test: LocationTest, limit_mm: float) -> list[str]:
     """What speaks against the arm at one divot."""
     if test.largest_mm <= limit_mm:
         return []
-    return [
-        (
-            f"{test.where}: readings of one point lie up to {test.largest_mm:.2f} mm from"
-            f" their mean, limit {limit_mm:g} mm"
-        )
-    ]
+    said = f"{test.where}: readings of one point lie up to {test.largest_mm:.2f} mm from their mean"
+    return [f"{said}, limit {limit_mm:g} mm"]
 
 
 def gaps_of(test: LocationTest, least: int) -> list[str]:
@@ -558,15 +548,9 @@ def load_verification(path: Path, *, serial_number: str | None = None) -> Verifi
     ]
     if uneven:
         raise located(path, read_text(path), uneven)
-    found = Verification(
-        file.made,
-        file.serial_number,
-        tuple(LocationTest(t.where, np.array(t.tips_mm), np.array(t.axes)) for t in file.location),
-        tuple(
-            LengthTest(t.where, np.array(t.a_mm), np.array(t.b_mm), t.calibrated_mm)
-            for t in file.length
-        ),
-    )
+    said = file.model_dump()
+    lists = {"locations": said["location"], "lengths": said["length"]}
+    found = from_dict({**said, **lists, "made": file.made.isoformat()})
     limits = Limits(file.limits.location_mm, file.limits.length_mm)
     _refuse_changed(path, file, _verification_table(found, limits))
     return found

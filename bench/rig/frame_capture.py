@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import cv2
@@ -218,84 +219,58 @@ class FrameChecks:
         self, part: str, camera: str, image: NDArray[Any], last: NDArray[Any] | None
     ) -> Iterator[FrameProblem]:
         """The first that is wrong with one picture: a black one is not called frozen too."""
-        looks = (
-            self._black(part, image),
-            self._saturated(part, image),
-            self._frozen(image, last),
-            self._half(image, last),
-        )
-        for fault, said in (*looks, self._out_of_focus(part, image)):
-            if said:
-                yield FrameProblem(fault, camera, said)
-                return
-
-    def _black(self, part: str, image: NDArray[Any]) -> tuple[FrameFault, str]:
+        checks = self._checks
         if part == RADIOMETRIC:
-            return FrameFault.BLACK, "every count is zero" if not image.any() else ""
-        limit = THERMAL_BLACK_DN if part == "thermal" else self._checks.black_dn
-        level = level_dn(image, NEARLY_ALL)
-        return FrameFault.BLACK, (
-            f"99.5 % of it is no brighter than {level}, limit {limit}" if level <= limit else ""
-        )
+            black = "" if image.any() else "every count is zero"
+            white = float(np.mean(image == np.iinfo(image.dtype).max))
+        else:
+            dark, level = checks.black_dn, level_dn(image, NEARLY_ALL)
+            dark = THERMAL_BLACK_DN if part == "thermal" else dark
+            said = f"99.5 % of it is no brighter than {level}, limit {dark}"
+            black, white = said if level <= dark else "", saturated_share(image)
+        full = checks.saturated_share if part in ("left", "right") else THERMAL_FULL
+        same = checks.frozen and last is not None and np.array_equal(image, last)
+        share = missing_rows(image, last if checks.frozen else None)
+        found = {
+            FrameFault.BLACK: black,
+            FrameFault.SATURATED: (
+                f"{100 * white:.0f} % of it is white, limit {100 * full:.0f} %"
+                if white > full
+                else ""
+            ),
+            FrameFault.FROZEN: "identical to the last frame, noise and all" if same else "",
+            FrameFault.HALF: (
+                f"{100 * share:.0f} % of its rows at an edge are empty or the last frame's"
+                if share > checks.missing_rows_share
+                else ""
+            ),
+            FrameFault.OUT_OF_FOCUS: self._out_of_focus(part, image),
+        }
+        problems = (FrameProblem(fault, camera, said) for fault, said in found.items() if said)
+        yield from islice(problems, 1)
 
-    def _saturated(self, part: str, image: NDArray[Any]) -> tuple[FrameFault, str]:
-        limit = self._checks.saturated_share if part in ("left", "right") else THERMAL_FULL
-        share = (
-            float(np.mean(image == np.iinfo(image.dtype).max))
-            if part == RADIOMETRIC
-            else saturated_share(image)
-        )
-        return FrameFault.SATURATED, (
-            f"{100 * share:.0f} % of it is white, limit {100 * limit:.0f} %"
-            if share > limit
-            else ""
-        )
-
-    def _frozen(self, image: NDArray[Any], last: NDArray[Any] | None) -> tuple[FrameFault, str]:
-        same = self._checks.frozen and last is not None and np.array_equal(image, last)
-        return FrameFault.FROZEN, "identical to the last frame, noise and all" if same else ""
-
-    def _half(self, image: NDArray[Any], last: NDArray[Any] | None) -> tuple[FrameFault, str]:
-        share = missing_rows(image, last if self._checks.frozen else None)
-        many = share > self._checks.missing_rows_share
-        return FrameFault.HALF, (
-            f"{100 * share:.0f} % of its rows at an edge are empty or the last frame's"
-            if many
-            else ""
-        )
-
-    def _out_of_focus(self, part: str, image: NDArray[Any]) -> tuple[FrameFault, str]:
+    def _out_of_focus(self, part: str, image: NDArray[Any]) -> str:
+        times = self._checks.focus_times
         reference_px = None if part == RADIOMETRIC else getattr(self._checks.focus_px, part)
         if reference_px is None:
-            return FrameFault.OUT_OF_FOCUS, ""
-        blur_px = edge_blur_px(image)
+            return ""
+        blur_px, limit_px = edge_blur_px(image), times * reference_px
         if blur_px is None:
-            return FrameFault.OUT_OF_FOCUS, "it has no edge that could be measured"
-        limit_px = self._checks.focus_times * reference_px
-        said = (
-            f"its edges are blurred by {blur_px:.1f} px, limit {limit_px:.1f} px"
-            f" ({self._checks.focus_times:g} times the reference)"
-        )
-        return FrameFault.OUT_OF_FOCUS, said if blur_px > limit_px else ""
+            return "it has no edge that could be measured"
+        said = f"its edges are blurred by {blur_px:.1f} px, limit {limit_px:.1f} px"
+        return f"{said} ({times:g} times the reference)" if blur_px > limit_px else ""
 
     def _thermal_flat(self, frames: FrameSet) -> Iterator[FrameProblem]:
-        if not self._flat:
-            return
+        within = ""
         if frames.thermal_ck is not None:
             span_k = spread(frames.thermal_ck) / 100.0
             if span_k < self._checks.flat_k:
-                yield FrameProblem(
-                    FrameFault.FLAT_FIELD,
-                    "thermal",
-                    f"all of it within {span_k:.2f} K, though something warm is there: its"
-                    " shutter?",
-                )
+                within = f"{span_k:.2f} K, though something warm is there"
         elif frames.thermal is not None and spread(frames.thermal) < self._checks.flat_dn:
-            yield FrameProblem(
-                FrameFault.FLAT_FIELD,
-                "thermal",
-                f"all of it within {spread(frames.thermal):.0f} grey levels: its shutter?",
-            )
+            within = f"{spread(frames.thermal):.0f} grey levels"
+        if within and self._flat:
+            said = f"all of it within {within}: its shutter?"
+            yield FrameProblem(FrameFault.FLAT_FIELD, "thermal", said)
 
     def _swapped(self, frames: FrameSet) -> Iterator[FrameProblem]:
         if self._calibration is None:

@@ -123,7 +123,6 @@ class Stage(Section):
 
 Share = Annotated[float, Field(gt=0, le=1)]
 Setting = Literal["resolution", "pixel_format", "exposure", "gain", "fps"]
-ALL_AT_ONCE = ("emulator:", "recording:", "opencv:")
 GENICAM_ONLY = ("features", "trigger", "trigger_source")
 
 

@@ -108,36 +108,25 @@ def record(
         writer.add_calibration(read_text(rig.calibration_path))
         for name in families:
             for one in seeds:
-                frame = f"{name}-{one:04d}"
-                _add(
-                    writer,
-                    frame,
-                    renderer,
-                    warm(situation(name, one)),
-                    name,
-                    np.random.default_rng([seed, one, *name.encode()]),
+                frame, state = f"{name}-{one:04d}", warm(situation(name, one))
+                rng = np.random.default_rng([seed, one, *name.encode()])
+                writer.add(frame, _taken(renderer, state, rng))
+                ends = zip(
+                    state.phantom.ends_mm.tolist(), renderer.visible_ends(state), strict=True
                 )
+                rows = [
+                    TruthRow(name, str(i), (x, y, z), bool(seen.all()), 0.0)
+                    for i, ((x, y, z), seen) in enumerate(ends, 1)
+                ]
+                writer.add_truth(frame, rows)
                 yield frame
     except OSError as error:
         raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
 
 
-def _add(
-    writer: RecordingWriter,
-    frame: str,
-    renderer: Renderer,
-    state: SceneState,
-    name: str,
-    rng: np.random.Generator,
-) -> None:
+def _taken(renderer: Renderer, state: SceneState, rng: np.random.Generator) -> FrameSet:
     taken = renderer.render(state, rng)
-    visible = [bool(row.all()) for row in renderer.visible_ends(state)]
-    writer.add(frame, FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck))
-    rows = [
-        TruthRow(name, str(i + 1), (float(end[0]), float(end[1]), float(end[2])), seen, 0.0)
-        for i, (end, seen) in enumerate(zip(state.phantom.ends_mm, visible, strict=True))
-    ]
-    writer.add_truth(frame, rows)
+    return FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
 
 
 def record_boards(
@@ -173,11 +162,8 @@ def record_boards(
                 ambient_c,
                 boards=(replace(one, light=ambient_c, dark=ambient_c + warmer_k),),
             )
-            taken = renderer.render(state, np.random.default_rng([seed, number, *b"boards"]))
-            writer.add(
-                f"pose-{number:02d}",
-                FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck),
-            )
+            rng = np.random.default_rng([seed, number, *b"boards"])
+            writer.add(f"pose-{number:02d}", _taken(renderer, state, rng))
             yield f"pose-{number:02d}"
     except ValueError as error:
         raise (

@@ -1,8 +1,5 @@
 """How old a rig's calibration is and whose cameras it is of: refused before a run, and judged after
-it.
-
-An emulated rig's cameras are made from its calibration, which can't be too old or of others. May
-not open anything.
+it. An emulated rig's cameras are made from its calibration, which can't be too old or of others.
 """
 
 from __future__ import annotations
@@ -72,21 +69,15 @@ def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> 
 def calibration_fact(calibration: Calibration, today: date, *, emulated: bool) -> dict[str, Any]:
     """What a run keeps of its calibration's record. ``age_days`` is None where nobody knows it."""
     record = calibration.record
-    known: dict[str, Any] = {
-        "made": None,
-        "by": None,
-        "with_what": None,
-        "cameras": {},
-        "age_days": None,
-    }
+    known: dict[str, Any] = dict.fromkeys(("made", "by", "with_what", "cameras", "age_days"))
+    known["cameras"] = {}
     if record is not None:
-        age = _age_days(record.made, today)
         known = {
             "made": record.made,
             "by": record.by,
             "with_what": record.with_what,
             "cameras": dict(record.cameras),
-            "age_days": age,
+            "age_days": _age_days(record.made, today),
         }
     return {**known, "emulated": emulated, "states_uncertainty": calibration.covariance is not None}
 
@@ -97,15 +88,13 @@ def decide_calibration(rule: CalibrationRequirement, facts: Mapping[str, Any]) -
     """
     fact = facts.get(CALIBRATION_FACT)
     said = f"calibration at most {rule.max_age_days:g} days old on the day of the run"
-    if fact is None or (fact["age_days"] is None and not fact["emulated"]):
+    if fact is not None and fact["emulated"]:
+        said = f"{said} (emulated cameras are made from it)"
+        return decide_condition(rule.name, said, held=1, of=1)
+    if fact is None or fact["age_days"] is None:
         return decide_condition(rule.name, said, held=0, of=0)
-    if fact["emulated"]:
-        return decide_condition(
-            rule.name, f"{said} (emulated cameras are made from it)", held=1, of=1
-        )
-    return decide_condition(
-        rule.name, said, held=int(-1 <= fact["age_days"] <= rule.max_age_days), of=1
-    )
+    fresh = -1 <= fact["age_days"] <= rule.max_age_days
+    return decide_condition(rule.name, said, held=int(fresh), of=1)
 
 
 def _age_days(made: str, today: date) -> int:

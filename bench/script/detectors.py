@@ -147,7 +147,11 @@ def _called(command: Sequence[str]) -> str:
     module = next(
         (part.rpartition(".")[2] for before, part in pairwise(command) if before == "-m"), None
     )
-    return re.sub(r"[^A-Za-z0-9_-]", "-", file or module or Path(command[0]).stem)
+    return _plain(file or module or Path(command[0]).stem)
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]", "-", name)
 
 
 def taken_apart(text: str, *, windows: bool) -> list[str]:
@@ -169,20 +173,19 @@ def _of_file(path: Path) -> Detector:
     given = read_config(path, DetectorFile)
     folder = path.resolve().parent
     _find_program(given.command[0], folder)
-    name = given.name or re.sub(r"[^A-Za-z0-9_-]", "-", path.stem)
+    name = given.name or _plain(path.stem)
     if name in registry.available():
         raise ConfigError.plain(
             f'{path}: "{name}" is the name of a detector that ships. Give yours another: name ='
             ' "…".'
         )
-    version = given.version or None
     return ExternalDetector(
         name,
         given.command,
         stopwatch_s,
         folder=folder,
         limits=given.limits,
-        version=version,
+        version=given.version or None,
         environment=given.environment,
     )
 

@@ -1,9 +1,7 @@
-"""A script's `[truth]`: how the truth of its trials is had, fixed before the run. May not open
-anything.
+"""The trial script: what is to be shown, how it is decided, how the truth of its trials is had, and
+the trials that show it.
 
-The trial script: what is to be shown, how it is decided, and the trials that show it.
-
-A script is fixed before the run and copied into it. Reading it may not open an instrument.
+A script is fixed before the run and copied into it. Reading it opens no instrument.
 """
 
 from __future__ import annotations
@@ -119,28 +117,33 @@ class BathGate(Section):
         return mean_k
 
 
-class ErrorRequirement(Section):
-    kind: Literal["error"]
+class _Named(Section):
     name: str
-    limit_mm: Positive
-    statistic: Literal["max"] = "max"
-    rate: Rate = 0.95
-    confidence: Rate = 0.95
     source: str = ""
 
 
-class TimeRequirement(Section):
+class _Stated(_Named):
+    """One that is decided with a confidence."""
+
+    confidence: Rate = 0.95
+
+
+class ErrorRequirement(_Stated):
+    kind: Literal["error"]
+    limit_mm: Positive
+    statistic: Literal["max"] = "max"
+    rate: Rate = 0.95
+
+
+class TimeRequirement(_Stated):
     """Decided on what was timed; with a rate only where so many poses show it for that share, with
     the confidence.
     """
 
     kind: Literal["time"]
-    name: str
     limit_s: Positive
     statistic: Literal["p95", "max"]
     rate: Rate | None = None
-    confidence: Rate = 0.95
-    source: str = ""
 
     @field_validator("rate")
     @classmethod
@@ -152,35 +155,26 @@ class TimeRequirement(Section):
         return rate
 
 
-class SuccessRequirement(Section):
+class SuccessRequirement(_Stated):
     kind: Literal["success"]
-    name: str
     rate: Rate
-    confidence: Rate = 0.95
-    source: str = ""
 
 
-class FalseRequirement(Section):
+class FalseRequirement(_Stated):
     kind: Literal["false_teats"]
-    name: str
-    confidence: Rate = 0.95
-    source: str = ""
 
 
-class BathRequirement(Section):
+class BathRequirement(_Named):
     kind: Literal["bath_in_band"]
-    name: str
     band_k: Positive
-    source: str = ""
 
 
-class ArmRequirement(Section):
+class ArmRequirement(_Named):
     """The arm checked before and after the trials, and verified on a day not long ago
     (docs/arm.md). Limits in mm.
     """
 
     kind: Literal["arm_verified"]
-    name: str
     location_limit_mm: Positive
     shift_limit_mm: Positive
     drift_limit_mm: Positive
@@ -188,16 +182,13 @@ class ArmRequirement(Section):
     max_age_days: Positive
     least_touches: Annotated[int, Field(ge=2, le=100)] = 5
     dated_required: bool = False
-    source: str = ""
 
 
-class CalibrationRequirement(Section):
+class CalibrationRequirement(_Named):
     """The calibration was made not long before the run (docs/calibration.md)."""
 
     kind: Literal["calibration_fresh"]
-    name: str
     max_age_days: Positive
-    source: str = ""
 
 
 class CalibrationTable(Section):

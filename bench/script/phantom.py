@@ -2,8 +2,7 @@
 drawn within an envelope by a seed.
 
 A file either lists its teats or declares an envelope. What is drawn is checked as what is written:
-no two teats may share room. May not know of trials, rigs or cameras. Spacings of an envelope are
-between the axes where they leave the plate.
+no two teats may share room. Spacings of an envelope are between the axes where they leave it.
 """
 
 from __future__ import annotations

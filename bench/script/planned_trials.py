@@ -108,9 +108,9 @@ def shared(pose: PlatePose, axes: Collection[str]) -> tuple[PlatePose, PlatePose
     they are the pose.
     """
     parts = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "yaw_rad"}
-    by_stage = {part: getattr(pose, part) for axis, part in parts.items() if axis in axes}
-    by_hand = {part: getattr(pose, part) for axis, part in parts.items() if axis not in axes}
-    return PlatePose(**by_stage), PlatePose(**by_hand)
+    by_hand = {part: 0.0 for axis, part in parts.items() if axis in axes}
+    by_stage = {part: 0.0 for axis, part in parts.items() if axis not in axes}
+    return replace(pose, **by_stage), replace(pose, **by_hand)
 
 
 def plan(
@@ -137,7 +137,9 @@ def _expanded(
     trial: Trial, layout: Layout | None, repeats: int, seed: int
 ) -> Iterator[PlannedTrial]:
     poses, visited = _poses(trial, seed)
-    names = _names(trial.name, len(poses))
+    names, digits = [trial.name], len(str(len(poses)))
+    if len(poses) > 1:
+        names = [f"{trial.name}-{number:0{digits}d}" for number, _ in enumerate(poses, 1)]
     phantoms, scenes = _udders(trial, layout, len(poses), [seed, *trial.name.encode()])
     sides: tuple[Side | None, ...] = trial.approach or (None,)
     for cycle in range(trial.cycles):
@@ -185,15 +187,6 @@ def _poses(trial: Trial, seed: int) -> tuple[list[PlatePose], Sequence[int]]:
     return poses, range(len(poses))
 
 
-def _names(name: str, count: int) -> list[str]:
-    """``name`` itself for one pose, else numbered from 1."""
-    return (
-        [name]
-        if count == 1
-        else [f"{name}-{index:0{len(str(count))}d}" for index in range(1, count + 1)]
-    )
-
-
 def told(pose: PlatePose) -> str:
     """``x +10 mm, y -5 mm``, with z and yaw where they aren't zero."""
     parts = [f"x {pose.x_mm:+g} mm", f"y {pose.y_mm:+g} mm"]
@@ -236,17 +229,9 @@ def pose_set(
     the order of `POSE_KEYS`.
     """
     rows = [
-        [
-            one.id,
-            one.name,
-            one.repeat,
-            one.pose.x_mm,
-            one.pose.y_mm,
-            one.pose.z_mm,
-            one.yaw_deg,
-            one.side,
-        ]
+        [one.id, one.name, one.repeat, p.x_mm, p.y_mm, p.z_mm, one.yaw_deg, one.side]
         for one in planned
+        for p in [one.pose]
     ]
     return {
         "chosen": [chosen(trial) for trial in trials],
@@ -285,9 +270,7 @@ def chosen(trial: Trial) -> str:
         )
         more = [f"family {trial.family}, {which}"]
     more += [f"{trial.cycles} cycles"] if trial.cycles > 1 else []
-    more += (
-        [f"each reached from {', '.join(trial.approach)} ({trial.approach_mm:g} mm away)"]
-        if trial.approach
-        else []
-    )
+    if trial.approach:
+        sides = ", ".join(trial.approach)
+        more.append(f"each reached from {sides} ({trial.approach_mm:g} mm away)")
     return f"{trial.name}: {'; '.join([how, *more])}."

@@ -12,7 +12,7 @@ import pytest
 from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.loading import LoadedRig, load_rig
+from bench.rig.loading import load_rig
 from bench.rig.opening import open_instruments
 from instruments.bath.driver import Bath
 from instruments.bath.profile import profile_names
@@ -31,10 +31,6 @@ def rig_of(folder: Path, profile: str, more: str = "", *, relay: bool = False) -
     return path
 
 
-def loaded(folder: Path, profile: str) -> LoadedRig:
-    return load_rig(rig_of(folder, profile))
-
-
 @pytest.mark.parametrize("profile", profile_names())
 def test_check_works_with_every_profile(
     tmp_path: Path, profile: str, capsys: pytest.CaptureFixture[str]
@@ -47,14 +43,6 @@ def test_check_works_with_every_profile(
 
 
 @pytest.mark.parametrize("profile", profile_names())
-def test_the_url_says_how_the_emulator_is_spoken_to(tmp_path: Path, profile: str) -> None:
-    rig = loaded(tmp_path, profile)
-    with EmulatedRig(rig, VirtualClock(), seed=1) as twin:
-        scheme = "tcp://127.0.0.1:" if "tcp" in rig.profile.transports else "rtu+tcp://127.0.0.1:"
-        assert twin.urls["bath"].startswith(scheme)
-
-
-@pytest.mark.parametrize("profile", profile_names())
 def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
     clock = VirtualClock()
     rig = load_rig(rig_of(tmp_path, profile, relay="julabo" not in profile))
@@ -63,6 +51,8 @@ def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
         open_instruments(rig, ("bath",), clock, twin=twin) as devices,
     ):
         bath = devices.bath
+        scheme = "tcp://127.0.0.1:" if "tcp" in rig.profile.transports else "rtu+tcp://127.0.0.1:"
+        assert twin.urls["bath"].startswith(scheme)
         start_bath(bath, 33.0, clock.sleep)
         clock.sleep(60.0)
         assert bath.read().power_percent == 100.0
@@ -79,7 +69,7 @@ def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
 
 def test_a_serial_bath_may_be_on_a_pseudo_terminal(tmp_path: Path) -> None:
     pytest.importorskip("termios", reason="needs pseudo-terminals: Linux and macOS have them")
-    clock, rig = RealClock(), loaded(tmp_path, "eurotherm-3200")
+    clock, rig = RealClock(), load_rig(rig_of(tmp_path, "eurotherm-3200"))
     with (
         EmulatedRig(rig, clock, seed=1, pty=True) as twin,
         closing(Bath(twin.urls["bath"], rig.profile, clock)) as bath,

@@ -126,6 +126,7 @@ def test_faults_of_the_stage_and_the_bath(tmp_path: Path) -> None:
             '"camera" is for faults of the cameras',
         ),
         ('instrument = "arm", name = "silent", at = 1.0', 'unknown key; did you mean "at_s"'),
+        ('instrument = "stage", name = "silent", amount = 1.0', '"silent" has no amount; one have'),
     ],
 )
 def test_a_fault_that_cannot_be_is_shown_in_its_place(

@@ -14,25 +14,20 @@ import pytest
 
 from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.loading import LoadedRig, load_rig
 from bench.rig.opening import open_instruments
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 from instruments.stage.driver import Stage
 from instruments.world.phantom import PlatePose
+from tests.bench.test_config import rig_with as emulated_rig
 
 
 def rig_with(folder: Path, stage: str = "", emulation: str = "") -> LoadedRig:
     """The emulated rig with more said of its stage and its emulation."""
-    shipped = find_rig(None)
-    text = shipped.read_text(encoding="utf-8").replace(
-        '[stage]\nurl = "emulator:"\n', f'[stage]\nurl = "emulator:"\n{stage}\n'
-    )
-    (folder / "calibration.toml").write_text(
-        (shipped.parent / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
-    path = folder / "rig.toml"
-    path.write_text(f"{text}\n{emulation}\n", encoding="utf-8")
+    table = '[stage]\nurl = "emulator:"\n'
+    path = emulated_rig(folder, {table: f"{table}{stage}\n"})
+    path.write_text(f"{path.read_text(encoding='utf-8')}\n{emulation}\n", encoding="utf-8")
     return load_rig(path)
 
 
@@ -104,6 +99,23 @@ def test_a_lost_step_of_a_rig_file_is_seen_by_nobody_but_the_world(tmp_path: Pat
         assert np.allclose(twin.world.ends_mm() - before, [1.5, 0.0, 0.0], atol=1e-9)
 
 
+def test_the_world_moves_as_fast_as_the_stage(tmp_path: Path) -> None:
+    """A picture taken meanwhile is smeared: the cameras see what the stage carries move."""
+    with homed(rig_with(tmp_path)) as (twin, stage):
+        stage.move_to(-150.0, -137.5)
+        clock, world = twin.world.clock, twin.world
+        assert world.scene().velocity_mm_s == (0.0, 0.0, 0.0)
+        seen: list[tuple[float, float, float]] = []
+        for later_s in np.arange(0.05, 2.0, 0.1):
+            clock.call_at(
+                clock.now() + float(later_s), lambda: seen.append(world.scene().velocity_mm_s)
+            )
+        stage.move_to(-140.0, -137.5, feed_mm_min=600.0)
+        assert max(velocity[0] for velocity in seen) == pytest.approx(10.0, rel=0.01)
+        assert all(velocity[1:] == (0.0, 0.0) for velocity in seen)
+        assert world.scene().velocity_mm_s == (0.0, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(
     ("name", "amount", "error", "sentence"),
     [
@@ -129,18 +141,6 @@ def test_faults_of_a_rig_file_reach_the_driver(
         twin.world.clock.sleep(60.0)
         with pytest.raises(error, match=sentence):
             stage.move_to(-10.0, -270.0)
-
-
-def test_an_amount_that_means_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        ConfigError,
-        match=r'"silent" has no amount; one have "lost step" \(mm lost\), "late ok" \(s late\)',
-    ):
-        rig_with(
-            tmp_path,
-            "",
-            '[emulation]\nfaults = [{ instrument = "stage", name = "silent", amount = 1.0 }]',
-        )
 
 
 def test_a_rotation_with_the_classic_firmware_is_refused_in_its_place(tmp_path: Path) -> None:

@@ -19,13 +19,9 @@ from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Checks, FocusTable
 from detector.calibration import Calibration
 from instruments.camera.emulator import (
-    AMOUNTS,
     FAULTS,
     KEPT_BACK,
     EmulatedCameras,
-    check_amount,
-    check_camera,
-    named,
 )
 from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.recording import Recording
@@ -197,16 +193,3 @@ def test_looks_can_be_left_out() -> None:
     for fault in (FrameFault.FROZEN, FrameFault.SWAPPED, FrameFault.OUT_OF_FOCUS):
         cameras.faults.inject(fault, times=1)
         assert looks.notice(cameras.capture()) == []
-
-
-def test_amounts_and_cameras_of_faults() -> None:
-    for fault in FAULTS:
-        check_amount(fault, None)
-        if fault in AMOUNTS:
-            check_amount(fault, 1.0)
-    with pytest.raises(ValueError, match='"frozen" has none'):
-        check_amount(FrameFault.FROZEN, 1.0)
-    with pytest.raises(ValueError, match="only the thermal camera"):
-        check_camera(FrameFault.FLAT_FIELD, "left")
-    with pytest.raises(ValueError, match='no fault "frost"'):
-        named("frost")

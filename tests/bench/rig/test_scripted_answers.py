@@ -9,11 +9,12 @@ from pathlib import Path
 import pytest
 
 from bench.config import ConfigError
-from bench.rig.loading import RIGS, load_rig
+from bench.rig.loading import load_rig
 from bench.rig.scripted_answers import load_answers
 from instruments.errors import ProtocolError
 from instruments.operators.operator import OperatorSkip
 from instruments.operators.prompted import PromptedOperator
+from tests.bench.test_config import rig_with as emulated_rig
 
 TOML = """
 [otherwise]
@@ -106,13 +107,8 @@ def test_a_wrong_file_is_told_with_its_place(
 
 
 def rig_with(url: str, folder: Path) -> Path:
-    (folder / "calibration.toml").write_text(
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
-    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
-    head, tail = text.split('[operator]\nurl = "emulator:"')
-    (folder / "rig.toml").write_text(f'{head}[operator]\nurl = "{url}"{tail}', encoding="utf-8")
-    return folder / "rig.toml"
+    table = '[operator]\nurl = "{}"'
+    return emulated_rig(folder, {table.format("emulator:"): table.format(url)})
 
 
 def test_a_rig_with_emulated_instruments_takes_each_operator(tmp_path: Path) -> None:

@@ -22,12 +22,12 @@ import pytest
 from bench.cli.main import main
 from bench.record.reader import read_run
 from instruments.clock import wall_time
-from tests.bench.real_rig import Bench, RealRig, bench, real_rig, record_one, touch_as_asked
+from tests.bench.real_rig import Bench, RealRig, bench, real_rig, touch_as_asked
 
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
 
-from tests.bench.marked_bench import MARK, marked_bench, serve
+from tests.bench.marked_bench import MARK, marked_bench
 
 STANDBY_S = 3.0  # as docs/safety.md says; it takes milliseconds
 HANG_S = 10.0
@@ -38,12 +38,6 @@ def heating(rig: RealRig, running: Bench) -> None:
     running.wait_for("on its peg")
     running.answer()
     running.wait_until(lambda: rig.twin.world.plant.running, "heated")
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    serve()
-    return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 
 def standby_after(rig: RealRig, within_s: float) -> float:

@@ -25,12 +25,12 @@ from bench.report.wording import headline
 from instruments.bath.driver import Bath
 from instruments.bath.profile import load_profile
 from instruments.clock import RealClock, wall_time
-from tests.bench.real_rig import RealRig, real_rig, record_one
+from tests.bench.real_rig import RealRig, real_rig
 
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
 
-from tests.bench.marked_bench import MARK, MarkedBench, marked_bench, serve
+from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 
 AT_ONCE = 3  # an arm in real time that waits for a busy processor counts as lost
 STANDBY_S = 3.0  # as docs/safety.md says; it takes milliseconds
@@ -161,12 +161,6 @@ def asked(url: str, profile: str) -> str:
     bath.close()
     clock.close()
     return told
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    serve()
-    return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 
 def all_steps(

@@ -28,24 +28,18 @@ from instruments.bath.relay_emulator import RelayEmulator
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
-from tests.bench.real_rig import real_rig, record_one
+from tests.bench.real_rig import real_rig
 from tests.conftest import ROOT
 
 if sys.platform == "win32":
     pytest.skip("needs pseudo-terminals and POSIX signals", allow_module_level=True)
 
-from tests.bench.marked_bench import MARK, MarkedBench, marked_bench, serve
+from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 
 STANDBY_S, HANG_S = 3.0, 10.0  # what docs/safety.md promises; standby takes milliseconds
 RTU_FAMILY = "eurotherm-2400"
 # of the pump; how much later than it happens a busy machine may show us something
 OVERRUN_S, SEEN_LATE_S = 5.0, 4.0
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    serve()
-    return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 
 def to_settling(running: MarkedBench) -> None:
@@ -193,16 +187,8 @@ def hot(tmp_path: Path) -> Iterator[Hot]:
     ]
     plant.pump = "on"
     plant.run(33.0)
-    arguments = [
-        "--url",
-        urls[0],
-        "--profile",
-        RTU_FAMILY,
-        "--pump-url",
-        urls[1],
-        "--pump-profile",
-        "modbus-relay",
-    ]
+    arguments = [f"--url={urls[0]}", f"--profile={RTU_FAMILY}"]
+    arguments += [f"--pump-url={urls[1]}", "--pump-profile=modbus-relay"]
     try:
         yield Hot(plant, relay, arguments, tmp_path / "guardian.json")
     finally:
@@ -244,23 +230,10 @@ def test_a_relay_that_is_dead_keeps_nobody_from_standby(hot: Hot) -> None:
 
 
 def test_a_bench_that_has_made_safe_itself_leaves_the_pump_to_nobody(hot: Hot) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "bench.safety.guardian",
-        *hot.arguments,
-        "--record",
-        str(hot.record),
-        "--bench",
-        "1",
-    ]
+    more = [f"--record={hot.record}", "--bench=1"]
+    command = [sys.executable, "-m", "bench.safety.guardian", *hot.arguments, *more]
     done = subprocess.run(
-        command,
-        cwd=ROOT,
-        input=f"{DONE}\n".encode(),
-        stdout=subprocess.PIPE,
-        timeout=60,
-        check=False,
+        command, cwd=ROOT, input=f"{DONE}\n".encode(), stdout=subprocess.PIPE, timeout=60
     )
     assert done.returncode == 0
     assert (hot.plant.running, hot.plant.pump) == (True, "on")

@@ -1,9 +1,10 @@
-"""The table of interlocks, row by row: what trips, what doesn't, and what resets; figures typed
-from the fact sheet, section 4.1.
+"""The table of interlocks, row by row: what trips, what doesn't, and what resets; figures typed from
+the fact sheet, section 4.1. docs/safety.md says of the interlocks what the table does.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -13,9 +14,10 @@ from hypothesis import strategies as st
 
 from bench.rig.model import Limits
 from bench.safety.interlocks import RULES, Bath, Interlocks, InterlockTrip, bath_of, rule_named
-from instruments.bath.profile import load_profile
+from instruments.bath.profile import CommsLoss, load_profile
 from instruments.bath.reading import BathReading
 from tests.bench.safety.calm import CALM
+from tests.conftest import ROOT
 
 PRESTO = bath_of(load_profile("julabo-presto"))
 
@@ -313,19 +315,6 @@ def test_a_bath_that_the_bench_has_not_started_may_stand_and_have_any_set_point(
         assert interlocks.add(reading) is None
 
 
-def test_silence_is_another_trip_than_an_answer_without_a_temperature() -> None:
-    interlocks = Interlocks(Limits(), PRESTO)
-    nothing = OSError("no answer")
-    assert interlocks.silent(4.9, nothing, answered=False) is None
-    silent, dumb = (
-        interlocks.silent(5.0, nothing, answered=answered) for answered in (False, True)
-    )
-    assert silent is not None
-    assert dumb is not None
-    assert (silent.rule, dumb.rule) == ("communications lost", "implausible reading")
-    assert "may still heat" in str(silent)
-
-
 def test_a_trip_has_the_readings_that_led_to_it() -> None:
     trip = first_trip(lambda t: replace(CALM, temp_c=37.5 if t == 90 else 33.0 + wobbling(t)))
     assert trip is not None
@@ -375,3 +364,56 @@ def test_a_trip_says_how_long_it_lasted() -> None:
     )
     assert trip is not None
     assert trip.why == "the bath went from 32.00 to 31.88 degC in 120 s at 100 % output"
+
+
+TEXT = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+
+
+def rows(heading: str) -> list[tuple[str, ...]]:
+    """The cells of the first table behind ``heading``."""
+    part = TEXT[TEXT.index(heading) :]
+    table = re.search(r"(?:^\|.*\n)+", part, re.MULTILINE)
+    assert table is not None
+    return [
+        tuple(cell.strip() for cell in line.strip("|").split("|"))
+        for line in table[0].strip().split("\n")[2:]
+    ]
+
+
+def plain(text: str) -> str:
+    return (
+        text.replace("`", "").replace("it", "bath_max_c")
+        if text.endswith("below it")
+        else text.replace("`", "")
+    )
+
+
+def test_the_table_is_the_program_s() -> None:
+    assert [tuple(plain(cell) for cell in row) for row in rows("## Interlocks")] == [
+        (r.name, r.trips, r.resets) for r in RULES
+    ]
+
+
+def test_every_kind_of_lost_communication_is_explained() -> None:
+    from typing import get_args
+
+    assert {row[0].strip("`") for row in rows("## When the computer dies")} == set(
+        get_args(CommsLoss)
+    )
+
+
+def test_it_says_plainly_what_it_is_not() -> None:
+    first = " ".join(TEXT.split()[:40])
+    assert "is no safety device" in first
+    assert "independent over-temperature cut-out" in TEXT
+
+
+def test_the_readme_says_so_too() -> None:
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    assert re.search(r"The bench is no safety (device|function)", readme)
+    assert re.search(r"independent, latching over-temperature cut-out", readme)
+    assert "docs/safety.md" in readme
+
+
+def test_what_has_not_been_tried_on_windows_is_said() -> None:
+    assert "**Windows has not been tried.**" in TEXT

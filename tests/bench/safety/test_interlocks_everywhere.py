@@ -20,12 +20,12 @@ import pytest
 
 from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
-from tests.bench.real_rig import RealRig, real_rig, record_one
+from tests.bench.real_rig import RealRig, real_rig
 
 if sys.platform == "win32":
     pytest.skip("forks benches", allow_module_level=True)
 
-from tests.bench.marked_bench import MARK, MarkedBench, marked_bench, serve
+from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 
 LASTS_S = 4.0  # each step goes on at least so long before anything happens
 # a look a second, seen on a machine that is busy; one that the step stops comes LASTS_S late
@@ -104,12 +104,6 @@ def stands(rig: RealRig) -> bool:
     before = stage.position_mm()
     time.sleep(0.3)
     return bool(np.allclose(before, stage.position_mm()))
-
-
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    serve()
-    return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 
 def test_a_trip_in_any_step_acts_at_once_and_is_latched(

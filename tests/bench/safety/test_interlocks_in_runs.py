@@ -1,10 +1,11 @@
-"""Trips in whole runs: with emulated faults under virtual time, and in real time while the operator
-lets the bench wait.
+"""Trips and stability in whole runs: with emulated faults under virtual time, and in real time while
+the operator lets the bench wait.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
 from pathlib import Path
@@ -13,9 +14,9 @@ import pytest
 
 from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
-from bench.rig.loading import RIGS
-from tests.bench.operated_runs import files, run_of
+from tests.bench.operated_runs import files, run, run_of
 from tests.bench.real_rig import bench, real_rig, record_one
+from tests.bench.test_config import rig_with
 
 FAULT = """
 [[emulation.faults]]
@@ -25,32 +26,24 @@ at_s = {at_s}
 """
 
 
-def run_with_fault(name: str, at_s: float, short_script: Path, folder: Path) -> RunRecord:
-    """A run on the emulated rig whose bath gets a fault; it is still settling when the latest of
-    them comes.
+def run_on(folder: Path, script: str, more: str = "", *, bath: str = "") -> tuple[int, RunRecord]:
+    """The exit code of a run of ``script`` on the emulated rig with ``more`` in its file and another
+    ``bath``, and its record.
     """
-    (folder / "calibration.toml").write_text(
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
-    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
-    (folder / "rig.toml").write_text(text + FAULT.format(name=name, at_s=at_s), encoding="utf-8")
-    script = short_script.read_text(encoding="utf-8").replace(
-        "window_s = 60.0", "window_s = 3000.0"
-    )
+    profile = 'profile = "julabo-presto"'
+    rig = rig_with(folder, {profile: bath or profile})
+    rig.write_text(rig.read_text(encoding="utf-8") + more, encoding="utf-8")
     (folder / "script.toml").write_text(script, encoding="utf-8")
-    code = main(
-        [
-            "run",
-            str(folder / "script.toml"),
-            "--rig",
-            str(folder / "rig.toml"),
-            "--out",
-            str(folder / "runs"),
-        ]
-    )
-    assert code == 3
-    (run,) = (folder / "runs").iterdir()
-    return read_run(run)
+    given = ["run", str(folder / "script.toml"), "--rig", str(rig), "--out", str(folder / "runs")]
+    return run(given, folder)
+
+
+@pytest.fixture
+def long_script(short_script: Path) -> str:
+    """It is still settling when the latest fault comes."""
+    text = short_script.read_text(encoding="utf-8")
+    assert "window_s = 60.0" in text
+    return text.replace("window_s = 60.0", "window_s = 3000.0")
 
 
 @pytest.mark.parametrize(
@@ -72,11 +65,12 @@ def test_each_fault_of_the_bath_trips_its_rule_in_time(
     at_s: float,
     rule: str,
     within_s: float,
-    short_script: Path,
+    long_script: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    run = run_with_fault(fault, at_s, short_script, tmp_path)
+    code, run = run_on(tmp_path, long_script, FAULT.format(name=fault, at_s=at_s))
+    assert code == 3
     trip = run.facts["trip"]
     assert trip["rule"] == rule
     assert at_s <= trip["t_s"] <= at_s + within_s
@@ -113,21 +107,10 @@ at_s = 30.0
     [("stuck heater", "over-temperature"), ("silence", "communications lost")],
 )
 def test_a_run_trips_at_the_limits_of_its_rig_file(
-    fault: str, rule: str, short_script: Path, tmp_path: Path
+    fault: str, rule: str, long_script: str, tmp_path: Path
 ) -> None:
-    calibration, rig = (
-        (RIGS / name).read_text(encoding="utf-8") for name in ("calibration.toml", "emulated.toml")
-    )
-    (tmp_path / "calibration.toml").write_text(calibration, encoding="utf-8")
-    (tmp_path / "rig.toml").write_text(rig + OWN_LIMITS.format(fault=fault), encoding="utf-8")
-    script = short_script.read_text(encoding="utf-8").replace(
-        "window_s = 60.0", "window_s = 3000.0"
-    )
-    (tmp_path / "script.toml").write_text(script, encoding="utf-8")
-    given = [str(tmp_path / name) for name in ("script.toml", "rig.toml", "runs")]
-    assert main(["run", given[0], "--rig", given[1], "--out", given[2]]) == 3
-    run = run_of(tmp_path)
-    assert run.facts["trip"]["rule"] == rule
+    code, run = run_on(tmp_path, long_script, OWN_LIMITS.format(fault=fault))
+    assert (code, run.facts["trip"]["rule"]) == (3, rule)
     before, last = run.bath[:-1], run.bath[-1]
     if rule == "over-temperature":
         seen = run.facts["trip"]["values"][-1]
@@ -199,30 +182,10 @@ def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowl
 def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(
     short_script: Path, tmp_path: Path
 ) -> None:
-    (tmp_path / "calibration.toml").write_text(
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
-    text, before = (RIGS / "emulated.toml").read_text(encoding="utf-8"), 'profile = "julabo-presto"'
-    assert before in text
     relay = 'profile = "eurotherm-2400"\npump_url = "emulator:"\npump_profile = "modbus-relay"'
-    (tmp_path / "rig.toml").write_text(
-        text.replace(before, relay) + FAULT.format(name="dead heater", at_s=300.0), encoding="utf-8"
-    )
-    assert (
-        main(
-            [
-                "run",
-                str(short_script),
-                "--rig",
-                str(tmp_path / "rig.toml"),
-                "--out",
-                str(tmp_path / "runs"),
-            ]
-        )
-        == 3
-    )
-    (folder,) = (tmp_path / "runs").iterdir()
-    run = read_run(folder)
+    fault = FAULT.format(name="dead heater", at_s=300.0)
+    code, run = run_on(tmp_path, short_script.read_text(encoding="utf-8"), fault, bath=relay)
+    assert code == 3
     trip = run.facts["trip"]
     assert trip["rule"] == "loop break"
     assert trip["done"] == ["stage is held", "heater is in standby"]
@@ -231,3 +194,41 @@ def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(
     assert list(at_s) == ["bath is safe", "stage is safe", "arm is safe", ran_on]
     assert run.facts["pump"] == "switched by itself: 10 s before the heater, 60 s after it"
     assert run.events[-1]["t_s"] - trip["t_s"] >= 60.0
+
+
+@pytest.mark.parametrize("at_s", [640.0, 700.0, 800.0])
+def test_a_bath_that_freezes_near_its_set_point_is_never_stable(
+    at_s: float, long_script: str, tmp_path: Path
+) -> None:
+    """Its controller goes on working, and its output moves: that is no evidence of its
+    temperature.
+    """
+    script = long_script.replace("window_s = 3000.0", "window_s = 600.0\ntimeout_s = 2500.0")
+    code, run = run_on(tmp_path, script, FAULT.format(name="frozen sensor", at_s=at_s))
+    assert (code, run.ending) == (3, "faulted")
+    assert not run.trials
+    states = [
+        state for t_s, state in zip(run.bath[:, 0], run.bath_states, strict=True) if t_s > at_s
+    ]
+    assert states
+    assert "stable" not in states
+
+
+def test_the_report_has_temperatures_stability_and_the_teats_surface_at_every_capture(
+    short_script: Path, tmp_path: Path
+) -> None:
+    _, run = run_on(tmp_path, short_script.read_text(encoding="utf-8"))
+    page = (run.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert len(run.trials) >= 6
+    rows = re.findall(r"<tr.*?</tr>", page, re.DOTALL)
+    plain = [re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", row)) for row in rows]
+    for trial in run.trials:
+        of_trial = [row for row in plain if trial.id in row]
+        assert any(re.search(r"33\.0\d .* stable 32\.\d\d 0\.\d\d", row) for row in of_trial), (
+            "bath, state, teats' surface and its uncertainty"
+        )
+        assert any(
+            re.search(r"6\d [+-]0\.0\d\d\d [+-]0\.0\d\d\d [+-]0\.0\d\d\d", row) for row in of_trial
+        ), "mean, half range, slope"
+    assert "Uniformity, from teat to teat and from root to tip, is not measured" in page
+    assert "The 60 s before each capture" in page

@@ -272,7 +272,10 @@ def test_the_silence_of_a_rig_file_holds_on_both_sides(answered: bool, tmp_path:
     rig, gone = with_limits(tmp_path), LinkError("bath", "no answer")
     interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
     assert interlocks.silent(9.0 - TINY, gone, answered=answered) is None
-    assert interlocks.silent(9.0, gone, answered=answered) is not None
+    trip = interlocks.silent(9.0, gone, answered=answered)
+    assert trip is not None
+    assert trip.rule == ("implausible reading" if answered else "communications lost")
+    assert answered or "may still heat" in str(trip)
 
 
 HOT, DISAGREE, BROKEN = "over-temperature", "sensor disagreement", "implausible reading"
