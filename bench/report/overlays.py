@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.reader import TrialRecord
-from bench.record.writer import Row
+from bench.record.schema import Row
 from detector.calibration import Calibration
 from detector.fused.model import COUNT, Outline, contours, pixels_of
 from detector.geometry import Motion

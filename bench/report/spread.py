@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from bench.record.reader import RunRecord
-from bench.record.writer import Row
+from bench.record.schema import Row
 from bench.report.accuracy import precision_parts
 from bench.report.wording import NOT_MEASURED, id_of
 from bench.results.error_rows import (
