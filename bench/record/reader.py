@@ -51,11 +51,7 @@ def as_written(folder: Path) -> Iterator[sqlite3.Connection]:
     """The database in ``folder`` with the tables that it was written with. Raises ConfigError where
     there is none, or it can't be read.
     """
-    path = folder / DATABASE
-    if not path.is_file():
-        raise ConfigError.plain(
-            f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/."
-        )
+    path = database_in(folder)
     try:
         with closing(_connected(path)) as db:
             yield db
@@ -63,6 +59,15 @@ def as_written(folder: Path) -> Iterator[sqlite3.Connection]:
         raise ConfigError.plain(
             f"{path} can't be read: {error}. Is it a copy without its -wal file?"
         ) from error
+
+
+def database_in(folder: Path) -> Path:
+    """Raises ConfigError where ``folder`` is no run."""
+    if not (folder / DATABASE).is_file():
+        raise ConfigError.plain(
+            f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/."
+        )
+    return folder / DATABASE
 
 
 def known_version(db: sqlite3.Connection, folder: Path) -> int:

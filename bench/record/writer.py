@@ -26,8 +26,8 @@ from typing import Any
 from bench import __version__
 from bench.config import ConfigError
 from bench.files import Picture, make_folder, sync_folder, write_pictures, write_synced
-from bench.record.chain import Head, Spans, add_link, head_of
-from bench.record.reader import TrialRecord
+from bench.record.chain import Spans, add_link
+from bench.record.reader import TrialRecord, database_in
 from bench.record.schema import (
     DATABASE,
     LATER_WORD,
@@ -70,11 +70,8 @@ class Store:
         # the watch writes on the clock's thread, all others on the main one
         self._lock = threading.RLock()
         self._steps = 0
-        if not (folder / DATABASE).is_file():
-            raise ConfigError.plain(
-                f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/."
-            )
-        self._db = sqlite3.connect(folder / DATABASE, isolation_level=None, check_same_thread=False)
+        path = database_in(folder)
+        self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         try:
             _refuse_other(self._db, folder)
             self._place = _place(folder)
@@ -123,12 +120,6 @@ class Store:
         store.close()
         sync_folder(folder)
         return store.session
-
-    @property
-    def head(self) -> Head:
-        """The chain's last link."""
-        with self._lock:
-            return head_of(self._db)
 
     @contextmanager
     def step(self) -> Iterator[None]:

@@ -292,8 +292,8 @@ def test_the_digest_without_real_time_repeats_and_the_other_does_not(tmp_path: P
         store.fact(RECORDED, str(tmp_path / f"recorded-{name}"))
         store.fact("wall_started", wall_time().isoformat())
         store.finished(trial(store, 1))
-        heads.append(store.head)
         store.close()
+        heads.append(check_run(store.folder).head)
     assert heads[0].digest == heads[1].digest
     assert heads[0].wall_digest != heads[1].wall_digest
 
