@@ -15,7 +15,9 @@ from pathlib import Path
 
 from bench.dry_run.pose_checks import Finding
 from bench.files import Picture
-from bench.record.writer import FinishedTrial, Row, Store
+from bench.record.reader import TrialRecord
+from bench.record.schema import Row
+from bench.record.writer import Store
 from bench.run.estimate import TimeSpent
 from bench.run.states import EVENT
 from bench.script.planned_trials import PlannedTrial
@@ -61,7 +63,7 @@ class RehearsalStore(Store):
         super().event(t_s, kind, text, wall_time)
         self.heard(kind, text)
 
-    def finished(self, done: FinishedTrial) -> None:
+    def finished(self, done: TrialRecord) -> None:
         super().finished(done)
         self.trials += 1
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sqlite3
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ ZERO = "0" * 64
 # keys that begin like this hold what doesn't repeat with the seed
 VARYING_FACTS = ("wall", "command", "recorded to")
 
+COLUMNS = "number, covers, digest, wall_covers, wall_digest"
 Spans = Mapping[str, tuple[int, int]]  # table -> first and last rowid
 
 
@@ -34,17 +35,6 @@ class Head:
     number: int = 0
     digest: str = ZERO
     wall_digest: str = ZERO
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """One write. ``covers`` and ``wall_covers`` are JSON: table -> [first rowid, last rowid,
-    SHA-256]; facts: key -> SHA-256.
-    """
-
-    covers: str
-    wall_covers: str
-    head: Head
 
 
 def head_of(db: sqlite3.Connection) -> Head:
@@ -66,29 +56,19 @@ def add_link(db: sqlite3.Connection, spans: Spans, facts: Collection[str]) -> No
         prints = {key: fact_fingerprint(db, key) for key in facts}
         covers[LATER_WORD] = {key: plain for key, (plain, _) in prints.items() if plain is not None}
         wall_covers[LATER_WORD] = {key: whole for key, (_, whole) in prints.items()}
-    link = linked(head_of(db), _text(covers), _text(wall_covers))
-    values = (
-        link.head.number,
-        link.covers,
-        link.head.digest,
-        link.wall_covers,
-        link.head.wall_digest,
-    )
-    db.execute(
-        "INSERT INTO chain (number, covers, digest, wall_covers, wall_digest) VALUES (?, ?, ?,"
-        " ?, ?)",
-        values,
-    )
+    plain, whole = _text(covers), _text(wall_covers)
+    head = linked(head_of(db), plain, whole)
+    values = (head.number, plain, head.digest, whole, head.wall_digest)
+    db.execute(f"INSERT INTO chain ({COLUMNS}) VALUES (?, ?, ?, ?, ?)", values)  # noqa: S608
 
 
-def linked(before: Head, covers: str, wall_covers: str) -> Link:
-    """The link that follows ``before``."""
+def linked(before: Head, covers: str, wall_covers: str) -> Head:
+    """The head with the link that follows ``before``. What it covers is JSON: table -> [first
+    rowid, last rowid, SHA-256]; facts: key -> SHA-256.
+    """
     digest = _sha256(f"{before.digest}\n{covers}")
-    return Link(
-        covers,
-        wall_covers,
-        Head(before.number + 1, digest, _sha256(f"{before.wall_digest}\n{digest}\n{wall_covers}")),
-    )
+    wall_digest = _sha256(f"{before.wall_digest}\n{digest}\n{wall_covers}")
+    return Head(before.number + 1, digest, wall_digest)
 
 
 def fingerprint(db: sqlite3.Connection, table: str, first: int, last: int) -> tuple[str, str]:
@@ -96,22 +76,19 @@ def fingerprint(db: sqlite3.Connection, table: str, first: int, last: int) -> tu
     columns.
     """
     query = f"SELECT * FROM {table} WHERE rowid BETWEEN ? AND ? ORDER BY rowid"  # noqa: S608
-    cursor = db.execute(query, (first, last))
-    names = [column[0] for column in cursor.description]
-    return _prints(table, names, cursor.fetchall())
+    return _prints(table, db.execute(query, (first, last)))
 
 
 def fact_fingerprint(db: sqlite3.Connection, key: str) -> tuple[str | None, str]:
     """SHA-256 of what is said under ``key``; the first is None where that doesn't repeat with the
     seed.
     """
-    cursor = db.execute("SELECT * FROM facts WHERE key = ?", (key,))
-    names = [column[0] for column in cursor.description]
-    plain, whole = _prints(LATER_WORD, names, cursor.fetchall())
+    plain, whole = _prints(LATER_WORD, db.execute("SELECT * FROM facts WHERE key = ?", (key,)))
     return None if key.startswith(VARYING_FACTS) else plain, whole
 
 
-def _prints(table: str, names: Sequence[str], rows: Sequence[Sequence[Any]]) -> tuple[str, str]:
+def _prints(table: str, cursor: sqlite3.Cursor) -> tuple[str, str]:
+    names, rows = [column[0] for column in cursor.description], cursor.fetchall()
     kept = [k for k, name in enumerate(names) if not name.startswith("wall")]
     plain = [table, [names[k] for k in kept], [[row[k] for k in kept] for row in rows]]
     return _sha256(_text(plain)), _sha256(_text([table, names, rows]))

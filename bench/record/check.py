@@ -11,12 +11,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from bench.config import ConfigError
 from bench.files import sha256_of
-from bench.record.chain import Head, fact_fingerprint, fingerprint, linked
+from bench.record.chain import COLUMNS, Head, fact_fingerprint, fingerprint, linked
 from bench.record.reader import as_written, known_version
 from bench.record.schema import DATABASE, LATER_WORD, tables_of
 from instruments.errors import InstrumentError
@@ -68,11 +69,9 @@ def check_run(folder: Path, digest: str | None = None) -> Checked:
         links: list[tuple[Any, ...]] = []
         counts = dict.fromkeys(COUNTED, 0)
         try:
-            for part in (  # what was found before something fails is kept
-                _database(db), _frames(db, folder), _provenance(db, folder, version, digest, links),
-            ):  # fmt: skip
-                for finding in part:
-                    findings.append(finding)
+            told = _provenance(db, folder, version, digest, links)
+            for finding in chain(_database(db), _frames(db, folder), told):
+                findings.append(finding)  # what was found before something fails is kept
             counts |= {
                 name: int(db.execute(f"SELECT count(*) FROM {name}").fetchone()[0])  # noqa: S608
                 for name in COUNTED
@@ -110,24 +109,17 @@ def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[
     except Exception as error:  # whatever a damaged record makes of the code that reads it
         if all(one.whole and one.head.number for one in checked.values()):
             raise
-        why = (
-            shortened(damage)
-            if damage
-            else "It has no chain, so that nothing tells whether it is as it was written."
-        )
-        told = (
-            f"this can't be made of a record that is damaged so ({type(error).__name__}: {error})"
-        )
-        raise ConfigError.plain(f"{told}. {why}") from error
+        why = "It has no chain, so that nothing tells whether it is as it was written."
+        raise ConfigError.plain(
+            f"this can't be made of a record that is damaged so ({type(error).__name__}: {error})."
+            f" {shortened(damage) if damage else why}"
+        ) from error
 
 
 def shortened(damage: Sequence[str]) -> str:
     """The first few."""
-    return (
-        "; ".join(damage[:SHOWN])
-        + (f"; and {len(damage) - SHOWN} more" if len(damage) > SHOWN else "")
-        + "."
-    )
+    more = [f"and {len(damage) - SHOWN} more"] if len(damage) > SHOWN else []
+    return "; ".join([*damage[:SHOWN], *more]) + "."
 
 
 def _provenance(
@@ -149,11 +141,10 @@ def _provenance(
                 " edits can't be told"
             )
         return
-    links += db.execute(
-        "SELECT number, covers, digest, wall_covers, wall_digest FROM chain ORDER BY number"
-    )
+    links += db.execute(f"SELECT {COLUMNS} FROM chain ORDER BY number")  # noqa: S608
     yield from _chain(db, links)
-    yield from _files(db, folder)
+    for name, sha256 in db.execute("SELECT name, sha256 FROM files"):
+        yield from _file(folder, name, sha256)
     yield from _printed(folder, links, digest)
 
 
@@ -186,11 +177,6 @@ def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
             )
 
 
-def _files(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
-    for name, sha256 in db.execute("SELECT name, sha256 FROM files"):
-        yield from _file(folder, name, sha256)
-
-
 def _file(folder: Path, name: Any, sha256: Any) -> Iterator[Finding]:
     if not isinstance(name, str):
         yield _damage(f"a file of the record has no name, but {name!r} in its place")
@@ -210,10 +196,11 @@ def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Fin
     """Each link follows from the one before, covers the rows that follow those before, and they are
     as it says.
     """
-    before, ends, facts = Head(), dict.fromkeys(_chained(db), 0), dict[str, str]()
+    chained = [table for table in tables_of(db) if table not in ("chain", LATER_WORD)]
+    before, ends, facts = Head(), dict.fromkeys(chained, 0), dict[str, str]()
     for number, covers, digest, wall_covers, wall_digest in links:
         given = Head(number, digest, wall_digest)
-        if linked(before, covers, wall_covers).head != given:
+        if linked(before, covers, wall_covers) != given:
             yield _damage(
                 f"link {number} of the chain doesn't follow from the one before: links were"
                 " changed, added or removed"
@@ -307,10 +294,6 @@ def _whose(db: sqlite3.Connection, table: str, rowid: int) -> str:
         return ""
     row = db.execute(f"SELECT {column} FROM {table} WHERE rowid = ?", (rowid,)).fetchone()  # noqa: S608 - our names
     return f", trial {row[0]}" if row else ""
-
-
-def _chained(db: sqlite3.Connection) -> list[str]:
-    return [table for table in tables_of(db) if table not in ("chain", LATER_WORD)]
 
 
 def _damage(text: str) -> Finding:

@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -44,8 +44,9 @@ from scipy.spatial.transform import Rotation
 
 from bench.config import ConfigError, read_calibration
 from bench.record.reader import opened
+from bench.record.schema import Row
 from detector.calibration.values import Calibration
-from detector.geometry import Camera, Motion
+from detector.geometry import Camera
 
 NAME, CALIBRATION = "run.mcap", "calibration.toml"
 RADIOMETRIC = "thermal_radiometric"
@@ -63,28 +64,21 @@ LEVELS = {
     "repeated": Log.WARNING,
 }
 
-Row = Mapping[str, Any]
-
 
 def _own(name: str, /, **kinds: FieldDescriptorProto.Type.ValueType) -> Any:
     """The class of a message `teatbench.<name>` with a timestamp and these fields, numbered from 2.
 
     No field is an int64, which viewers in a browser don't read as a number.
     """
-    when = Timestamp.DESCRIPTOR
+    when, optional = Timestamp.DESCRIPTOR, FieldDescriptorProto.LABEL_OPTIONAL
+    message, its_name = FieldDescriptorProto.TYPE_MESSAGE, f".{when.full_name}"
     fields = [
         FieldDescriptorProto(
-            name="timestamp",
-            number=1,
-            label=FieldDescriptorProto.LABEL_OPTIONAL,
-            type=FieldDescriptorProto.TYPE_MESSAGE,
-            type_name=f".{when.full_name}",
+            name="timestamp", number=1, label=optional, type=message, type_name=its_name
         )
     ]
     fields += [
-        FieldDescriptorProto(
-            name=field, number=number, label=FieldDescriptorProto.LABEL_OPTIONAL, type=kind
-        )
+        FieldDescriptorProto(name=field, number=number, label=optional, type=kind)
         for number, (field, kind) in enumerate(kinds.items(), 2)
     ]
     file = FileDescriptorProto(
@@ -165,18 +159,19 @@ def frames_of_reference(at: Timestamp, known: Calibration) -> FrameTransforms:
     motions = [("world", "right", known.world_from_right), ("right", "left", known.right_from_left)]
     if known.thermal_from_left is not None:
         motions.append(("left", "thermal", known.thermal_from_left.inverse()))
-    return FrameTransforms(transforms=[_transform(at, *motion) for motion in motions])
-
-
-def _transform(at: Timestamp, parent: str, child: str, parent_from_child: Motion) -> FrameTransform:
-    x, y, z, w = (float(value) for value in Rotation.from_matrix(parent_from_child.R).as_quat())
-    return FrameTransform(
-        timestamp=at,
-        parent_frame_id=parent,
-        child_frame_id=child,
-        translation=_metres(parent_from_child.T),
-        rotation=Quaternion(x=x, y=y, z=z, w=w),
-    )
+    transforms = []
+    for parent, child, motion in motions:
+        x, y, z, w = (float(value) for value in Rotation.from_matrix(motion.R).as_quat())
+        transforms.append(
+            FrameTransform(
+                timestamp=at,
+                parent_frame_id=parent,
+                child_frame_id=child,
+                translation=_metres(motion.T),
+                rotation=Quaternion(x=x, y=y, z=z, w=w),
+            )
+        )
+    return FrameTransforms(transforms=transforms)
 
 
 def point(at: Timestamp, frame: str, at_mm: Sequence[float]) -> PoseInFrame:

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from bench.record.chain import Head, head_of
-from bench.record.schema import DATABASE, GUARDIAN, OF_A_TRIAL, SCHEMA_VERSION, migrate, version_of
+from bench.record.schema import (
+    DATABASE,
+    GUARDIAN,
+    OF_A_TRIAL,
+    SCHEMA_VERSION,
+    Row,
+    migrate,
+    version_of,
+)
 from bench.scoring.scene import SceneScore, scene_from_dict
 
 
@@ -43,11 +51,7 @@ def as_written(folder: Path) -> Iterator[sqlite3.Connection]:
     """The database in ``folder`` with the tables that it was written with. Raises ConfigError where
     there is none, or it can't be read.
     """
-    path = folder / DATABASE
-    if not path.is_file():
-        raise ConfigError.plain(
-            f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/."
-        )
+    path = database_in(folder)
     try:
         with closing(_connected(path)) as db:
             yield db
@@ -57,18 +61,27 @@ def as_written(folder: Path) -> Iterator[sqlite3.Connection]:
         ) from error
 
 
+def database_in(folder: Path) -> Path:
+    """Raises ConfigError where ``folder`` is no run."""
+    if not (folder / DATABASE).is_file():
+        raise ConfigError.plain(
+            f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/."
+        )
+    return folder / DATABASE
+
+
 def known_version(db: sqlite3.Connection, folder: Path) -> int:
     """The version of the tables. Raises ConfigError where this bench doesn't know them."""
     version = version_of(db)
     if 1 <= version <= SCHEMA_VERSION:
         return version
-    found = f"{folder / DATABASE} has schema {version}; this bench reads 1 to {SCHEMA_VERSION}"
-    if version > SCHEMA_VERSION:
-        raise ConfigError.plain(
-            f"{found}. A newer bench wrote it: update this one, or use that one."
-        )
+    why = (
+        "A newer bench wrote it: update this one, or use that one."
+        if version > SCHEMA_VERSION
+        else "No bench has finished making it: there is nothing in it to read."
+    )
     raise ConfigError.plain(
-        f"{found}. No bench has finished making it: there is nothing in it to read."
+        f"{folder / DATABASE} has schema {version}; this bench reads 1 to {SCHEMA_VERSION}. {why}"
     )
 
 
@@ -97,7 +110,7 @@ def _asked(address: str) -> sqlite3.Connection:
     return db
 
 
-Row = Mapping[str, Any]
+WALL_KEYS = ("seconds", "in_time", "success")  # parts of a score that depend on real time
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +118,12 @@ class TrialRecord:
     """One finished trial: its rows by table; ``scores`` by detector."""
 
     head: Row
-    frames: tuple[Row, ...]
-    touches: tuple[Row, ...]
-    truth: tuple[Row, ...]
-    detections: tuple[Row, ...]
-    found: tuple[Row, ...]
-    scores: Mapping[str, SceneScore]
+    frames: Sequence[Row] = ()
+    touches: Sequence[Row] = ()
+    truth: Sequence[Row] = ()
+    detections: Sequence[Row] = ()
+    found: Sequence[Row] = ()
+    scores: Mapping[str, SceneScore] = field(default_factory=dict)
 
     @property
     def id(self) -> str:
@@ -138,6 +151,19 @@ class TrialRecord:
         how = self.truth[0]["how"] if self.truth else None
         return None if how is None else str(how)
 
+    @property
+    def score_rows(self) -> list[Row]:
+        """Rows of the table ``scores``: what depends on real time stands apart, so that the rest
+        repeats with the seed.
+        """
+        rows: list[Row] = []
+        for detector, score in self.scores.items():
+            whole = score.as_dict()
+            wall = json.dumps({key: whole.pop(key) for key in WALL_KEYS})
+            text = json.dumps(whole)
+            rows.append({"trial": self.id, "detector": detector, "score": text, "wall_score": wall})
+        return rows
+
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
@@ -152,14 +178,14 @@ class RunRecord:
 
     folder: Path
     facts: Mapping[str, Any]
-    trials: tuple[TrialRecord, ...]
-    skipped: tuple[Row, ...]
-    checks: tuple[Row, ...]
-    events: tuple[Row, ...]
-    bath: NDArray[np.float64]
-    bath_states: tuple[str, ...]
-    external_c: NDArray[np.float64]
-    guardian: Mapping[str, Any] | None
+    trials: tuple[TrialRecord, ...] = ()
+    skipped: tuple[Row, ...] = ()
+    checks: tuple[Row, ...] = ()
+    events: tuple[Row, ...] = ()
+    bath: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    bath_states: tuple[str, ...] = ()
+    external_c: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    guardian: Mapping[str, Any] | None = None
     head: Head | None = None
     damage: tuple[str, ...] = ()
 

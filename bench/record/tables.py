@@ -10,7 +10,6 @@ import importlib
 import io
 import sqlite3
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,27 +33,15 @@ def needed(module: str, what: str) -> Any:
         raise ConfigError.plain(f'{why}. Get it with: pip install "teatbench[export]"') from error
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table as it is stored: ``kinds`` are SQLite's words for
-    its columns (TEXT, REAL, INTEGER).
-    """
-
-    name: str
-    columns: tuple[str, ...]
-    kinds: tuple[str, ...]
-    rows: Sequence[tuple[Any, ...]]
-
-
 def export_csv(run: Path, out: Path) -> list[Path]:
     """Write ``out/<table>.csv`` for every table; gives back the
     files. Raises ConfigError, OSError.
     """
     written = []
     with opened(run) as db:
-        for table in _tables(db):
-            written.append(out / f"{table.name}.csv")
-            write_synced(written[-1], csv_text([table.columns, *table.rows]).encode())
+        for name, columns, _, rows in _tables(db):
+            written.append(out / f"{name}.csv")
+            write_synced(written[-1], csv_text([columns, *rows]).encode())
     return written
 
 
@@ -67,27 +54,27 @@ def export_parquet(run: Path, out: Path) -> list[Path]:
     written = []
     with opened(run) as db:
         about = {"run": run.name, "wall_digest": head_of(db).wall_digest}
-        for table in _tables(db):
+        for name, names, kinds, rows in _tables(db):
             fields = [
-                arrow.field(name, types[kind])
-                for name, kind in zip(table.columns, table.kinds, strict=True)
+                arrow.field(column, types[kind]) for column, kind in zip(names, kinds, strict=True)
             ]
-            columns = list(zip(*table.rows, strict=True)) or [()] * len(fields)
-            arrays = [
-                arrow.array(column, type=field.type)
-                for column, field in zip(columns, fields, strict=True)
-            ]
-            data = io.BytesIO()
-            parquet.write_table(
-                arrow.Table.from_arrays(arrays, schema=arrow.schema(fields, metadata=about)), data
+            columns = list(zip(*rows, strict=True)) or [()] * len(fields)
+            table = arrow.Table.from_arrays(
+                [arrow.array(c, type=f.type) for c, f in zip(columns, fields, strict=True)],
+                schema=arrow.schema(fields, metadata=about),
             )
-            written.append(out / f"{table.name}.parquet")
+            data = io.BytesIO()
+            parquet.write_table(table, data)
+            written.append(out / f"{name}.parquet")
             write_synced(written[-1], data.getvalue())
     return written
 
 
-def _tables(db: sqlite3.Connection) -> Iterator[Table]:
+def _tables(
+    db: sqlite3.Connection,
+) -> Iterator[tuple[str, tuple[str, ...], tuple[str, ...], Sequence[tuple[Any, ...]]]]:
+    """Each table: name, columns, SQLite's words for their kinds (TEXT, REAL, INTEGER), rows."""
     for name in tables_of(db):
         columns = db.execute(f"PRAGMA table_info({name})").fetchall()
         rows = db.execute(f"SELECT * FROM {name} ORDER BY rowid").fetchall()  # noqa: S608 - our own names
-        yield Table(name, tuple(c[1] for c in columns), tuple(c[2] for c in columns), rows)
+        yield name, tuple(c[1] for c in columns), tuple(c[2] for c in columns), rows

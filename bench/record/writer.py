@@ -19,7 +19,6 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -27,119 +26,24 @@ from typing import Any
 from bench import __version__
 from bench.config import ConfigError
 from bench.files import Picture, make_folder, sync_folder, write_pictures, write_synced
-from bench.record.chain import Head, Spans, add_link, head_of
+from bench.record.chain import Spans, add_link
+from bench.record.reader import TrialRecord, database_in
 from bench.record.schema import (
     DATABASE,
     LATER_WORD,
     OF_A_TRIAL,
     SCHEMA_VERSION,
+    Row,
     make_tables,
     version_of,
 )
 from instruments.clock import wall_time as time_of_day
 
-Row = Mapping[str, Any]
 Tables = Sequence[tuple[str, Sequence[Row]]]
-
-
-class Transactions:
-    """On ``db``, an open database of today's schema in autocommit."""
-
-    def __init__(self, db: sqlite3.Connection) -> None:
-        for pragma in (
-            "journal_mode = WAL",
-            "synchronous = FULL",
-            "fullfsync = ON",
-            "foreign_keys = ON",
-        ):
-            db.execute(f"PRAGMA {pragma}")
-        self._db = db
-        self._waiting: list[tuple[str, Row]] = []
-
-    @property
-    def waiting(self) -> int:
-        """How many rows the next write will take along."""
-        return len(self._waiting)
-
-    def wait(self, table: str, row: Row) -> None:
-        """Have ``row`` written with whatever is written next."""
-        self._waiting.append((table, row))
-
-    def write(self, tables: Tables) -> None:
-        """What waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error; on
-        OperationalError it goes on waiting.
-        """
-        waiting = _by_table(self._waiting)
-        try:
-            self._transaction([*waiting, *tables])
-        except sqlite3.OperationalError:
-            raise
-        except Exception:  # a row is wrong
-            if tables and waiting:
-                self.write([])
-            self._waiting = []
-            raise
-
-    def _transaction(self, tables: Tables) -> None:
-        begun = False
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-            begun = True
-            add_link(self._db, *self._inserted(tables))
-            self._db.execute("COMMIT")
-            self._waiting = []
-        # Ctrl-C too: an open transaction would keep the run's end from being written
-        except BaseException as why:
-            if self._db.in_transaction:
-                self._db.execute("ROLLBACK")
-            # it came between the commit and the line behind
-            elif begun and not isinstance(why, sqlite3.Error):
-                self._waiting = []
-            raise
-
-    def _inserted(self, tables: Tables) -> tuple[Spans, list[str]]:
-        """Insert all rows; gives back which there are now by rowid, and the keys of the facts as
-        they came.
-        """
-        spans: dict[str, tuple[int, int]] = {}
-        facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
-        for table, rows in tables:
-            verb = "REPLACE" if table == LATER_WORD else "INSERT"
-            for row in rows:
-                command = (
-                    f"{verb} INTO {table} ({', '.join(row)}) VALUES ({', '.join('?' * len(row))})"
-                )
-                at = self._db.execute(command, tuple(row.values())).lastrowid or 0
-                if table == LATER_WORD:
-                    facts[row["key"]] = None
-                else:
-                    spans[table] = (spans.get(table, (at, at))[0], at)
-        return spans, list(facts)
-
-
-def _by_table(rows: Sequence[tuple[str, Row]]) -> list[tuple[str, list[Row]]]:
-    tables: dict[str, list[Row]] = {}
-    for table, row in rows:
-        tables.setdefault(table, []).append(row)
-    return list(tables.items())
-
-
 FLUSH_EVERY = 60  # rows that may wait: one sync a minute of run time for the bath's readings
 LONGEST_NAME = 60  # bytes of the name of a script or recording in that of a run's folder
 URGENT = frozenset({"trip", "fault", "aborted", "safe", "end"})
-
-
-@dataclass(frozen=True, slots=True)
-class FinishedTrial:
-    """All rows of one trial, ready to be written at once."""
-
-    trial: Row
-    frames: Sequence[Row]
-    touches: Sequence[Row]
-    truth: Sequence[Row]
-    detections: Sequence[Row]
-    found: Sequence[Row]
-    scores: Sequence[Row]
+PRAGMAS = ("journal_mode = WAL", "synchronous = FULL", "fullfsync = ON", "foreign_keys = ON")
 
 
 class FolderGoneError(OSError):
@@ -166,15 +70,14 @@ class Store:
         # the watch writes on the clock's thread, all others on the main one
         self._lock = threading.RLock()
         self._steps = 0
-        if not (folder / DATABASE).is_file():
-            raise ConfigError.plain(
-                f"{folder} is no run: there is no {DATABASE} in it. Give a folder under runs/."
-            )
-        self._db = sqlite3.connect(folder / DATABASE, isolation_level=None, check_same_thread=False)
+        path = database_in(folder)
+        self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         try:
             _refuse_other(self._db, folder)
             self._place = _place(folder)
-            self._transactions = Transactions(self._db)
+            for pragma in PRAGMAS:
+                self._db.execute(f"PRAGMA {pragma}")
+            self._waiting: list[tuple[str, Row]] = []  # what the next write takes along
             self.session = self._begun() if session is None else session
         except BaseException:
             self._db.close()
@@ -218,12 +121,6 @@ class Store:
         sync_folder(folder)
         return store.session
 
-    @property
-    def head(self) -> Head:
-        """The chain's last link."""
-        with self._lock:
-            return head_of(self._db)
-
     @contextmanager
     def step(self) -> Iterator[None]:
         """What is said within is written in one go, and durable, when the step ends, however it
@@ -253,7 +150,7 @@ class Store:
             "t_s": t_s,
             "kind": kind,
             "text": text,
-            "wall_time": _told(wall_time),
+            "wall_time": wall_time.isoformat(timespec="milliseconds"),
         }
         self._say("events", row, urgent=not self._steps or kind in URGENT)
 
@@ -266,7 +163,7 @@ class Store:
     def flush(self) -> None:
         """Make durable all that was said so far."""
         with self._lock:
-            if self._transactions.waiting:
+            if self._waiting:
                 self._write([])
 
     def refuse_gone(self) -> None:
@@ -278,19 +175,17 @@ class Store:
         except OSError:
             gone = True
         if gone:
-            then = (
-                "what was recorded since the last finished trial may be lost. Put the folder back,"
-                " then: teatbench resume"
-            )
             raise FolderGoneError(
-                f"the run's folder {self.folder} was deleted, moved or replaced: {then}"
-                f" {self.folder}"
+                f"the run's folder {self.folder} was deleted, moved or replaced: what was recorded"
+                " since the last finished trial may be lost. Put the folder back, then: teatbench"
+                f" resume {self.folder}"
             )
 
-    def finished(self, done: FinishedTrial) -> None:
+    def finished(self, done: TrialRecord) -> None:
         """Write a whole trial in one transaction, durable on return."""
-        head = {**done.trial, "session": self.session}
-        self._write([("trials", [head]), *((name, getattr(done, name)) for name in OF_A_TRIAL)])
+        rows = ((name, getattr(done, name)) for name in OF_A_TRIAL if name != "scores")
+        head = {**done.head, "session": self.session}
+        self._write([("trials", [head]), *rows, ("scores", done.score_rows)])
 
     def skipped(self, row: Row) -> None:
         """Write down a trial that was not done, durable at once."""
@@ -305,10 +200,6 @@ class Store:
         self._write(
             [("checks", [{**touch, "wall_time": now} for touch in touches]), ("invalidated", lost)]
         )
-
-    def frame(self, trial: str, camera: str, image: Picture, exposed_s: float | None) -> Row:
-        """Write one frame as PNG; gives back its row for the trial."""
-        return self.frames(trial, {camera: image}, {camera: exposed_s})[0]
 
     def frames(
         self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
@@ -362,18 +253,67 @@ class Store:
                 shutil.rmtree(folder)
 
     def _now(self) -> str:
-        return _told(self._wall())
+        return self._wall().isoformat(timespec="milliseconds")
 
     def _say(self, table: str, row: Row, *, urgent: bool) -> None:
         with self._lock:
-            self._transactions.wait(table, row)
-            if urgent or self._transactions.waiting >= FLUSH_EVERY:
+            self._waiting.append((table, row))
+            if urgent or len(self._waiting) >= FLUSH_EVERY:
                 self._write([])
 
     def _write(self, tables: Tables) -> None:
-        """What waits, and ``tables``, durable on return."""
+        """What waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error; on
+        OperationalError it goes on waiting.
+        """
         with self._lock:
-            self._transactions.write(tables)
+            waiting: dict[str, list[Row]] = {}
+            for table, row in self._waiting:
+                waiting.setdefault(table, []).append(row)
+            try:
+                self._transaction([*waiting.items(), *tables])
+            except sqlite3.OperationalError:
+                raise
+            except Exception:  # a row is wrong
+                if tables and waiting:
+                    self._write([])
+                self._waiting = []
+                raise
+
+    def _transaction(self, tables: Tables) -> None:
+        begun = False
+        try:
+            self._db.execute("BEGIN IMMEDIATE")
+            begun = True
+            add_link(self._db, *self._inserted(tables))
+            self._db.execute("COMMIT")
+            self._waiting = []
+        # Ctrl-C too: an open transaction would keep the run's end from being written
+        except BaseException as why:
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
+            # it came between the commit and the line behind
+            elif begun and not isinstance(why, sqlite3.Error):
+                self._waiting = []
+            raise
+
+    def _inserted(self, tables: Tables) -> tuple[Spans, list[str]]:
+        """Insert all rows; gives back which there are now by rowid, and the keys of the facts as
+        they came.
+        """
+        spans: dict[str, tuple[int, int]] = {}
+        facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
+        for table, rows in tables:
+            verb = "REPLACE" if table == LATER_WORD else "INSERT"
+            for row in rows:
+                command = (
+                    f"{verb} INTO {table} ({', '.join(row)}) VALUES ({', '.join('?' * len(row))})"
+                )
+                at = self._db.execute(command, tuple(row.values())).lastrowid or 0
+                if table == LATER_WORD:
+                    facts[row["key"]] = None
+                else:
+                    spans[table] = (spans.get(table, (at, at))[0], at)
+        return spans, list(facts)
 
 
 def new_run_folder(out: Path, name: str, wall_time: datetime) -> Path:
@@ -395,10 +335,6 @@ def _place(folder: Path) -> tuple[tuple[int, int], ...]:
     return tuple(
         (found.st_dev, found.st_ino) for found in (folder.stat(), (folder / DATABASE).stat())
     )
-
-
-def _told(moment: datetime) -> str:
-    return moment.isoformat(timespec="milliseconds")
 
 
 def _refuse_other(db: sqlite3.Connection, folder: Path) -> None:

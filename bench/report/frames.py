@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.record.writer import Row
+from bench.record.schema import Row
 from bench.report.tables import covariance_of
 from detector.calibration import Calibration
 from detector.fused.model import COUNT, Outline, contours, pixels_of

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from bench.record.reader import RunRecord
-from bench.record.writer import Row
+from bench.record.schema import Row
 from bench.report.accuracy import precision_parts
 from bench.report.tables import covariance_of
 from bench.report.wording import NOT_MEASURED, id_of, table

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.record.writer import Row
+from bench.record.schema import Row
 from bench.report.wording import NOT_MEASURED, limit, listed, margin, measured, table
 from bench.results.attribution import Cause, What, attributed, counted
 from bench.results.latency import LATENCY_RULE, failures_told, latency_of

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.record.writer import Row
+from bench.record.schema import Row
 from bench.report.bath import capture_told, surface_at, surface_told
 from bench.report.frames import IMAGES, pictures
 from bench.report.truth import trial_truth

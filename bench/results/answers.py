@@ -28,6 +28,7 @@ from detector.protocol import (
     Stage,
     Teat,
 )
+from instruments.camera.recording import TruthRow
 from instruments.clock import load_per_processor, processor_s, stopwatch_s
 from reports.sanitize import sanitized
 
@@ -65,10 +66,8 @@ def checked(detection: Any) -> Detection:
         )
     teats = tuple(_teat(number, teat) for number, teat in enumerate(detection.teats, 1))
     trace, lost = _trace(detection.trace)
-    reason = "; ".join(
-        one_line(str(part)) for part in (detection.reason, lost) if part is not None
-    )[:LONGEST_REASON]
-    return Detection(teats, int(hidden), reason or None, trace)
+    reasons = [one_line(str(part)) for part in (detection.reason, lost) if part is not None]
+    return Detection(teats, int(hidden), "; ".join(reasons)[:LONGEST_REASON] or None, trace)
 
 
 def one_line(text: str) -> str:
@@ -82,14 +81,9 @@ def _teat(number: int, teat: Any) -> Teat:
             f"teat {number} of its answer is a {type(teat).__name__}, not a Teat"
         )
     seen = {
-        name: (
-            None
-            if getattr(teat, name) is None
-            else _numbers(
-                getattr(teat, name), (2,), f"{name} of teat {number}", "two finite numbers"
-            )
-        )
+        name: _numbers(given, (2,), f"{name} of teat {number}", "two finite numbers")
         for name in _PIXELS
+        if (given := getattr(teat, name)) is not None
     }
     point = _numbers(teat.world_mm, (3,), f"teat {number} of its answer", "three finite numbers")
     if np.abs(point).max() > WORKING_VOLUME_MM:
@@ -154,32 +148,24 @@ def _trace(trace: Any) -> tuple[tuple[Stage, ...], str | None]:
 
 
 def _holds(stage: Any) -> bool:
-    if (
-        not isinstance(stage, Stage)
-        or not isinstance(stage.name, str)
-        or not isinstance(stage.data, Mapping)
-    ):
-        return False
-    plain = (
-        stage.name.replace(" ", "").replace("-", "").isalnum() and len(stage.name) <= LONGEST_NAME
-    )
-    return plain and all(
-        isinstance(key, str) and key.isprintable() and _keeps(value)
-        for key, value in stage.data.items()
-    )
+    """Whether record and report can show a stage: arrays of numbers, text, or masks as pictures."""
+    match stage:
+        case Stage(name=str(name), data=Mapping() as data):
+            plain = name.replace(" ", "").replace("-", "").isalnum() and len(name) <= LONGEST_NAME
+            return plain and all(
+                isinstance(key, str) and key.isprintable() and _keeps(value)
+                for key, value in data.items()
+            )
+    return False
 
 
 def _keeps(value: Any) -> bool:
-    """Whether record and report can show an array: a mask as a picture, or text."""
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "biufU":
         return False
     if value.dtype.kind == "U":
         return all(text.isprintable() for text in value.ravel().tolist())
-    return (
-        value.dtype.kind != "b"
-        or value.ndim != 2
-        or 0 < min(value.shape) <= max(value.shape) <= MOST_PICTURE_PX
-    )
+    picture = value.dtype.kind == "b" and value.ndim == 2
+    return not picture or 0 < min(value.shape) <= max(value.shape) <= MOST_PICTURE_PX
 
 
 def _short(value: Any) -> str:
@@ -210,16 +196,6 @@ class Answer:
     stderr: str = ""
     cpu_s: float | None = None
     load: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class TruthRow:
-    """One teat as the scorer takes it. ``u_mm`` is the standard uncertainty along an axis."""
-
-    teat: str
-    point_mm: tuple[float, float, float]
-    visible: bool
-    u_mm: float | None
 
 
 class Examiner:
@@ -265,24 +241,23 @@ def examine(
         if served:
             served.check()
     except DetectionFailure as failure:
-        outcome, detection = failure.outcome, _nothing(failure)
+        outcome, detection = failure.outcome, _nothing(str(failure))
     except KeyboardInterrupt:
         raise
     # anyone's code: it may fail in any way, and not every library's errors are Exceptions
     except BaseException as error:
         outcome, detection = Outcome.FAILED, _nothing(_named(error))
-    start_up_s, stderr = (served.start_up_s, served.said()) if served else (None, "")
-    cpu_s, load = None if served else used_s, load_per_processor()
+    start_up_s = served.start_up_s if served else None
     return Answer(
         detector.name,
         detection,
         seconds,
         outcome,
-        first or start_up_s is not None,
-        start_up_s,
-        stderr,
-        cpu_s,
-        load,
+        cold=first or start_up_s is not None,
+        start_up_s=start_up_s,
+        stderr=served.said() if served else "",
+        cpu_s=None if served else used_s,
+        load=load_per_processor(),
     )
 
 
@@ -300,7 +275,7 @@ def score_answer(
     known = [row.u_mm for row in truth if row.u_mm is not None]
     score = score_scene(
         points_of(answer.detection),
-        np.array([row.point_mm for row in truth]),
+        np.array([row.xyz_mm for row in truth]),
         np.array([row.visible for row in truth]),
         u_mm=max(known, default=0.0),
         seconds=answer.seconds,
@@ -320,8 +295,8 @@ def points_of(detection: Detection) -> NDArray[np.float64]:
     return np.array([teat.world_mm for teat in detection.teats], dtype=np.float64).reshape(-1, 3)
 
 
-def _nothing(why: object) -> Detection:
-    return Detection((), 0, f"the detector failed: {one_line(str(why))}"[:LONGEST_REASON], ())
+def _nothing(why: str) -> Detection:
+    return Detection((), 0, f"the detector failed: {one_line(why)}"[:LONGEST_REASON], ())
 
 
 def _named(error: BaseException) -> str:

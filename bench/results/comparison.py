@@ -134,14 +134,9 @@ def compare_sides(
     only_old, only_new = len(old.trials) - len(matched), len(new.trials) - len(matched)
     found = compare(pairs, margin_mm=margin_mm, confidence=confidence, seed=seed, unpaired=only_old)
     if damage := new.run.damage or old.run.damage:
-        found = replace(
-            found,
-            gate=Gate(
-                Verdict.INCONCLUSIVE,
-                (f"{NOT_AS_WRITTEN}: {shortened(damage)}",),
-                found.gate.margin_mm,
-            ),
-        )
+        why = f"{NOT_AS_WRITTEN}: {shortened(damage)}"
+        gate = Gate(Verdict.INCONCLUSIVE, (why,), found.gate.margin_mm)
+        found = replace(found, gate=gate)
     return Comparison(
         old, new, pairs, sum(same for _, _, same in matched), only_old, only_new, found, elsewhere
     )
@@ -223,8 +218,12 @@ def _same_place(one: TrialRecord, other: TrialRecord) -> bool:
 
 def check_limits(old: Side, new: Side) -> None:
     """Raises ConfigError where the limit of the error, or of the time, differs."""
-    for what, limits_of in (("mm", _error_limits_mm), ("s", _time_limits_s)):
-        a, b = limits_of(old), limits_of(new)
+    errors = [{t.scores[side.detector].limit_mm for t in side.trials} for side in (old, new)]
+    times = [
+        set() if (rules := rules_of(side.run)) is None else {rules.time_limit_s}
+        for side in (old, new)
+    ]
+    for what, (a, b) in (("mm", errors), ("s", times)):
         if a and b and a != b:
             told = " and ".join(
                 ", ".join(f"{limit:g}" for limit in sorted(limits)) for limits in (a, b)
@@ -236,16 +235,12 @@ def check_limits(old: Side, new: Side) -> None:
             )
 
 
-def _error_limits_mm(side: Side) -> set[float]:
-    return {trial.scores[side.detector].limit_mm for trial in side.trials}
-
-
-def _time_limits_s(side: Side) -> set[float]:
-    """The limit of the run's scenes; none where its rules aren't in its folder."""
+def rules_of(run: RunRecord) -> Rules | None:
+    """The run's script, or the rules of a recording; None where neither is in its folder."""
     for name, kind in ((SCRIPT, Script), (RULES, Rules)):
-        if (side.run.folder / name).is_file():
-            return {read_config(side.run.folder / name, kind, stored=True).time_limit_s}
-    return set()
+        if (run.folder / name).is_file():
+            return read_config(run.folder / name, kind, stored=True)
+    return None
 
 
 def poses_of(run: RunRecord) -> str:
@@ -293,13 +288,7 @@ def judge_folders(
         raise ConfigError.plain(
             f"no detector{' of those named' if detectors else ''} is in all runs: {there}"
         )
-    folder = runs[0].folder
-    script = folder / SCRIPT
-    rules = (
-        read_config(script, Script, stored=True)
-        if script.is_file()
-        else read_config(folder / RULES, Rules, stored=True)
-    )
+    rules = rules_of(runs[0]) or read_config(runs[0].folder / RULES, Rules, stored=True)
     return tuple(_judged(runs, rules, name) for name in names)
 
 
@@ -318,14 +307,17 @@ def _judged(runs: Sequence[RunRecord], rules: Rules, detector: str) -> Judgement
 
 def timed_together(runs: Sequence[RunRecord], detector: str) -> Latency:
     """The times of one detector over several runs, each with its pose."""
-    times = [(poses_of(run), latency_of(run, detector)) for run in runs]
-    seconds = tuple(second for _, one in times for second in one.seconds)
-    cpu_s = tuple(value for _, one in times for value in one.cpu_s)
-    loads = tuple(value for _, one in times for value in one.loads)
-    silent: Counter[str] = sum((Counter(one.unanswered) for _, one in times), Counter())
-    poses = tuple((names, pose) for names, one in times for pose in one.poses)
-    asked = sum(one.asked for _, one in times)
-    return Latency(seconds, unanswered=silent, poses=poses, asked=asked, cpu_s=cpu_s, loads=loads)
+    parts = [latency_of(run, detector) for run in runs]
+    names = [poses_of(run) for run in runs]
+    poses = [(name, pose) for name, part in zip(names, parts, strict=True) for pose in part.poses]
+    return Latency(
+        seconds=tuple(s for part in parts for s in part.seconds),
+        unanswered=sum((Counter(part.unanswered) for part in parts), Counter()),
+        poses=tuple(poses),
+        cpu_s=tuple(s for part in parts for s in part.cpu_s),
+        loads=tuple(load for part in parts for load in part.loads),
+        asked=sum(part.asked for part in parts),
+    )
 
 
 def judgement_lines(judgement: Judgement) -> Iterator[str]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -61,39 +62,33 @@ class ErrorRows:
 
     def of_teat(self, teat: str) -> ErrorRows:
         """The rows of one teat."""
-        return self._kept(np.array([name == teat for name in self.teats], dtype=np.bool_))
+        rows = np.array([name == teat for name in self.teats], dtype=np.bool_)
 
-    def _kept(self, rows: Bools) -> ErrorRows:
-        names = (
-            [n for n, kept in zip(column, rows, strict=True) if kept]
-            for column in (self.poses, self.trials, self.teats)
-        )
-        poses, trials, teats = (tuple(column) for column in names)
-        columns = (self.time_s[rows], self.bath_c[rows], self.tilt_deg[rows])
+        def kept(names: tuple[str, ...]) -> tuple[str, ...]:
+            return tuple(compress(names, rows))
+
         return ErrorRows(
             self.places_mm[rows],
             self.found[rows],
             self.errors_mm[rows[self.found]],
-            *columns,
-            poses,
-            trials,
-            teats,
+            self.time_s[rows],
+            self.bath_c[rows],
+            self.tilt_deg[rows],
+            kept(self.poses),
+            kept(self.trials),
+            kept(self.teats),
         )
 
     @property
     def quantities(self) -> dict[str, Floats]:
         """What the errors may depend on, for the found rows."""
-        columns = {
-            "x_mm": self.places_mm[:, 0],
-            "y_mm": self.places_mm[:, 1],
-            "z_mm": self.places_mm[:, 2],
-        }
+        columns = dict(zip(("x_mm", "y_mm", "z_mm"), self.places_mm.T, strict=True))
         columns |= {"time_s": self.time_s, "bath_c": self.bath_c, "tilt_deg": self.tilt_deg}
         return {name: column[self.found] for name, column in columns.items()}
 
     def of_found(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """The names of the found rows."""
-        return tuple(name for name, found in zip(names, self.found, strict=True) if found)
+        return tuple(compress(names, self.found))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +132,7 @@ class Bias:
 def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> ErrorRows:
     """The rows of one detector, of trials that count; of one situation where named."""
     tilts = teat_tilts_deg(run)
-    rows: list[tuple[float, ...]] = []
+    rows: list[tuple[float | None, ...]] = []
     names: list[tuple[str, str, str]] = []
     errors: list[Floats] = []
     for trial in run.counted:
@@ -148,34 +143,17 @@ def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> E
         for index, truth in enumerate(trial.truth):
             if not truth["visible"]:
                 continue
-            place = (truth["x_mm"], truth["y_mm"], truth["z_mm"])
-            tilt = tilts.get((trial.id, str(truth["teat"])))
-            rows.append(
-                (
-                    *place,
-                    _known(trial.head["captured_s"]),
-                    _known(trial.head["bath_c"]),
-                    _known(tilt),
-                    float(index in at),
-                )
-            )
-            names.append((trial.pose, trial.id, str(truth["teat"])))
+            teat = str(truth["teat"])
+            known = (trial.head["captured_s"], trial.head["bath_c"], tilts.get((trial.id, teat)))
+            rows.append((*_point(truth), *known, index in at))
+            names.append((trial.pose, trial.id, teat))
             if index in at:
                 errors.append(score.errors_mm[at[index]])
-    table = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    table = np.array(rows, dtype=np.float64).reshape(-1, 7)  # None becomes not-a-number
     poses, trials, teats = zip(*names, strict=True) if names else ((), (), ())
     found = np.array(errors, dtype=np.float64).reshape(-1, 3)
-    return ErrorRows(
-        table[:, :3],
-        table[:, 6] > 0.5,
-        found,
-        table[:, 3],
-        table[:, 4],
-        table[:, 5],
-        poses,
-        trials,
-        teats,
-    )
+    columns = table[:, 3], table[:, 4], table[:, 5]
+    return ErrorRows(table[:, :3], table[:, 6] > 0.5, found, *columns, poses, trials, teats)
 
 
 def run_trends(rows: ErrorRows) -> tuple[Trend, ...]:
@@ -203,18 +181,18 @@ def _bias(means_mm: Floats) -> Bias:
 
 def teat_errors(rows: ErrorRows) -> tuple[TeatErrors, ...]:
     """Each teat's errors in the order of its poses; without teats that were never found."""
-    return tuple(_teat_errors(teat, rows.of_teat(teat)) for teat in rows.teat_names)
-
-
-def _teat_errors(teat: str, rows: ErrorRows) -> TeatErrors:
-    worst: dict[str, tuple[float, str]] = {}
-    distances = np.linalg.norm(rows.errors_mm, axis=1).tolist()
-    for pose, trial, distance in zip(
-        rows.of_found(rows.poses), rows.of_found(rows.trials), distances, strict=True
-    ):
-        worst[pose] = max(worst.get(pose, (-1.0, "")), (distance, trial))
-    means = pose_means(rows.errors_mm, rows.of_found(rows.poses))
-    return TeatErrors(teat, means, tuple(trial for _, trial in worst.values()), _bias(means))
+    found = []
+    for teat in rows.teat_names:
+        of = rows.of_teat(teat)
+        poses, trials = of.of_found(of.poses), of.of_found(of.trials)
+        worst: dict[str, tuple[float, str]] = {}
+        distances = np.linalg.norm(of.errors_mm, axis=1).tolist()
+        for pose, trial, distance in zip(poses, trials, distances, strict=True):
+            worst[pose] = max(worst.get(pose, (-1.0, "")), (distance, trial))
+        means = pose_means(of.errors_mm, poses)
+        worst_trials = tuple(trial for _, trial in worst.values())
+        found.append(TeatErrors(teat, means, worst_trials, _bias(means)))
+    return tuple(found)
 
 
 def pose_places(rows: ErrorRows) -> tuple[PosePlace, ...]:
@@ -224,33 +202,29 @@ def pose_places(rows: ErrorRows) -> tuple[PosePlace, ...]:
         at.setdefault(key, []).append(row)
     distances = np.full(len(rows.found), np.nan)
     distances[rows.found] = np.linalg.norm(rows.errors_mm, axis=1)
-    return tuple(
-        _pose_place(rows, key, at[key], distances)
-        for key in sorted(at, key=lambda key: (key[0], at[key][0]))
-    )
-
-
-def _pose_place(
-    rows: ErrorRows, key: tuple[str, str], at: list[int], distances: Floats
-) -> PosePlace:
-    found, missed = (
-        [row for row in at if rows.found[row]],
-        [row for row in at if not rows.found[row]],
-    )
-    worst = max(found, key=lambda row: float(distances[row]), default=None)
-    worst_mm, worst_trial = (
-        (None, None) if worst is None else (float(distances[worst]), rows.trials[worst])
-    )
-    x, y, z = rows.places_mm[at].mean(axis=0).tolist()
-    return PosePlace(
-        *key,
-        (x, y, z),
-        len(at),
-        len(found),
-        worst_mm,
-        worst_trial,
-        rows.trials[missed[0]] if missed else None,
-    )
+    places = []
+    for teat, pose in sorted(at, key=lambda key: (key[0], at[key][0])):
+        here = at[teat, pose]
+        missed = [row for row in here if not rows.found[row]]
+        worst = max(
+            (row for row in here if rows.found[row]),
+            key=lambda row: float(distances[row]),
+            default=None,
+        )
+        x, y, z = rows.places_mm[here].mean(axis=0).tolist()
+        places.append(
+            PosePlace(
+                teat,
+                pose,
+                (x, y, z),
+                repeats=len(here),
+                found=len(here) - len(missed),
+                worst_mm=None if worst is None else float(distances[worst]),
+                worst_trial=None if worst is None else rows.trials[worst],
+                missed_trial=rows.trials[missed[0]] if missed else None,
+            )
+        )
+    return tuple(places)
 
 
 def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
@@ -283,10 +257,6 @@ def teat_tilts_deg(run: RunRecord) -> dict[tuple[str, str], float]:
     return tilts
 
 
-def _known(value: float | None) -> float:
-    return float("nan") if value is None else float(value)
-
-
 Part = tuple[str, str]
 Touches = dict[Part, dict[str, list[tuple[float, float, float]]]]
 
@@ -306,7 +276,14 @@ class TruthGage:
 
 def truth_gage(runs: Sequence[RunRecord]) -> TruthGage:
     """The study over all touches that were not refused, of trials that count."""
-    touches = _touches(runs)
+    touches: Touches = {}
+    for number, run in enumerate(runs):
+        for trial in run.counted:
+            appraiser = f"run {number}" if len(runs) > 1 else trial.id
+            for row in trial.touches:
+                if row["refused"] is None:
+                    part = touches.setdefault((trial.pose, str(row["teat"])), {})
+                    part.setdefault(appraiser, []).append(_point(row))
     if not touches:
         return TruthGage(None, why="no teat end was touched")
     cells = {
@@ -314,12 +291,8 @@ def truth_gage(runs: Sequence[RunRecord]) -> TruthGage:
     }
     sizes = Counter(len(full) for full in cells.values() if len(full) > 1)
     if not sizes:
-        return TruthGage(
-            None,
-            len(cells),
-            "no end was touched twice in each of two set-ups; repeat the poses, or give a"
-            " second run",
-        )
+        why = "no end was touched twice in each of two set-ups; repeat the poses, or give a second"
+        return TruthGage(None, len(cells), f"{why} run")
     # as many set-ups as keep the most of what was measured
     appraisers = max(sizes, key=lambda size: (sizes[size] * size, size))
     parts = [full[:appraisers] for full in cells.values() if len(full) >= appraisers]
@@ -329,18 +302,6 @@ def truth_gage(runs: Sequence[RunRecord]) -> TruthGage:
     table: Floats = np.array([[points[:repeats] for points in part] for part in parts])
     x, y, z = (gage_study(table[..., axis]) for axis in range(3))
     return TruthGage((x, y, z), len(cells) - len(parts))
-
-
-def _touches(runs: Sequence[RunRecord]) -> Touches:
-    found: Touches = {}
-    for number, run in enumerate(runs):
-        for trial in run.counted:
-            for row in trial.touches:
-                if row["refused"] is None:
-                    appraiser = f"run {number}" if len(runs) > 1 else trial.id
-                    part = found.setdefault((trial.pose, str(row["teat"])), {})
-                    part.setdefault(appraiser, []).append(_point(row))
-    return found
 
 
 def _point(row: Mapping[str, float]) -> tuple[float, float, float]:

@@ -13,32 +13,12 @@ from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN, printed_chain
 from bench.record.reader import RunRecord
 from bench.results.verdicts import Judgement, run_verdict
-from bench.scoring.decisions import Decision, Verdict
+from bench.scoring.decisions import Verdict
 from reports.sanitize import csv_text, sanitized
 
 COLUMNS = (
-    "trial",
-    "situation",
-    "repeat",
-    "detector",
-    "teats",
-    "visible",
-    "found",
-    "missed",
-    "false",
-    "hidden_claimed",
-    "hidden",
-    "max_error_mm",
-    "mean_error_mm",
-    "gospa_mm",
-    "success",
-    "seconds",
-    "cold",
-    "outcome",
-    "reason",
-    "bath_c",
-    "truth",
-    "invalid",
+    "trial situation repeat detector teats visible found missed false hidden_claimed hidden"
+    " max_error_mm mean_error_mm gospa_mm success seconds cold outcome reason bath_c truth invalid"
 )
 
 
@@ -51,47 +31,40 @@ def write_exports(run: RunRecord, judgements: Sequence[Judgement], folder: Path)
 
 def trials_csv(run: RunRecord) -> str:
     """One line a trial and detector. What was not measured is an empty field."""
-    rows: list[Sequence[object]] = [COLUMNS]
+    columns = COLUMNS.split()
+    rows: list[Sequence[object]] = [columns]
     for trial in run.trials:
         for detection in trial.detections:
-            score = trial.scores.get(detection["detector"])
-            radial = score.radial_mm if score else ()
-            head = [
-                trial.id,
-                trial.head["situation"],
-                trial.head["repeat"],
-                detection["detector"],
-                len(trial.truth),
-            ]
-            counts = (
-                [
-                    score.counts.visible,
-                    score.counts.matched,
-                    score.counts.missed,
-                    score.counts.false,
-                ]
-                if score
-                else ["", "", "", ""]
-            )
-            hidden = [detection["hidden"], score.match.hidden if score else ""]
-            errors = [max(radial), sum(radial) / len(radial)] if radial else ["", ""]
-            tail = [score.gospa_mm if score else "", int(score.success) if score else ""]
-            rows.append(
-                [
-                    *head,
-                    *counts,
-                    *hidden,
-                    *errors,
-                    *tail,
-                    detection["wall_seconds"],
-                    detection["cold"],
-                    detection["outcome"],
-                    detection["reason"] or "",
-                    trial.head["bath_c"],
-                    trial.how or "",
-                    NOT_AS_WRITTEN if run.damage else trial.invalid or "",
-                ]
-            )
+            known = {
+                "trial": trial.id,
+                "situation": trial.head["situation"],
+                "repeat": trial.head["repeat"],
+                "detector": detection["detector"],
+                "teats": len(trial.truth),
+                "hidden_claimed": detection["hidden"],
+                "seconds": detection["wall_seconds"],
+                "cold": detection["cold"],
+                "outcome": detection["outcome"],
+                "reason": detection["reason"] or "",
+                "bath_c": trial.head["bath_c"],
+                "truth": trial.how or "",
+                "invalid": NOT_AS_WRITTEN if run.damage else trial.invalid or "",
+            }
+            if score := trial.scores.get(detection["detector"]):
+                counts, radial = score.counts, score.radial_mm
+                known |= {
+                    "visible": counts.visible,
+                    "found": counts.matched,
+                    "missed": counts.missed,
+                    "false": counts.false,
+                    "hidden": counts.hidden,
+                    "gospa_mm": score.gospa_mm,
+                    "success": int(score.success),
+                }
+                if radial:
+                    known["max_error_mm"] = max(radial)
+                    known["mean_error_mm"] = sum(radial) / len(radial)
+            rows.append([known.get(column, "") for column in columns])
     return csv_text(rows)
 
 
@@ -145,31 +118,25 @@ def junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
     """A test case a requirement: not met is a failure, undecided is skipped with its reason."""
     root = ET.Element("testsuites", name=str(run.facts.get("title", run.folder.name)))
     for judgement in judgements:
-        decisions = judgement.decisions
-        failures = sum(d.verdict is Verdict.NOT_MET for d in decisions)
-        undecided = sum(
-            d.verdict in (Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED) for d in decisions
-        )
+        suite = ET.SubElement(root, "testsuite", name=judgement.detector)
+        failures = undecided = 0
+        for decision in judgement.decisions:
+            named = {"classname": judgement.detector, "name": decision.name}
+            case = ET.SubElement(suite, "testcase", named)
+            if decision.verdict is Verdict.NOT_MET:
+                failures += 1
+                ET.SubElement(case, "failure", message=decision.sentence).text = decision.rule
+            elif decision.verdict is not Verdict.MET:
+                undecided += 1
+                why = f"{decision.verdict.value}: {decision.sentence}"
+                ET.SubElement(case, "skipped", message=why)
         numbers = {
-            "tests": str(len(decisions)),
-            "failures": str(failures),
-            "skipped": str(undecided),
-            "errors": "0",
+            "tests": len(judgement.decisions),
+            "failures": failures,
+            "skipped": undecided,
+            "errors": 0,
         }
-        suite = ET.SubElement(root, "testsuite", {"name": judgement.detector, **numbers})
-        for decision in decisions:
-            _case(suite, judgement.detector, decision)
+        suite.attrib |= {name: str(number) for name, number in numbers.items()}
     ET.indent(root)
-    return (
-        '<?xml version="1.0" encoding="utf-8"?>\n'
-        + sanitized(ET.tostring(root, encoding="unicode"))
-        + "\n"
-    )
-
-
-def _case(suite: ET.Element, detector: str, decision: Decision) -> None:
-    case = ET.SubElement(suite, "testcase", classname=detector, name=decision.name)
-    if decision.verdict is Verdict.NOT_MET:
-        ET.SubElement(case, "failure", message=decision.sentence).text = decision.rule
-    elif decision.verdict is not Verdict.MET:
-        ET.SubElement(case, "skipped", message=f"{decision.verdict.value}: {decision.sentence}")
+    text = sanitized(ET.tostring(root, encoding="unicode"))
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{text}\n'

@@ -69,16 +69,9 @@ class Latency:
         In the bench's process by processor seconds over elapsed; of another process by the
         machine's load.
         """
-        used = [
-            (cpu_s, seconds)
-            for cpu_s, seconds in zip(self.cpu_s, self.seconds, strict=True)
-            if cpu_s is not None
-        ]
-        loads = [
-            load
-            for load, cpu_s in zip(self.loads, self.cpu_s, strict=True)
-            if load is not None and cpu_s is None
-        ]
+        timed = list(zip(self.cpu_s, self.seconds, self.loads, strict=True))
+        used = [(cpu_s, seconds) for cpu_s, seconds, _ in timed if cpu_s is not None]
+        loads = [load for cpu_s, _, load in timed if load is not None and cpu_s is None]
         cpu_s, wall_s = (sum(column) for column in zip(*used, strict=True)) if used else (0.0, 0.0)
         if wall_s >= LEAST_TIMED_S and cpu_s < STARVED_BELOW * wall_s:
             why = (
@@ -100,26 +93,27 @@ class Latency:
 
 def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> Latency:
     """The times of one detector over the trials that count; of one situation where named."""
-    trials = [trial for trial in run.counted if situation in (None, trial.head["situation"])]
-    rows = [row for trial in trials for row in trial.detections if row["detector"] == detector]
-    poses = [
-        trial.pose
-        for trial in trials
+    rows = [
+        (trial.pose, row)
+        for trial in run.counted
+        if situation in (None, trial.head["situation"])
         for row in trial.detections
-        if row["detector"] == detector and row["outcome"] in _TIMED
+        if row["detector"] == detector
     ]
-    timed = [row for row in rows if row["outcome"] in _TIMED]
-    warm = [row for row in timed if not row["cold"]]
-    starts = [row["wall_start_up_s"] for row in rows if row["wall_start_up_s"] is not None]
+    timed = [(pose, row) for pose, row in rows if row["outcome"] in _TIMED]
+    warm = [(pose, row) for pose, row in timed if not row["cold"]]
+    outcomes = Counter(row["outcome"] for _, row in rows)
+    del outcomes[Outcome.ANSWERED.value]
+    starts = [row["wall_start_up_s"] for _, row in rows if row["wall_start_up_s"] is not None]
     return Latency(
-        tuple(row["wall_seconds"] for row in warm),
-        tuple(row["wall_seconds"] for row in timed if row["cold"]),
-        max(starts, default=None),
-        Counter(row["outcome"] for row in rows if row["outcome"] != Outcome.ANSWERED.value),
-        tuple(pose for pose, row in zip(poses, timed, strict=True) if not row["cold"]),
-        tuple(row["wall_cpu_s"] for row in warm),
-        tuple(row["wall_load"] for row in warm),
-        len(rows),
+        seconds=tuple(row["wall_seconds"] for _, row in warm),
+        cold_s=tuple(row["wall_seconds"] for _, row in timed if row["cold"]),
+        start_up_s=max(starts, default=None),
+        unanswered=outcomes,
+        poses=tuple(pose for pose, _ in warm),
+        cpu_s=tuple(row["wall_cpu_s"] for _, row in warm),
+        loads=tuple(row["wall_load"] for _, row in warm),
+        asked=len(rows),
     )
 
 

@@ -87,20 +87,27 @@ def make_plan(
     ``limit_mm`` of the error with ``u_mm``, the truth's standard uncertainty along an axis: what
     poses near the limit need.
     """
-    alpha = round(1.0 - confidence, 12)
-    there = poses or None
-    claims = [_claim(rate, confidence, failures, there, true_rate) for rate in rates]
-    error = None if limit_mm is None or u_mm is None else (limit_mm, u_mm)
+    alpha, there = round(1.0 - confidence, 12), poses or None
+    accept = None if limit_mm is None or u_mm is None else acceptance_limit_mm(limit_mm, u_mm)
+    claims = []
+    for rate in rates:
+        needed = tuple(trials_needed(count, rate, confidence) for count in range(failures + 1))
+        claim = Claim(rate, needed)
+        if there is not None:
+            chance = true_rate and power_of_rate(there, true_rate, rate, confidence)
+            allowed = failures_allowed(there, rate, confidence)
+            claim = replace(claim, failures_allowed=allowed, chance=chance)
+        if accept is not None and limit_mm is not None and u_mm is not None:
+            edge = guarded_n(0, rate, confidence, leak(accept, limit_mm, u_mm))
+            shown = shown_error_mm(there or needed[0], rate, limit_mm, u_mm, confidence)
+            claim = replace(claim, at_the_edge=edge, error_shown_mm=shown)
+        claims.append(claim)
     return Plan(
         confidence=confidence,
-        claims=tuple(
-            claims
-            if error is None
-            else [_with_error(claim, confidence, there, *error) for claim in claims]
-        ),
+        claims=tuple(claims),
         limit_mm=limit_mm,
         u_mm=u_mm,
-        accept_mm=None if error is None else acceptance_limit_mm(*error),
+        accept_mm=accept,
         power=power,
         alpha=alpha,
         discordant_needed=discordant_needed(alpha),
@@ -115,29 +122,6 @@ def make_plan(
             poses_for_shift(shift_mm, sd_mm, power, alpha) if shift_mm and sd_mm else None
         ),
     )
-
-
-def _claim(
-    rate: float, confidence: float, failures: int, poses: int | None, true_rate: float | None
-) -> Claim:
-    needed = tuple(trials_needed(count, rate, confidence) for count in range(failures + 1))
-    if poses is None:
-        return Claim(rate, needed)
-    chance = None if true_rate is None else power_of_rate(poses, true_rate, rate, confidence)
-    return Claim(rate, needed, failures_allowed(poses, rate, confidence), chance)
-
-
-def _with_error(
-    claim: Claim, confidence: float, poses: int | None, limit_mm: float, u_mm: float
-) -> Claim:
-    accept = acceptance_limit_mm(limit_mm, u_mm)
-    edge = (
-        None
-        if accept is None
-        else guarded_n(0, claim.rate, confidence, leak(accept, limit_mm, u_mm))
-    )
-    shown = shown_error_mm(poses or claim.poses_needed[0], claim.rate, limit_mm, u_mm, confidence)
-    return replace(claim, at_the_edge=edge, error_shown_mm=shown)
 
 
 def plan_lines(plan: Plan) -> Iterator[str]:

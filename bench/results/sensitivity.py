@@ -7,14 +7,13 @@ differs.
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.config import ConfigError, read_text
+from bench.config import ConfigError, did_you_mean, read_text
 from bench.results import sensitivity_limits
 from bench.results.answers import examine, points_of
 from bench.rig.loading import LoadedRig
@@ -151,108 +150,57 @@ def measure(bench: Bench, quantity: Quantity) -> Iterator[Measured]:
         yield _at(bench, quantity, value, renderer)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Scene:
-    """One member at one value: scene, visible ends, frames, calibration given to detectors."""
-
-    state: SceneState
-    teats: list[int]
-    frames: FrameSet
-    told: Calibration
-
-
 def _at(bench: Bench, quantity: Quantity, value: float, renderer: Renderer) -> Measured:
     tallies = {detector.name: Tally() for detector in bench.detectors}
-    bounds = []
+    truth = bench.rig.calibration
+    # by visible end: covariances (n, 3, 3), shifts (n, 3), depths a px (n,); by member: share
+    bounds: list[tuple[Array, Array, Array]] = []
+    shares: list[tuple[int, float]] = []
     for member in bench.members:
-        scene = _drawn(bench, quantity, value, member, renderer)
+        state, frames = _drawn(bench, quantity, value, member, renderer)
+        told = quantity.told(value, member, truth)
+        seen = renderer.visible_ends(state).all(axis=1)
+        teats, ends = np.flatnonzero(seen).tolist(), state.phantom.ends_mm
         for detector in bench.detectors:
-            tallies[detector.name] += _asked(detector, scene)
-        if scene.teats:
-            bounds.append(_bounds(scene, renderer, bench.rig.calibration, thermal=quantity.thermal))
-    return Measured(
-        value,
-        sum(len(bound.shifts_mm) for bound in bounds),
-        tallies,
-        _limit(bounds) if bounds else None,
-    )
+            answer = examine(detector, frames, told)
+            found = match(points_of(answer.detection), ends, seen, gate_mm(ends))
+            failed = int(answer.outcome is not Outcome.ANSWERED)
+            tallies[detector.name] += Tally(found.distances_mm, len(found.false), failed)
+        if teats:
+            covariances = sensitivity_limits.end_covariances(renderer, state, teats)
+            shifts = shifts_mm(truth, told, ends[teats])
+            bounds.append((covariances, shifts, truth.depth_per_disparity_px_mm(ends[teats])))
+            if quantity.thermal:
+                nominated = sensitivity_limits.nominated_share(renderer, state, teats)
+                shares.append((len(teats), nominated))
+    if not bounds:
+        return Measured(value, 0, tallies, None)
+    covariances, shifts, depths = (np.concatenate(each) for each in zip(*bounds, strict=True))
+    median, p95 = sensitivity_limits.error_quantiles_mm(covariances, shifts, QUANTILES)
+    disparity = MEDIAN_OF_NORMAL * DISPARITY_PX * float(np.median(depths))
+    share = sum(n * one for n, one in shares) / len(shifts) if shares else None
+    return Measured(value, len(shifts), tallies, Limit(median, p95, disparity, share))
 
 
 def _drawn(
     bench: Bench, quantity: Quantity, value: float, member: int, renderer: Renderer
-) -> _Scene:
+) -> tuple[SceneState, FrameSet]:
+    """One member at one value."""
+    noise = np.random.default_rng([bench.seed, member, *quantity.name.encode()])
     try:
         state = warm(quantity.set_up(value, member, renderer))
-        taken = renderer.render(
-            state, np.random.default_rng([bench.seed, member, *quantity.name.encode()])
-        )
+        taken = renderer.render(state, noise)
     except ValueError as error:
         raise ConfigError.plain(
             f"{quantity.name} {value:g} can't be set up for member {member}: {error}; choose others"
             " by --first"
         ) from error
-    teats = np.flatnonzero(renderer.visible_ends(state).all(axis=1))
-    frames = FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
-    return _Scene(
-        state, teats.tolist(), frames, quantity.told(value, member, bench.rig.calibration)
-    )
-
-
-def _asked(detector: Detector, scene: _Scene) -> Tally:
-    ends = scene.state.phantom.ends_mm
-    answer = examine(detector, scene.frames, scene.told)
-    found = match(
-        points_of(answer.detection),
-        ends,
-        [i in scene.teats for i in range(len(ends))],
-        gate_mm(ends),
-    )
-    return Tally(found.distances_mm, len(found.false), int(answer.outcome is not Outcome.ANSWERED))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bounds:
-    """By visible end: covariance (n, 3, 3), shift (n, 3), depth a px (n,), share nominated."""
-
-    covariances_mm2: Array
-    shifts_mm: Array
-    depth_per_px_mm: Array
-    share: float | None
-
-
-def _bounds(scene: _Scene, renderer: Renderer, truth: Calibration, *, thermal: bool) -> _Bounds:
-    ends = scene.state.phantom.ends_mm[scene.teats]
-    covariances = sensitivity_limits.end_covariances(renderer, scene.state, scene.teats)
-    share = (
-        sensitivity_limits.nominated_share(renderer, scene.state, scene.teats) if thermal else None
-    )
-    return _Bounds(
-        covariances,
-        shifts_mm(truth, scene.told, ends),
-        truth.depth_per_disparity_px_mm(ends),
-        share,
-    )
+    return state, FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
 
 
 def shifts_mm(calibration: Calibration, told: Calibration, ends_mm: Array) -> Array:
     """How far (n, 3) exact pixels of the ends are triangulated off with the given calibration."""
     return told.place(*calibration.project(ends_mm)) - ends_mm
-
-
-def _limit(bounds: Sequence[_Bounds]) -> Limit:
-    covariances, shifts = (
-        np.concatenate(each)
-        for each in zip(*((b.covariances_mm2, b.shifts_mm) for b in bounds), strict=True)
-    )
-    median, p95 = sensitivity_limits.error_quantiles_mm(covariances, shifts, QUANTILES)
-    disparity = (
-        MEDIAN_OF_NORMAL
-        * DISPARITY_PX
-        * float(np.median(np.concatenate([b.depth_per_px_mm for b in bounds])))
-    )
-    shares = [(len(b.shifts_mm), b.share) for b in bounds if b.share is not None]
-    share = sum(n * one for n, one in shares) / sum(n for n, _ in shares) if shares else None
-    return Limit(median, p95, disparity, share)
 
 
 FAMILY = "ideal"
@@ -435,9 +383,8 @@ def chosen(names: Sequence[str]) -> tuple[Quantity, ...]:
     """The quantities of these names, all for none. Raises ConfigError for one that isn't known."""
     for name in names:
         if name not in QUANTITIES:
-            close = difflib.get_close_matches(name, QUANTITIES, n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
             raise ConfigError.plain(
-                f"there is no quantity {name!r}{hint} (known: {', '.join(QUANTITIES)})"
+                f"there is no quantity {name!r}{did_you_mean(name, QUANTITIES)} (known:"
+                f" {', '.join(QUANTITIES)})"
             )
     return tuple(QUANTITIES[name] for name in dict.fromkeys(names)) or tuple(QUANTITIES.values())

@@ -20,7 +20,6 @@ import numpy as np
 from scipy.stats import norm
 
 from detector.calibration import Calibration
-from instruments.world.microbolometer import ThermalSensor
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import FLANGE_HEIGHT_MM, Phantom
 from instruments.world.scene import Renderer
@@ -171,23 +170,15 @@ def nominated_share(renderer: Renderer, state: SceneState, teats: Sequence[int])
     """
     sensor, camera = renderer.thermal.readout.sensor, renderer.cameras[2]
     threshold = float(norm.isf(1.0 / (sensor.width_px * sensor.height_px)))
-    signal = [_thermal_signal(sensor, camera, state, teat) for teat in teats]
-    return float(np.mean(norm.sf(threshold - np.array(signal))))
-
-
-def _thermal_signal(
-    sensor: ThermalSensor, camera: CameraModel, state: SceneState, teat: int
-) -> float:
-    shape, end = state.phantom.teats[teat].shape, state.phantom.ends_mm[teat]
-    px_a_mm = (
-        float(camera.fc.mean())
-        * sensor.width_px
-        / camera.width_px
-        / float(camera.camera_from_world(end[None])[0, 2])
-    )
-    pixels = 2.0 * shape.radius_mm * shape.length_mm * px_a_mm**2
-    warmer_k = abs(state.teat_temps_c[teat] - state.ambient_c) * state.teat_paint.emissivity
-    return float(warmer_k * np.sqrt(pixels) / np.hypot(sensor.netd_k, sensor.fixed_k))
+    focal_px = float(camera.fc.mean()) * sensor.width_px / camera.width_px
+    signals = []
+    for teat in teats:
+        shape, end = state.phantom.teats[teat].shape, state.phantom.ends_mm[teat]
+        px_a_mm = focal_px / float(camera.camera_from_world(end[None])[0, 2])
+        pixels = 2.0 * shape.radius_mm * shape.length_mm * px_a_mm**2
+        warmer_k = abs(state.teat_temps_c[teat] - state.ambient_c) * state.teat_paint.emissivity
+        signals.append(warmer_k * np.sqrt(pixels) / np.hypot(sensor.netd_k, sensor.fixed_k))
+    return float(np.mean(norm.sf(threshold - np.array(signals))))
 
 
 FOCAL_PX = 1290.0  # a turn by one pixel's angle, tables 3.1 and 3.2

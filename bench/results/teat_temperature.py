@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import fmean
 
 from instruments.world.plant import HEAT_CAPACITY_J_PER_L_K, PlantConstants
 
@@ -76,45 +77,33 @@ def hose_drop_k(water_c: float, room_c: float) -> float:
 
 
 def _from_sensor(external_c: Sequence[float], figures: Figures) -> Surface:
+    sensor, place = (
+        figures.external_accuracy_k,
+        f"± {SENSOR_SPAN_K:g} K, root to tip and teat to teat",
+    )
     components = (
-        Component(
-            "sensor at the phantom", figures.external_accuracy_k, "rig file, external_accuracy_k"
-        ),
-        Component(
-            "the sensor's place",
-            _rectangular(SENSOR_SPAN_K),
-            f"± {SENSOR_SPAN_K:g} K, root to tip and teat to teat",
-        ),
+        Component("sensor at the phantom", sensor, "rig file, external_accuracy_k"),
+        Component("the sensor's place", SENSOR_SPAN_K / math.sqrt(3.0), place),
         _steadiness(external_c),
     )
-    return Surface(_mean(external_c), "external sensor at the phantom", components)
+    return Surface(fmean(external_c), "external sensor at the phantom", components)
 
 
 def _from_model(bath_c: Sequence[float], figures: Figures) -> Surface:
-    water_c, room_c = _mean(bath_c), figures.room_c
+    water_c, room_c = fmean(bath_c), figures.room_c
     supply_c = water_c - hose_drop_k(water_c, room_c)
     slow, fast = (below_water_k(supply_c, room_c, film) for film in FILM_SPAN_W_PER_M2K)
     per_k = below_water_k(supply_c, room_c) / (supply_c - room_c) if supply_c != room_c else 0.0
+    film_k, room_k = abs(slow - fast) / math.sqrt(12.0), ROOM_SPAN_K * per_k / math.sqrt(3.0)
     components = (
         Component("bath's own sensor", figures.accuracy_k, "rig file, accuracy_k"),
-        Component("film inside the teat", _rectangular(abs(slow - fast) / 2), "300 to 1500 W/m²K"),
-        Component("room", _rectangular(ROOM_SPAN_K * per_k), f"± {ROOM_SPAN_K:g} K"),
+        Component("film inside the teat", film_k, "300 to 1500 W/m²K"),
+        Component("room", room_k, f"± {ROOM_SPAN_K:g} K"),
         _steadiness(bath_c),
     )
     return Surface(supply_c - below_water_k(supply_c, room_c), "plant model", components)
 
 
 def _steadiness(readings_c: Sequence[float]) -> Component:
-    return Component(
-        "change during the capture",
-        _rectangular((max(readings_c) - min(readings_c)) / 2),
-        f"{len(readings_c)} readings",
-    )
-
-
-def _mean(values: Sequence[float]) -> float:
-    return math.fsum(values) / len(values)
-
-
-def _rectangular(half_width: float) -> float:
-    return half_width / math.sqrt(3.0)
+    u_k = (max(readings_c) - min(readings_c)) / math.sqrt(12.0)
+    return Component("change during the capture", u_k, f"{len(readings_c)} readings")

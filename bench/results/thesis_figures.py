@@ -9,13 +9,20 @@ from typing import Literal
 import numpy as np
 
 from bench.config import Section, read_config
-from bench.scoring.errors import ErrorSummary, Floats, summarise
+from bench.scoring.errors import Floats, summarise
 
 FIGURES = Path(__file__).parent / "thesis_figures.toml"
 Kind = Literal["situations", "plane", "offsets"]
 Point = tuple[float, float, float]
 Matrix = tuple[Point, Point, Point]
 Four = tuple[Point, Point, Point, Point]
+
+
+class Printed(Section):
+    """A figure's ``section``, and what is ``wrong`` in it."""
+
+    section: str
+    wrong: str
 
 
 class Asked(Section):
@@ -28,74 +35,56 @@ class Asked(Section):
     wrong_time: str
 
 
-class EarlierSystem(Section):
-    section: str
+class EarlierSystem(Printed):
     plane_mm: tuple[float, float]
     average_mm: float
     largest_mm: float
     smallest_mm: float
     within_mm: float
     area_within_mm: tuple[float, float]
-    wrong: str
 
 
-class FirstTest(Section):
-    section: str
+class FirstTest(Printed):
     measured_mm: Four
     triangulated_mm: Four
     average_mm: float
     largest_mm: float
-    wrong: str
 
 
-class SecondTest(Section):
-    section: str
+class SecondTest(Printed):
     triangulated_mm: Four
     errors_mm: Four
     average_mm: float
     largest_mm: float
-    wrong: str
 
 
-class OnePixel(Section):
-    section: str
+class OnePixel(Printed):
     error_mm: float
-    wrong: str
 
 
-class Homography(Section):
-    section: str
+class Homography(Printed):
     left: Matrix
     right: Matrix
     largest_px: float
     largest_mm: float
     at_mm: float
-    wrong: str
 
 
-class StandOff(Section):
-    section: str
+class StandOff(Printed):
     stated_mm: float
     implied_mm: tuple[float, float]
-    wrong: str
 
 
-class World(Section):
-    section: str
+class World(Printed):
     matrix: Matrix
-    wrong: str
 
 
-class Arm(Section):
-    section: str
+class Arm(Printed):
     accuracy_mm: tuple[float, float]
-    wrong: str
 
 
-class Bath(Section):
-    section: str
+class Bath(Printed):
     range_c: tuple[float, float]
-    wrong: str
 
 
 class Situation(Section):
@@ -150,16 +139,10 @@ def thesis() -> Thesis:
 
 def statistics(errors_mm: Floats) -> Statistics:
     """Of errors (n, 3): over the 3 n components as the thesis averages, and the n distances."""
-    found: ErrorSummary = summarise(errors_mm)
-    pooled, radial = found.components, found.radial
-    return Statistics(
-        found.n,
-        pooled.bias_mm,
-        pooled.mean_abs_mm,
-        pooled.max_abs_mm,
-        radial.mean_mm,
-        radial.max_mm,
-    )
+    found = summarise(errors_mm)
+    of, radial = found.components, found.radial
+    distances = radial.mean_mm, radial.max_mm
+    return Statistics(found.n, of.bias_mm, of.mean_abs_mm, of.max_abs_mm, *distances)
 
 
 def errors_of_test_mm(figures: Thesis, number: Literal[1, 2]) -> Floats:

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,14 @@ import numpy as np
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.results.latency import Latency, latency_of
-from bench.rig.arm_files import Limits, Verification, broken_by, from_dict, gaps_of
+from bench.rig.arm_files import (
+    Limits,
+    LocationTest,
+    Verification,
+    broken_by,
+    from_dict,
+    gaps_of,
+)
 from bench.scoring.decisions import (
     Decision,
     Verdict,
@@ -56,49 +62,50 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
         for when in (BEFORE, AFTER)
         if CHECK_FACT.format(when) in facts
     }
+    tests = {
+        when: location_of(fact, f"the check {when} the trials") for when, fact in checks.items()
+    }
     dated = from_dict(facts[VERIFICATION_FACT]) if VERIFICATION_FACT in facts else None
-    n = sum(len(fact["touches"]) for fact in checks.values())
-    if not checks and not dated:
-        sentence = (
-            "The rig names neither a check point nor a verification of the arm (keys check_point_mm"
-            " and verification)."
-        )
-        return _decision(rule, 0, None, Verdict.NOT_MEASURED, sentence)
-    found = [location_of(fact, when).largest_mm for when, fact in checks.items()] + (
-        [dated.location_mm] if dated else []
+    limit = rule.location_limit_mm
+    nothing = Decision(
+        name=rule.name,
+        rule=_rule(rule),
+        unit="mm",
+        limit=limit,
+        sentence="The rig names neither a check point nor a verification of the arm (keys"
+        " check_point_mm and verification).",
     )
-    against = [
-        *chain.from_iterable(_check_faults(rule, fact, when) for when, fact in checks.items()),
-        *_drift_faults(rule, checks),
-    ]
-    against += _dated_faults(rule, dated, facts) if dated else []
+    if not checks and not dated:
+        return nothing
+    against = _check_faults(rule, checks, tests)
     missing = [
         f"the arm was not checked {when} the trials"
         for when in (BEFORE, AFTER)
         if when not in checks
     ]
-    missing += chain.from_iterable(
-        gaps_of(location_of(fact, _called(when)), rule.least_touches)
-        for when, fact in checks.items()
-    )
-    missing += (
-        [f"in the dated verification, {gap}" for gap in dated.gaps(_limits(rule))] if dated else []
-    )
-    if not dated and rule.dated_required:
+    for test in tests.values():
+        missing += gaps_of(test, rule.least_touches)
+    if dated:
+        limits = Limits(limit, rule.length_limit_mm)
+        against += _dated_faults(rule, dated, limits, facts)
+        missing += [f"in the dated verification, {gap}" for gap in dated.gaps(limits)]
+    elif rule.dated_required:
         missing.append("the rig names no dated verification")
-    touches = n + (sum(test.n for test in dated.locations) if dated else 0)
-    verdict = Verdict.NOT_MET if against else Verdict.INCONCLUSIVE if missing else Verdict.MET
-    sentence = _sentence("; ".join(against + missing) or _shown(checks, dated))
-    return _decision(rule, touches, max(found), verdict, sentence)
-
-
-def _decision(
-    rule: ArmRequirement, n: int, measured: float | None, verdict: Verdict, sentence: str
-) -> Decision:
-    limit = rule.location_limit_mm
-    margin = None if measured is None else limit - measured
-    return Decision(
-        rule.name, _rule(rule), n, measured, "mm", limit, margin, None, verdict, sentence
+    read = " and ".join(f"{test.largest_mm:.2f} mm {when}" for when, test in tests.items())
+    kept = f"one divot read within {read}; " + (
+        f"verified on {dated.made:%Y-%m-%d}" if dated else "no dated verification is named"
+    )
+    told = "; ".join(against + missing) or kept
+    largest = max(
+        [test.largest_mm for test in tests.values()] + ([dated.location_mm] if dated else [])
+    )
+    return replace(
+        nothing,
+        n=sum(test.n for test in (*tests.values(), *(dated.locations if dated else ()))),
+        measured=largest,
+        margin=limit - largest,
+        verdict=(Verdict.NOT_MET if against else Verdict.INCONCLUSIVE if missing else Verdict.MET),
+        sentence=f"{told[0].upper()}{told[1:]}.",
     )
 
 
@@ -118,35 +125,35 @@ def _rule(rule: ArmRequirement) -> str:
     )
 
 
-def _check_faults(rule: ArmRequirement, fact: Mapping[str, Any], when: str) -> list[str]:
-    faults = broken_by(location_of(fact, _called(when)), rule.location_limit_mm)
-    shift = shift_mm(fact)
-    if shift > rule.shift_limit_mm:
-        faults.append(
-            f"the check point was found {shift:.2f} mm from its place {when} the trials, limit"
-            f" {rule.shift_limit_mm:g} mm: was the arm homed, and was arm or table moved since the"
-            " frame was made?"
-        )
+def _check_faults(
+    rule: ArmRequirement,
+    checks: Mapping[str, Mapping[str, Any]],
+    tests: Mapping[str, LocationTest],
+) -> list[str]:
+    faults = []
+    for when, fact in checks.items():
+        faults += broken_by(tests[when], rule.location_limit_mm)
+        shift = shift_mm(fact)
+        if shift > rule.shift_limit_mm:
+            faults.append(
+                f"the check point was found {shift:.2f} mm from its place {when} the trials, limit"
+                f" {rule.shift_limit_mm:g} mm: was the arm homed, and was arm or table moved since"
+                " the frame was made?"
+            )
+    if len(tests) == 2:
+        drift = float(np.linalg.norm(tests[AFTER].centre_mm - tests[BEFORE].centre_mm))
+        if drift > rule.drift_limit_mm:
+            faults.append(
+                f"the check point moved by {drift:.2f} mm during the run, limit"
+                f" {rule.drift_limit_mm:g} mm: was arm or table pushed?"
+            )
     return faults
 
 
-def _drift_faults(rule: ArmRequirement, checks: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    if len(checks) < 2:
-        return []
-    first, last = (location_of(checks[when], when).centre_mm for when in (BEFORE, AFTER))
-    drift = float(np.linalg.norm(last - first))
-    if drift <= rule.drift_limit_mm:
-        return []
-    return [
-        (
-            f"the check point moved by {drift:.2f} mm during the run, limit"
-            f" {rule.drift_limit_mm:g} mm: was arm or table pushed?"
-        )
-    ]
-
-
-def _dated_faults(rule: ArmRequirement, dated: Verification, facts: Mapping[str, Any]) -> list[str]:
-    faults = [f"in the dated verification, {text}" for text in dated.broken(_limits(rule))]
+def _dated_faults(
+    rule: ArmRequirement, dated: Verification, limits: Limits, facts: Mapping[str, Any]
+) -> list[str]:
+    faults = [f"in the dated verification, {text}" for text in dated.broken(limits)]
     serial = facts.get("identities", {}).get("arm", {}).get("serial_number")
     if serial is not None and dated.serial_number != serial:
         faults.append(
@@ -160,29 +167,9 @@ def _dated_faults(rule: ArmRequirement, dated: Verification, facts: Mapping[str,
     return faults
 
 
-def _called(when: str) -> str:
-    return f"the check {when} the trials"
-
-
-def _limits(rule: ArmRequirement) -> Limits:
-    return Limits(rule.location_limit_mm, rule.length_limit_mm)
-
-
 def age_of(dated: Verification, facts: Mapping[str, Any]) -> timedelta:
     """How old a verification was when the run began."""
     return datetime.fromisoformat(str(facts["wall_started"])) - dated.made
-
-
-def _shown(checks: Mapping[str, Mapping[str, Any]], dated: Verification | None) -> str:
-    largest = {when: location_of(fact, when).largest_mm for when, fact in checks.items()}
-    checked = " and ".join(f"{value:.2f} mm {when}" for when, value in largest.items())
-    return f"one divot read within {checked}" + (
-        f"; verified on {dated.made:%Y-%m-%d}" if dated else "; no dated verification is named"
-    )
-
-
-def _sentence(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}."
 
 
 DetectorRequirement = ErrorRequirement | TimeRequirement | SuccessRequirement | FalseRequirement
@@ -293,31 +280,31 @@ def _decided(
                 statistic=rule.statistic,
                 missed=scores.counts.missed,
             )
+        case FalseRequirement():
+            return decide_count(
+                rule.name,
+                scores.counts.false,
+                scenes=len(scores.scores),
+                confidence=rule.confidence,
+                per_pose=scores.worst_false,
+            )
         case SuccessRequirement():
-            rate, sure = rule.rate, rule.confidence
-            shown, possible = scores.surely_succeeded(rate, sure), scores.perhaps_succeeded
             decision = decide_rate(
                 rule.name,
                 scores.success,
-                required=rate,
-                confidence=sure,
-                shown=shown,
-                possible=possible,
-            )
-        case FalseRequirement():
-            of, false = len(scores.scores), scores.counts.false
-            return decide_count(
-                rule.name, false, scenes=of, confidence=rule.confidence, per_pose=scores.worst_false
+                required=rule.rate,
+                confidence=rule.confidence,
+                shown=scores.surely_succeeded(rule.rate, rule.confidence),
+                possible=scores.perhaps_succeeded,
             )
         case TimeRequirement():
-            how, rate_of, sure = rule.statistic, rule.rate, rule.confidence
             decision = decide_time(
                 rule.name,
                 timed.seconds,
                 limit_s=rule.limit_s,
-                statistic=how,
-                rate=rate_of,
-                confidence=sure,
+                statistic=rule.statistic,
+                rate=rule.rate,
+                confidence=rule.confidence,
                 poses=timed.poses,
             )
     return replace(decision, sentence=f"{decision.sentence} {timed.starved}".strip())

@@ -14,12 +14,10 @@ from pathlib import Path
 
 from bench.config import ConfigError, read_text
 from bench.record.reader import RunRecord, TrialRecord
-from bench.results.answers import TruthRow
 from bench.truth.carrying import resumed
 from bench.truth.uncertainty import How
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import Recording, RecordingError, RecordingWriter
-from instruments.camera.recording import TruthRow as RecordedTruth
+from instruments.camera.recording import Recording, RecordingError, RecordingWriter, TruthRow
 
 RECORDED = "recorded to"  # fact: the recording's folder
 
@@ -41,7 +39,7 @@ class Recorder:
         self._folder = folder
         self._warn = warn
         self._broken = False
-        self._open: dict[str, list[RecordedTruth]] = {}
+        self._open: dict[str, Sequence[TruthRow]] = {}
         try:
             _refuse_others(folder, before)
             for unfinished in folder.glob("making *"):
@@ -56,7 +54,6 @@ class Recorder:
     def trial(
         self,
         trial_id: str,
-        situation: str,
         frames: FrameSet,
         truth: Sequence[TruthRow],
         *,
@@ -65,11 +62,14 @@ class Recorder:
         """Add a trial's frame set with its truth; truth that isn't confirmed waits for `settled`,
         the frames stay without until then.
         """
-        rows = [
-            RecordedTruth(situation, row.teat, row.point_mm, row.visible, row.u_mm) for row in truth
-        ]
         with self._watched():
-            self._put(trial_id, frames, rows, confirmed)
+            if self._broken:  # a recording with holes would be taken for a whole one
+                return
+            self._writer.add(trial_id, frames)
+            if confirmed:
+                self._writer.add_truth(trial_id, truth)
+            else:
+                self._open[trial_id] = truth
 
     def settled(self, trials: Sequence[str], good: bool) -> None:
         """The truth of these trials holds, or it doesn't and is dropped."""
@@ -77,20 +77,6 @@ class Recorder:
         with self._watched():
             for trial in rows if good and not self._broken else ():
                 self._writer.add_truth(trial, rows[trial])
-
-    def _put(
-        self, trial: str, frames: FrameSet, rows: list[RecordedTruth], confirmed: bool
-    ) -> None:
-        """Once something went wrong nothing more is written: a recording with holes would be taken
-        for a whole one.
-        """
-        if self._broken:
-            return
-        self._writer.add(trial, frames)
-        if confirmed:
-            self._writer.add_truth(trial, rows)
-        else:
-            self._open[trial] = rows
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
@@ -159,9 +145,9 @@ def _has(folder: Path) -> tuple[set[str], set[str]]:
     return frames, set(Recording(folder).truth) if frames else set()
 
 
-def _truth(trial: TrialRecord) -> list[RecordedTruth]:
+def _truth(trial: TrialRecord) -> list[TruthRow]:
     return [
-        RecordedTruth(
+        TruthRow(
             str(trial.head["situation"]),
             row["teat"],
             (row["x_mm"], row["y_mm"], row["z_mm"]),

@@ -20,9 +20,9 @@ import numpy as np
 
 from bench.config import ConfigError, read_text
 from bench.files import Picture
-from bench.record.reader import RunRecord, read_run
-from bench.record.schema import SCRIPT
-from bench.record.writer import FinishedTrial, Row, Store
+from bench.record.reader import RunRecord, TrialRecord, read_run
+from bench.record.schema import SCRIPT, Row
+from bench.record.writer import Store
 from bench.rig.loading import LoadedRig, load_rig
 from bench.run.states import EVENT, RunState
 from bench.script.model import LoadedScript, load_script
@@ -130,9 +130,9 @@ class Compared:
     same: list[str] = field(default_factory=list)
     differ: list[str] = field(default_factory=list)
 
-    def take(self, done: FinishedTrial) -> None:
+    def take(self, done: TrialRecord) -> None:
         """One trial."""
-        trial = str(done.trial["id"])
+        trial = done.id
         kept = self.record.get(trial)
         if kept is not None:
             (
@@ -177,7 +177,7 @@ class RehearsedStore(Store):
         if reading["t_s"] > self._read_to_s:
             super().bath(reading)
 
-    def finished(self, done: FinishedTrial) -> None:
+    def finished(self, done: TrialRecord) -> None:
         if self._silent:
             self.compared.take(done)
         else:
@@ -192,9 +192,6 @@ class RehearsedStore(Store):
         lost = [trial for trial in invalid if trial not in self._invalid]
         if not self._silent and (new or lost):
             super().checked(new, lost, reason)
-
-    def frame(self, trial: str, camera: str, image: Picture, exposed_s: float | None) -> Row:
-        return {} if self._silent else super().frame(trial, camera, image, exposed_s)
 
     def frames(
         self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]

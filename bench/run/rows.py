@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.files import Picture
-from bench.record.writer import Row, Store
-from bench.results.answers import Answer, TruthRow, score_answer
+from bench.record.schema import Row
+from bench.record.writer import Store
+from bench.results.answers import Answer, score_answer
 from bench.scoring.scene import SceneScore
 from bench.truth.uncertainty import TruthPoint
 from instruments.camera.frame import FrameSet
-
-WALL_KEYS = ("seconds", "in_time", "success")  # parts of a score that depend on real time
+from instruments.camera.recording import TruthRow
 
 
 def frame_rows(
@@ -46,7 +46,7 @@ def truth_row(
     """The row of the table ``truth``; ``point`` has the budget,
     where the truth is the bench's own.
     """
-    x, y, z = row.point_mm
+    x, y, z = row.xyz_mm
     kept = None if exact is None else json.dumps([float(v) for v in exact])
     place = {
         "x_mm": x,
@@ -71,22 +71,20 @@ def judged(
     truth: Sequence[TruthRow],
     limit_mm: float,
     time_limit_s: float,
-) -> tuple[list[Row], list[Row], list[Row]]:
-    """Rows of ``detections``, ``found`` and ``scores`` for all answers on one frame set; no scores
-    without truth.
+) -> tuple[list[Row], list[Row], dict[str, SceneScore]]:
+    """Rows of ``detections`` and ``found``, and scores by detector, for all answers on one frame
+    set; no scores without truth.
     """
-    detections, found, scores = [], [], []
+    detections: list[Row] = []
+    found: list[Row] = []
+    scores: dict[str, SceneScore] = {}
     for answer in answers:
         head, ends = detection_rows(trial_id, answer)
         detections.append(head)
         found.extend(ends)
         if truth:
-            scores.append(
-                score_row(
-                    trial_id,
-                    answer.detector,
-                    score_answer(answer, truth, limit_mm=limit_mm, time_limit_s=time_limit_s),
-                )
+            scores[answer.detector] = score_answer(
+                answer, truth, limit_mm=limit_mm, time_limit_s=time_limit_s
             )
     return detections, found, scores
 
@@ -146,20 +144,6 @@ def stage_pictures(answer: Answer) -> dict[str, Picture]:
         for stage in answer.detection.trace
         for mask in stage.data.values()
         if mask.dtype == np.bool_ and mask.ndim == 2
-    }
-
-
-def score_row(trial: str, detector: str, score: SceneScore) -> Row:
-    """The row of the table ``scores``: what depends on real time stands apart, so that the rest
-    repeats with the seed.
-    """
-    whole = score.as_dict()
-    wall = {key: whole.pop(key) for key in WALL_KEYS}
-    return {
-        "trial": trial,
-        "detector": detector,
-        "score": json.dumps(whole),
-        "wall_score": json.dumps(wall),
     }
 
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bench.config import ConfigError, read_calibration, read_config, read_text
-from bench.record.reader import read_run
+from bench.record.reader import TrialRecord, read_run
 from bench.record.schema import RULES, SCRIPT
-from bench.record.writer import FinishedTrial, Store, new_run_folder
-from bench.results.answers import Examiner, TruthRow, close_detectors
+from bench.record.writer import Store, new_run_folder
+from bench.results.answers import Examiner, close_detectors
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.run.engine import Ending, Engine
@@ -300,14 +300,13 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
             frames = recording.load(frame)
             answers = [examiner.ask(detector, frames) for detector in under_test]
             known = recording.truth.get(frame, ())
-            truth = [TruthRow(t.teat, t.xyz_mm, t.visible, t.u_mm) for t in known]
             situation = known[0].situation if known else "unknown"
             trial = f"{number:03d}-{frame}"
             head = _head(trial, number, poses[frame], situation)
-            scored = judged(trial, answers, truth, rules.visible_within_mm, rules.time_limit_s)
-            rows = [truth_row(trial, row) for row in truth]
+            scored = judged(trial, answers, known, rules.visible_within_mm, rules.time_limit_s)
+            rows = [truth_row(trial, row) for row in known]
             store.finished(
-                FinishedTrial(head, frame_rows(store, trial, frames, answers), [], rows, *scored)
+                TrialRecord(head, frame_rows(store, trial, frames, answers), [], rows, *scored)
             )
         progress.trial(len(recording.frames), len(recording.frames), "")
         _end(store, Ending.FINISHED)

@@ -20,8 +20,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.record.writer import FinishedTrial, Row, Store
-from bench.results.answers import Answer, Examiner, TruthRow
+from bench.record.reader import TrialRecord
+from bench.record.schema import Row
+from bench.record.writer import Store
+from bench.results.answers import Answer, Examiner
 from bench.rig.devices import Devices
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
@@ -36,6 +38,7 @@ from bench.truth.touching import NoTruthError, TouchedTruth, TrialTruth
 from bench.truth.uncertainty import How
 from detector.protocol import Detector, Served
 from instruments.camera.frame import FrameSet
+from instruments.camera.recording import TruthRow
 from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError
 from instruments.operators.operator import Operator, OperatorRepeat, OperatorSkip
@@ -154,7 +157,6 @@ class FrameSink(Protocol):
     def trial(
         self,
         trial_id: str,
-        situation: str,
         frames: FrameSet,
         truth: Sequence[TruthRow],
         *,
@@ -232,7 +234,7 @@ class TrialRun:
         self._attention.check()
         answers = self._detect(frames)
         rows = [
-            TruthRow(str(i), t.point_mm, placed.visible[i - 1], t.uncertainty.u_mm)
+            TruthRow(trial.situation, str(i), t.point_mm, placed.visible[i - 1], t.uncertainty.u_mm)
             for i, t in enumerate(truth.points, 1)
         ]
         head: Row = {
@@ -253,9 +255,7 @@ class TrialRun:
         self._store_trial(head, frames, rows, truth, answers)
         self._truth.stored(trial_id, truth)
         if self._sink and not self.rehearsing:
-            self._sink.trial(
-                trial_id, trial.situation, frames, rows, confirmed=truth.how is How.TOUCHED
-            )
+            self._sink.trial(trial_id, frames, rows, confirmed=truth.how is How.TOUCHED)
 
     def look(self) -> None:
         """See whether the cameras work. Raises where they don't."""
@@ -377,7 +377,7 @@ class TrialRun:
             trial_id, answers, rows, self._script.visible_within_mm, self._script.time_limit_s
         )
         self._store.finished(
-            FinishedTrial(
+            TrialRecord(
                 head,
                 frame_rows(self._store, trial_id, frames, answers),
                 truth.touches,

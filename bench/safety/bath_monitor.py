@@ -13,7 +13,8 @@ import sqlite3
 import threading
 from collections.abc import Callable, Hashable
 
-from bench.record.writer import Row, Store
+from bench.record.schema import Row
+from bench.record.writer import Store
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
 from bench.safety.guardian_client import GuardianClient

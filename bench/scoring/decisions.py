@@ -205,11 +205,10 @@ def decide_count(
     count: int,
     *,
     scenes: int,
-    limit: int = 0,
     confidence: float = 0.95,
     per_pose: Sequence[int] | None = None,
 ) -> Decision:
-    """Are there at most `limit` (false teats, say) in the scenes run? The sentence gives the upper
+    """Is there none (false teats, say) in the scenes run? The sentence gives the upper
     bound per scene (Garwood 1936, Poisson).
 
     `per_pose` is the count of each pose's worst scene: the bound counts poses, since repeats of one
@@ -217,8 +216,8 @@ def decide_count(
     """
     if count < 0 or scenes < 0 or (count and not scenes):
         raise ValueError(f"decide_count: {count} in {scenes} scenes is impossible")
-    rule = f"at most {limit} in all scenes that were run"
-    nothing = Decision(name=name, rule=rule, limit=float(limit), sentence="No scene was scored.")
+    rule = "at most 0 in all scenes that were run"
+    nothing = Decision(name=name, rule=rule, limit=0.0, sentence="No scene was scored.")
     if not scenes:
         return nothing
     worst, poses = (count, scenes) if per_pose is None else (sum(per_pose), len(per_pose))
@@ -228,8 +227,8 @@ def decide_count(
         nothing,
         n=poses,
         measured=float(count),
-        margin=float(limit - count),
-        verdict=Verdict.MET if count <= limit else Verdict.NOT_MET,
+        margin=float(-count),
+        verdict=Verdict.NOT_MET if count else Verdict.MET,
         sentence=f"{count} in {where}: at most {bound:.2g} a scene in the long run, with"
         f" {exact_percent(confidence)} confidence.",
     )

@@ -66,12 +66,11 @@ class Pool:
         """
         poses = len(set(self.poses))
         failures = failures_allowed(poses, rate, confidence)
-        kinds = {(s.limit_mm, s.u_mm) for s in self.scores}
-        reach = (
-            {}
-            if failures is None
-            else {kind: shown_error_mm(poses, rate, *kind, confidence, failures) for kind in kinds}
-        )
+        reach: dict[tuple[float, float], float | None] = {}
+        if failures is not None:
+            for limit_mm, u_mm in {(s.limit_mm, s.u_mm) for s in self.scores}:
+                most = shown_error_mm(poses, rate, limit_mm, u_mm, confidence, failures)
+                reach[limit_mm, u_mm] = most
 
         def sure(score: SceneScore) -> bool:
             most = reach.get((score.limit_mm, score.u_mm), score.limit_mm)
@@ -83,9 +82,7 @@ class Pool:
 
     @property
     def perhaps_succeeded(self) -> Rate:
-        """Poses that succeeded, or whose failures the truth's
-        uncertainty could turn, of the poses.
-        """
+        """Poses that succeeded, or whose failures the truth's uncertainty could turn."""
         return pose_successes(self.poses, [not s.surely_failed for s in self.scores])
 
     @property

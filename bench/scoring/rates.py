@@ -1,5 +1,4 @@
-"""Rates as counts with exact intervals (Clopper and Pearson, Biometrika 26, 1934). Knows no scene:
-only successes and trials.
+"""Rates as counts with exact intervals (Clopper and Pearson, Biometrika 26, 1934).
 
 Intervals count poses, not frames: frames of one pose are not independent trials. An empty rate is
 "not measured".

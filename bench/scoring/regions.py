@@ -1,14 +1,11 @@
-"""Errors as ellipsoids: where the next one will lie, and where the bias lies. Knows only difference
-vectors.
+"""Errors as ellipsoids: where the next one will lie, and where the bias lies; and the error map of
+the plane, as data.
 
 Chew, "Confidence, prediction, and tolerance regions for the multivariate normal distribution", JASA
-61, 1966; both rest on Hotelling's T^2. Rows have to be independent: give the mean of each pose
-(`pose_means`), for repeats of one pose share its error.
-
-The error map of the plane, as data: what was found at each place, and how far off. Knows no plot.
-
-A cell is a place of its own, or a square of the plane where a step is named. What was missed is
-counted in its cell: a map of the found alone would look best where the detector finds least.
+61, 1966; both ellipsoids rest on Hotelling's T^2. Rows have to be independent: give the mean of
+each pose (`pose_means`), for repeats of one pose share its error. A cell of the map is a place of
+its own, or a square of the plane where a step is named. What was missed is counted in its cell: a
+map of the found alone would look best where the detector finds least.
 """
 
 from __future__ import annotations
@@ -228,23 +225,19 @@ def error_map(
     width = int((at - first).max(initial=0)) + 1
     # one number a cell: y above x
     key, cell = np.unique((at - first) @ np.array([1, width]), return_inverse=True)
-    centres = np.column_stack([key % width, key // width]) + first
-    return _cells(centres * side, cell.ravel(), errors, was_found)
-
-
-def _cells(
-    centres: Floats, cell: npt.NDArray[np.intp], errors: Floats, found: Bools
-) -> tuple[Cell, ...]:
-    count, at = len(centres), cell[found]
-    teats, n = np.bincount(cell, minlength=count), np.bincount(at, minlength=count)
+    centres = (np.column_stack([key % width, key // width]) + first) * side
+    count, here = len(centres), cell.ravel()[was_found]
+    teats, n = np.bincount(cell.ravel(), minlength=count), np.bincount(here, minlength=count)
     distance = np.linalg.norm(errors, axis=1)
     worst = np.zeros(count)
-    np.maximum.at(worst, at, distance)
+    np.maximum.at(worst, here, distance)
     sums = np.column_stack(
-        [np.bincount(at, column, minlength=count) for column in (*errors.T, distance, distance**2)]
+        [
+            np.bincount(here, column, minlength=count)
+            for column in (*errors.T, distance, distance**2)
+        ]
     )
-    some = np.maximum(n, 1)
-    means = sums / some[:, None]
+    means = sums / np.maximum(n, 1)[:, None]
     rows = zip(
         centres.tolist(), teats.tolist(), n.tolist(), means.tolist(), worst.tolist(), strict=True
     )

@@ -1,8 +1,5 @@
 """Before a run: how many poses a claim needs, and how small a difference a comparison can show.
-Exact where the claim itself is.
-
-Knows no script: only counts, rates and standard deviations. A power is the chance to show what is
-there.
+Exact where the claim itself is. A power is the chance to show what is there.
 """
 
 from __future__ import annotations

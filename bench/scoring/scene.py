@@ -1,5 +1,4 @@
 """The score of one trial: what was found, how far off, and whether the scene as a whole succeeded.
-Knows neither script nor store.
 
 A scene succeeds when every visible teat was found within the limit, nothing false was found, and
 the answer came in time. The hidden count is scored beside it. Success is counted on the seen error

@@ -5,8 +5,8 @@ Rows of one pose share its error, so a row is not a trial: the slope's standard 
 jackknife over groups (poses; Efron and Stein, Annals of Statistics 9, 1981; as a cluster-robust
 variance, CV3 of MacKinnon, Nielsen and Webb, Journal of Applied Econometrics 38, 2023), with
 Student's t of groups - 1. What varies within poses (time, temperature) can be asked within them:
-each stratum then has a level of its own, which takes its pose's own error out. Knows only numbers
-and names; many questions at once are adjusted after Holm.
+each stratum then has a level of its own, which takes its pose's own error out. Many questions
+at once are adjusted after Holm.
 """
 
 from __future__ import annotations

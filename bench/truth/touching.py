@@ -117,8 +117,9 @@ class Toucher:
         moves: list[str] = []
         again = ""
         while (missing := self.readings - len(kept := _kept(taken))) > 0:
-            if len(taken) + len(moves) >= self.readings + SPARE:
-                raise _given_up(teat, [str(r["refused"]) for _, r in taken if r["refused"]] + moves)
+            if len(taken) + len(moves) >= (most := self.readings + SPARE):
+                refused_for = [str(row["refused"]) for _, row in taken if row["refused"]]
+                raise _given_up(teat, most, refused_for + moves)
             self._check()
             number = self.readings - missing + 1
             of = len(ends.expected_mm)
@@ -164,10 +165,11 @@ def _kept(taken: list[tuple[Floats, dict[str, Any]]]) -> list[tuple[Floats, dict
     return [one for one in taken if one[1]["refused"] is None]
 
 
-def _given_up(teat: int, reasons: list[str]) -> NoTruthError:
+def _given_up(teat: int, most: int, reasons: list[str]) -> NoTruthError:
     return NoTruthError(
         "truth",
-        f"teat {teat}: {len(reasons)} touches could not be used; the last one: {reasons[-1]}",
+        f"teat {teat}: {len(reasons)} of {most} touches could not be used; the last one:"
+        f" {reasons[-1]}",
         hint="Is the teat loose, does the phantom stand where the script says, and are its teats"
         " counted as the layout counts them?",
     )

@@ -23,7 +23,8 @@ from typing import Any
 from rich.console import Console
 
 from bench.cli.terminal import TerminalProgress
-from bench.record.writer import Row, Store
+from bench.record.schema import Row
+from bench.record.writer import Store
 from bench.results.answers import Examiner
 from bench.rig.devices import Devices
 from bench.rig.loading import load_rig

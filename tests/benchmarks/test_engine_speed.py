@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from bench.record.writer import FinishedTrial
+from bench.record.reader import TrialRecord
 from bench.rig.loading import load_rig
 from bench.run.start import run_script
 from bench.script.model import load_script
@@ -50,7 +50,7 @@ def empty_trials(monkeypatch: pytest.MonkeyPatch) -> list[float]:
             "situation": trial.situation,
             "repeat": trial.repeat,
         }
-        trials._store.finished(FinishedTrial({**head, "wall_time": ""}, [], [], [], [], [], []))
+        trials._store.finished(TrialRecord({**head, "wall_time": ""}))
 
     monkeypatch.setattr("bench.run.trial.TrialRun.run", run)
     return began

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.record.writer import FinishedTrial, Store
+from bench.record.writer import Store
 from instruments.clock import stopwatch_s, wall_time
-from tests.bench.record.test_record import facts
+from tests.bench.record.test_record import bare_trial, facts
 from tests.benchmarks.figures import figure
 
 EVENTS, A_STEP = 3000, 50
@@ -71,44 +71,6 @@ def test_events_one_by_one(benchmark: BenchmarkFixture, store: Store) -> None:
         rate(200, benchmark),
         "none: one sync of the disk each",
     )
-
-
-def bare_trial(number: int) -> FinishedTrial:
-    name = f"{number:06d}-x-1"
-    head: dict[str, Any] = {
-        "id": name,
-        "number": number,
-        "name": "x",
-        "situation": "s",
-        "repeat": 1,
-        "wall_time": "now",
-    }
-    detection = {
-        "trial": name,
-        "detector": "thesis",
-        "hidden": 0,
-        "reason": None,
-        "trace": "{}",
-        "wall_seconds": 0.1,
-    }
-    found = {
-        "trial": name,
-        "detector": "thesis",
-        "number": 1,
-        "x_mm": 1.0,
-        "y_mm": 2.0,
-        "z_mm": 3.0,
-    }
-    truth = {
-        "trial": name,
-        "teat": "1",
-        "x_mm": 1.0,
-        "y_mm": 2.0,
-        "z_mm": 3.0,
-        "u_mm": 0.2,
-        "visible": 1,
-    }
-    return FinishedTrial(head, [], [], [truth], [detection], [found], [])
 
 
 def test_a_step_late_in_a_run_of_100_000(

@@ -10,12 +10,14 @@ import shutil
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from matplotlib.figure import Figure
 
-from bench.cli.main import main
+from bench.cli.main import main, parser
 from bench.cli.store import DAMAGED
 from bench.record.check import NOT_AS_WRITTEN, PRINTED
 from bench.record.reader import read_run
@@ -29,6 +31,8 @@ KEPT = ROOT / "tests" / "bench" / "record" / "kept" / f"schema-{SCHEMA_VERSION}"
 OF_A_TRIAL = ("frames", "touches", "truth", "found", "scores", "detections")
 FRAME = Path("frames") / "001-place-1"
 Damage = Callable[[Path], object]
+PARSER = cache(parser)
+EMPTY = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 72 72"></svg>'
 
 
 def sql(*commands: str) -> Damage:
@@ -182,6 +186,15 @@ DAMAGES: dict[str, Damage] = {
         )
     },
 }
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made up to their last artist, but not rendered; the command line is made once.
+    Both take three quarters of the time and see nothing of the record.
+    """
+    monkeypatch.setattr("bench.cli.main.parser", PARSER)
+    monkeypatch.setattr(Figure, "savefig", lambda _, file, **__: file.write(EMPTY))
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ was opened by whom.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,11 @@ import numpy as np
 import pytest
 
 from bench.cli.main import main
-from bench.record.writer import FinishedTrial, Store
+from bench.record.writer import Store
 from bench.rig.loading import RIGS
 from instruments.clock import wall_time
 from tests.bench.record.test_record import facts, trial
+from tests.bench.record.test_record_exports import TOUCH
 
 rerun: Any = pytest.importorskip(
     "rerun.chunk", reason="rerun-sdk is not installed: no viewer to open the export with"
@@ -29,17 +31,6 @@ LEFT, THERMAL = (
     np.arange(48, dtype=np.uint8).reshape(6, 8),
     np.arange(29_000, 29_012, dtype=np.uint16).reshape(3, 4),
 )
-TOUCH = {
-    "teat": "1",
-    "touch": 1,
-    "t_s": 1.25,
-    "x_mm": 10.0,
-    "y_mm": -20.0,
-    "z_mm": 30.0,
-    "spread_mm": 0.1,
-    "packets": 40,
-    "counts": "[]",
-}
 
 
 @pytest.fixture(scope="module")
@@ -55,11 +46,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, 
     made, times = trial(store, 1), {"captured_s": 1.0, "stage_mm": "[100.0, 0.0, -5.0]"}
     frames = store.frames("001-x-1", {"left": LEFT, "thermal_radiometric": THERMAL}, {"left": 1.0})
     touch = {"trial": "001-x-1", **TOUCH}
-    store.finished(
-        FinishedTrial(
-            {**made.trial, **times}, frames, [touch], made.truth, made.detections, made.found, []
-        )
-    )
+    store.finished(replace(made, head={**made.head, **times}, frames=frames, touches=[touch]))
     store.close()
     assert (
         main(["store", "export", str(folder / "run"), "--format", "mcap", "--out", str(folder)])

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import sqlite3
-import subprocess
-import sys
-import time
 from contextlib import closing
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,24 +15,10 @@ import pytest
 
 from bench.config import ConfigError
 from bench.files import write_synced
-from bench.record.reader import read_run
+from bench.record.reader import TrialRecord, read_run
 from bench.record.schema import DATABASE
-from bench.record.writer import FinishedTrial, Store, new_run_folder
+from bench.record.writer import Store, new_run_folder
 from instruments.clock import wall_time
-
-WRITER = """
-import sys
-from pathlib import Path
-import numpy as np
-from bench.record.writer import Store
-from tests.bench.record.test_record import facts, trial
-store = Store.create(Path(sys.argv[1]), {"script.toml": "x = 1"})
-facts(store)
-print("ready", flush=True)
-for number in range(1, 100000):
-    store.finished(trial(store, number))
-    print(number, flush=True)
-"""
 
 
 def facts(store: Store) -> None:
@@ -45,52 +26,31 @@ def facts(store: Store) -> None:
         store.fact(key, value)
 
 
-def trial(store: Store, number: int) -> FinishedTrial:
+PLACE = {"x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0}
+READING = {"temp_c": 33.0, "external_c": None, "power_percent": 2.0, "state": "stable"}
+
+
+def bare_trial(number: int) -> TrialRecord:
+    """A trial without frames."""
     name = f"{number:03d}-x-1"
-    frame = store.frame(name, "left", np.full((48, 64), number % 256, np.uint8), 1.0)
-    head: dict[str, Any] = {
-        "id": name,
-        "number": number,
-        "name": "x",
-        "situation": "s",
-        "repeat": 1,
-        "wall_time": "now",
-    }
-    detection = {
-        "trial": name,
-        "detector": "thesis",
-        "hidden": 0,
-        "reason": None,
-        "trace": "{}",
-        "wall_seconds": 0.1,
-    }
-    found = {
-        "trial": name,
-        "detector": "thesis",
-        "number": 1,
-        "x_mm": 1.0,
-        "y_mm": 2.0,
-        "z_mm": 3.0,
-    }
-    truth = {
-        "trial": name,
-        "teat": 1,
-        "x_mm": 1.0,
-        "y_mm": 2.0,
-        "z_mm": 3.0,
-        "u_mm": 0.2,
-        "visible": 1,
-    }
-    store.bath(
-        {
-            "t_s": float(number),
-            "temp_c": 33.0,
-            "external_c": None,
-            "power_percent": 2.0,
-            "state": "stable",
-        }
+    head = {"id": name, "number": number, "name": "x", "situation": "s", "repeat": 1}
+    of = {"trial": name, "detector": "thesis"}
+    detection = {**of, "hidden": 0, "reason": None, "trace": "{}", "wall_seconds": 0.1}
+    return TrialRecord(
+        {**head, "wall_time": "now"},
+        truth=[{"trial": name, "teat": "1", **PLACE, "u_mm": 0.2, "visible": 1}],
+        detections=[detection],
+        found=[{**of, "number": 1, **PLACE}],
     )
-    return FinishedTrial(head, [frame], [], [truth], [detection], [found], [])
+
+
+def trial(store: Store, number: int) -> TrialRecord:
+    """With a frame in its place, and a bath reading told."""
+    done = bare_trial(number)
+    picture = np.full((48, 64), number % 256, np.uint8)
+    frames = store.frames(done.id, {"left": picture}, {"left": 1.0})
+    store.bath({"t_s": float(number), **READING})
+    return replace(done, frames=frames)
 
 
 def test_what_was_written_is_read(tmp_path: Path) -> None:
@@ -111,53 +71,6 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert (image == 7).all()
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-@pytest.mark.parametrize("after_s", [0.0, 0.013, 0.05, 0.11, 0.23])
-def test_a_killed_run_opens_and_has_every_finished_trial(tmp_path: Path, after_s: float) -> None:
-    folder = tmp_path / "run"
-    root = Path(__file__).resolve().parents[3]
-    writer = subprocess.Popen(
-        [sys.executable, "-c", WRITER, str(folder)],
-        stdout=subprocess.PIPE,
-        cwd=root,
-        env={**os.environ, "PYTHONPATH": str(root)},
-    )
-    assert writer.stdout is not None
-    assert writer.stdout.readline() == b"ready\n"
-    time.sleep(after_s)
-    writer.kill()
-    reported = [int(line) for line in writer.stdout.read().split(b"\n") if line.strip().isdigit()]
-    writer.stdout.close()
-    writer.wait()
-    run = read_run(folder)
-    numbers = [int(t.head["number"]) for t in run.trials]
-    assert numbers == list(range(1, len(numbers) + 1))
-    assert len(numbers) >= (reported[-1] if reported else 0)
-    for kept in run.trials:
-        assert len(kept.frames) == len(kept.truth) == len(kept.detections) == len(kept.found) == 1
-        assert cv2.imread(str(folder / kept.frames[0]["path"])) is not None
-
-
-def test_a_trial_that_fails_to_be_written_leaves_nothing(tmp_path: Path) -> None:
-    store = Store.create(tmp_path / "run", {})
-    facts(store)
-    good = trial(store, 1)
-    bad = FinishedTrial(
-        good.trial,
-        good.frames,
-        [],
-        good.truth,
-        good.detections,
-        [{"trial": "other", "detector": "x", "number": 1}],
-        [],
-    )
-    with pytest.raises(sqlite3.IntegrityError):
-        store.finished(bad)
-    store.finished(good)
-    store.close()
-    assert len(read_run(tmp_path / "run").trials) == 1
-
-
 def test_a_folder_that_is_no_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is no run"):
         read_run(tmp_path)
@@ -166,15 +79,6 @@ def test_a_folder_that_is_no_run_is_named(tmp_path: Path) -> None:
     )
     with pytest.raises(ConfigError, match="can't be read"):
         read_run(tmp_path)
-
-
-def test_another_schema_is_refused(tmp_path: Path) -> None:
-    Store.create(tmp_path / "run", {}).close()
-    db = sqlite3.connect(tmp_path / "run" / DATABASE)
-    db.execute("PRAGMA user_version = 99")
-    db.close()
-    with pytest.raises(ConfigError, match="schema 99"):
-        read_run(tmp_path / "run")
 
 
 def test_two_runs_of_one_second_get_two_folders(tmp_path: Path) -> None:

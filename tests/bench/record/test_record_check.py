@@ -11,6 +11,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,24 +24,18 @@ from bench.record.schema import DATABASE, SCHEMA_VERSION, tables_of
 from bench.record.writer import Store
 from bench.run.recorder import RECORDED
 from instruments.clock import wall_time
-from tests.bench.record.test_record import facts, trial
+from tests.bench.record.test_record import PLACE, facts, trial
 
 KEPT = Path(__file__).parent / "kept"
-CHECK = {
-    "number": 1,
-    "teat": "1",
-    "after_trial": "002-x-1",
-    "t_s": 2.5,
-    "x_mm": 1.0,
-    "y_mm": 2.0,
-    "z_mm": 3.0,
-} | {
-    "carried_x_mm": 1.0,
-    "carried_y_mm": 2.0,
-    "carried_z_mm": 9.0,
-    "off_mm": 6.0,
-    "limit_mm": 1.0,
-    "held": 0,
+CHECK: dict[str, Any] = {"number": 1, "teat": "1", "after_trial": "002-x-1", "t_s": 2.5, **PLACE}
+CHECK |= {"carried_x_mm": 1.0, "carried_y_mm": 2.0, "carried_z_mm": 9.0}
+CHECK |= {"off_mm": 6.0, "limit_mm": 1.0, "held": 0}
+SKIPPED: dict[str, Any] = {
+    "trial": "004-x-1",
+    "number": 4,
+    "name": "x",
+    "situation": "s",
+    "repeat": 1,
 }
 
 
@@ -53,17 +48,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store.event(0.0, "state", "preparing", wall_time())
     for number in (1, 2, 3):
         store.finished(trial(store, number))
-    store.skipped(
-        {
-            "trial": "004-x-1",
-            "number": 4,
-            "name": "x",
-            "situation": "s",
-            "repeat": 1,
-            "t_s": 4.0,
-            "reason": "no teat",
-        }
-    )
+    store.skipped({**SKIPPED, "t_s": 4.0, "reason": "no teat"})
     store.checked([CHECK], ["002-x-1"], "the carried end is 6 mm off")
     store.fact("ending", "finished")
     store.event(5.0, "end", "finished", wall_time())
@@ -110,13 +95,8 @@ def test_a_run_as_it_was_written_is_whole(run: Path) -> None:
     checked = check_run(run)
     assert checked.whole
     assert checked.findings == ()
-    assert checked.counts == {
-        "trials": 3,
-        "frames": 3,
-        "events": 2,
-        "bath": 3,
-        "links": checked.head.number,
-    }
+    counts = {"trials": 3, "frames": 3, "events": 2, "bath": 3, "links": checked.head.number}
+    assert checked.counts == counts
     assert checked.head == read_run(run).head
 
 
@@ -262,7 +242,7 @@ def test_what_a_dead_bench_leaves_is_told_but_no_damage(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store = Store(run)
-    store.frame("004-x-1", "left", np.zeros((4, 5), np.uint8), None)
+    store.frames("004-x-1", {"left": np.zeros((4, 5), np.uint8)}, {})
     (run / frame(4).with_name("right.png.part")).write_bytes(b"half a fra")
     store.close()
     assert main(["store", "check", str(run)]) == 0
@@ -312,8 +292,8 @@ def test_the_digest_without_real_time_repeats_and_the_other_does_not(tmp_path: P
         store.fact(RECORDED, str(tmp_path / f"recorded-{name}"))
         store.fact("wall_started", wall_time().isoformat())
         store.finished(trial(store, 1))
-        heads.append(store.head)
         store.close()
+        heads.append(check_run(store.folder).head)
     assert heads[0].digest == heads[1].digest
     assert heads[0].wall_digest != heads[1].wall_digest
 

@@ -6,8 +6,12 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import sys
+import threading
 from contextlib import closing, suppress
+from dataclasses import replace
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import cv2
@@ -19,11 +23,9 @@ from bench.files import png_bytes, write_pictures, write_synced
 from bench.record.check import check_run
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
-from bench.record.writer import FLUSH_EVERY, URGENT, FinishedTrial, Store
+from bench.record.writer import FLUSH_EVERY, URGENT, Store
 from instruments.clock import wall_time
-from tests.bench.record.test_record import facts, trial
-
-READING = {"temp_c": 33.0, "external_c": None, "power_percent": 2.0, "state": "stable"}
+from tests.bench.record.test_record import READING, facts, trial
 
 
 @pytest.fixture
@@ -95,9 +97,7 @@ def test_a_trial_that_cannot_be_written_takes_nothing_with_it(store: Store) -> N
     good = trial(store, 1)
     orphan = [{"trial": "other", "detector": "x", "number": 1}]
     with pytest.raises(sqlite3.IntegrityError):
-        store.finished(
-            FinishedTrial(good.trial, good.frames, [], good.truth, good.detections, orphan, [])
-        )
+        store.finished(replace(good, found=orphan))
     assert (durable(store, "bath"), durable(store, "trials")) == (1, 0)
     store.finished(good)
     assert (durable(store, "bath"), durable(store, "trials")) == (1, 1)
@@ -267,3 +267,89 @@ def test_pictures_come_back_as_they_were(
 def test_a_picture_that_is_none_is_named() -> None:
     with pytest.raises((ValueError, cv2.error)):
         png_bytes(np.zeros((0, 0), np.uint16))
+
+
+READINGS, TRIALS = 2000, 15
+
+
+def test_readings_and_trials_from_two_threads_are_all_there(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "run", {})
+    facts(store)
+
+    def watch() -> None:
+        for t in range(READINGS):
+            store.bath({**READING, "t_s": 1000.0 + t, "external_c": 32.7})
+            if t % 50 == 0:
+                store.event(float(t), "trip", "from the clock's thread", wall_time())
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    for number in range(1, TRIALS + 1):
+        store.finished(trial(store, number))
+    thread.join()
+    store.close()
+    run = read_run(tmp_path / "run")
+    assert len(run.trials) == TRIALS
+    assert len(run.bath) == READINGS + TRIALS
+    assert len(run.events) == READINGS / 50
+    assert run.external_c[-1] == 32.7
+
+
+def test_an_interruption_between_any_two_lines_leaves_a_record_that_can_be_finished(
+    tmp_path: Path,
+) -> None:
+    """Ctrl-C may come after each line of the store's own code; what is written afterwards must not
+    fail, and nothing be there twice.
+    """
+    store = Store.create(tmp_path / "run", {})
+    facts(store)
+    for line in range(1, 200):
+        store.bath({"t_s": float(line), **READING})
+        came = interrupted_at(line, store)
+        store.event(float(line), "aborted", "Ctrl-C", wall_time())
+        if not came:
+            break
+    else:
+        raise AssertionError("the event takes more lines than this test interrupts")
+    store.close()
+    run = read_run(tmp_path / "run")
+    assert [event["t_s"] for event in run.events if event["kind"] == "aborted"] == list(
+        range(1, line + 1)
+    )
+    assert run.bath[:, 0].tolist() == list(range(1, line + 1))
+    assert check_run(tmp_path / "run").findings == ()
+
+
+def interrupted_at(line: int, store: Store) -> bool:
+    """Write an event and interrupt it after ``line`` lines of `bench.record`, any of its modules;
+    whether it was long enough for that.
+    """
+    count = 0
+
+    def trace(frame: FrameType, event: str, _: Any) -> Any:
+        nonlocal count
+        if "record" not in Path(frame.f_code.co_filename).parts:
+            return None
+        count += event == "line"
+        if event == "line" and count == line:
+            raise KeyboardInterrupt
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        store.event(None, "state", "interrupted", wall_time())
+    except KeyboardInterrupt:
+        return True
+    finally:
+        sys.settrace(before)
+    return False
+
+
+def test_a_guardian_record_that_is_no_record_is_named(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "run", {})
+    facts(store)
+    store.close()
+    (tmp_path / "run" / "guardian.json").write_text("{", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"guardian.json can't be read"):
+        read_run(tmp_path / "run")

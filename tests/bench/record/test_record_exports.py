@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
+import shutil
 import sys
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -19,28 +20,27 @@ from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.mcap import MESSAGES
 from bench.record.reader import RunRecord, read_run
-from bench.record.writer import FinishedTrial, Store
+from bench.record.writer import Store
 from bench.rig.loading import RIGS
+from bench.scoring.scene import score_scene
 from instruments.clock import wall_time
 from tests.bench.mcap_reading import messages_of
 from tests.bench.record.test_record import facts, trial
 
 RADIOMETRIC = np.arange(29_300, 29_312, dtype=np.uint16).reshape(3, 4)
-SCORE = {
-    "score": json.dumps({"radial_mm": [1.5, 2.5]}),
-    "wall_score": json.dumps({"success": True}),
-}
-TOUCH = {
+SCORE = score_scene(
+    [[1.5, 0.0, 0.0], [60.0, 2.5, 0.0]], [[0.0, 0.0, 0.0], [60.0, 0.0, 0.0]], [True, True],
+    u_mm=0.2, seconds=0.1, limit_mm=5.0, time_limit_s=2.0,
+)  # fmt: skip
+TOUCH: dict[str, Any] = {
     "teat": "1",
     "touch": 1,
     "t_s": 1.25,
     "x_mm": 10.0,
     "y_mm": -20.0,
     "z_mm": 30.0,
-    "spread_mm": 0.1,
-    "packets": 40,
-    "counts": "[1, 2]",
 }
+TOUCH |= {"spread_mm": 0.1, "packets": 40, "counts": "[1, 2]"}
 
 
 @pytest.fixture(scope="module")
@@ -57,39 +57,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
         {"left": np.full((6, 8), 1, np.uint8), "thermal_radiometric": RADIOMETRIC},
         {"left": 1.0},
     )
-    times = {
-        "started_s": 0.75,
-        "captured_s": 1.0,
-        "ended_s": 2.0,
-        "stage_mm": "[100.0, 0.0, -5.0]",
-        "bath_c": 33.0,
-        "bath_state": "stable",
-    }
+    times: dict[str, Any] = {"started_s": 0.75, "captured_s": 1.0, "ended_s": 2.0}
+    times |= {"stage_mm": "[100.0, 0.0, -5.0]", "bath_c": 33.0, "bath_state": "stable"}
     touch = {"trial": "001-x-1", **TOUCH}
-    score = {"trial": "001-x-1", "detector": "thesis", **SCORE}
-    store.finished(
-        FinishedTrial(
-            {**made.trial, **times},
-            frames,
-            [touch],
-            made.truth,
-            made.detections,
-            made.found,
-            [score],
-        )
-    )
+    head, scores = {**made.head, **times}, {"thesis": SCORE}
+    store.finished(replace(made, head=head, frames=frames, touches=[touch], scores=scores))
     store.event(3.0, "fault", "the stage is gone", wall_time())
     store.close()
-    return read_scored(folder)
-
-
-def read_scored(folder: Path) -> RunRecord:
-    """As `read_run`, but for the score, which is cut short here."""
-    import bench.record.reader
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bench.record.reader, "scene_from_dict", lambda score: score)
-        return read_run(folder)
+    return read_run(folder)
 
 
 def exported(run: RunRecord, kind: str, out: Path) -> Path:
@@ -112,22 +87,8 @@ def test_csv_has_every_table_and_empty_fields_for_what_was_not_measured(
     with (out / "bath.csv").open(encoding="utf-8", newline="") as file:
         (reading,) = csv.DictReader(file)
     assert (float(reading["temp_c"]), reading["external_c"]) == (33.0, "")
-    tables = {
-        "facts",
-        "events",
-        "bath",
-        "trials",
-        "frames",
-        "touches",
-        "truth",
-        "checks",
-        "detections",
-        "found",
-        "scores",
-        "skipped",
-        "chain",
-    }
-    assert tables <= {path.stem for path in out.iterdir()}
+    tables = "facts events bath trials frames touches truth checks detections found scores skipped"
+    assert {*tables.split(), "chain"} <= {path.stem for path in out.iterdir()}
 
 
 def test_parquet_keeps_types_and_nulls_and_names_its_run(run: RunRecord, tmp_path: Path) -> None:
@@ -287,26 +248,11 @@ def test_mcap_events_answers_and_trials_say_what_the_record_says(
 def test_a_rotten_frame_is_not_exported(
     run: RunRecord, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import shutil
-
     pytest.importorskip("mcap", reason="the extra 'export' is not installed")
     copy = Path(shutil.copytree(run.folder, tmp_path / "run"))
     (copy / "frames" / "001-x-1" / "left.png").write_bytes(b"rot")
-    assert (
-        main(
-            [
-                "store",
-                "export",
-                str(copy),
-                "--format",
-                "mcap",
-                "--out",
-                str(tmp_path / "out"),
-                "--despite-damage",
-            ]
-        )
-        == 2
-    )
+    export = ["store", "export", str(copy), "--format", "mcap", "--out", str(tmp_path / "out")]
+    assert main([*export, "--despite-damage"]) == 2
     assert "is not as it was written: 'teatbench store check" in capsys.readouterr().err
     assert list((tmp_path / "out").iterdir()) == []
 
@@ -319,28 +265,19 @@ def test_a_run_without_a_calibration_has_neither_ties_nor_lenses_and_pixels_have
     facts(store)
     done = trial(store, 1)
     store.finished(done)
-    assert (
-        main(["store", "export", str(store.folder), "--format", "mcap", "--out", str(tmp_path)])
-        == 0
-    )
+    export = ["store", "export", str(store.folder), "--format", "mcap", "--out", str(tmp_path)]
+    assert main(export) == 0
     assert {topic.split("/")[1] for topic in messages_of(tmp_path / "run.mcap", reader)} == {
         "bath", "trial", "answers", "detections", "truth", "cameras",
     }  # fmt: skip
     other = trial(store, 2)
     (store.folder / other.frames[0]["path"]).unlink()
     frames = store.frames("002-x-1", {"thermal_radiometric": np.zeros((3, 4), np.uint8)}, {})
-    store.finished(
-        FinishedTrial(other.trial, frames, [], other.truth, other.detections, other.found, [])
-    )
+    store.finished(replace(other, frames=frames))
     store.close()
-    assert (
-        main(["store", "export", str(store.folder), "--format", "mcap", "--out", str(tmp_path)])
-        == 2
-    )
-    assert (
-        "thermal_radiometric.png can't be exported: it is no grey picture of 16 bits"
-        in capsys.readouterr().err
-    )
+    assert main(export) == 2
+    why = "thermal_radiometric.png can't be exported: it is no grey picture of 16 bits"
+    assert why in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

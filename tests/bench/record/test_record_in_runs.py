@@ -13,8 +13,9 @@ from typing import Any
 
 import pytest
 
+from bench.record.reader import TrialRecord
 from bench.record.schema import DATABASE
-from bench.record.writer import FinishedTrial, Store
+from bench.record.writer import Store
 from bench.run.engine import Ending
 from instruments.bath.driver import Bath
 from instruments.operators.emulated import EmulatedOperator
@@ -49,7 +50,7 @@ class Spoken:
             self.said["events"] += 1
             event(store, *words)
 
-        def done(store: Store, trial: FinishedTrial) -> None:
+        def done(store: Store, trial: TrialRecord) -> None:
             self.said["trials"] += 1
             finished(store, trial)
 

@@ -70,68 +70,34 @@ def facts(before: Any = None, after: Any = None, verification: Any = None) -> di
     return head | {key: value for key, value in found.items() if value is not None}
 
 
-@pytest.mark.parametrize(
-    ("known", "verdict", "says"),
-    [
-        (
-            facts(check(), check()),
-            Verdict.MET,
-            "0.30 mm before and 0.30 mm after; no dated verification is named",
-        ),
-        (facts(check(), check(), dated()), Verdict.MET, "verified on 2026-05-22"),
-        (facts(), Verdict.NOT_MEASURED, "neither a check point nor a verification"),
-        (facts(check()), Verdict.INCONCLUSIVE, "not checked after the trials"),
-        (
-            facts(verification=dated()),
-            Verdict.INCONCLUSIVE,
-            "not checked before the trials; the arm was not checked after",
-        ),
-        (
-            facts(check(1.6), check()),
-            Verdict.NOT_MET,
-            "the check before the trials: readings of one point lie up to 0.48 mm",
-        ),
-        (facts(check(), check(1.6)), Verdict.NOT_MET, "the check after the trials"),
-        (facts(check(1.5), check()), Verdict.MET, "0.45 mm before"),
-        (
-            facts(check(shift_mm=1.6), check(shift_mm=1.6)),
-            Verdict.NOT_MET,
-            "1.60 mm from its place before the trials",
-        ),
-        (facts(check(), check(shift_mm=0.6)), Verdict.NOT_MET, "moved by 0.60 mm during the run"),
-        (facts(check(), check(shift_mm=0.4)), Verdict.MET, ""),
-        (
-            facts(check(axes=np.repeat(SWUNG[:1], 5, axis=0)), check()),
-            Verdict.INCONCLUSIVE,
-            "swung by 0 degrees only",
-        ),
-        (facts(check(n=4), check()), Verdict.INCONCLUSIVE, "4 touches only"),
-        (facts(check(), check(), dated(181)), Verdict.NOT_MET, "181 days old, limit 180 days"),
-        (facts(check(), check(), dated(179)), Verdict.MET, ""),
-        (facts(check(), check(), dated(-1)), Verdict.NOT_MET, "look at the computer's clock"),
-        (
-            facts(check(), check(), dated(serial="1234")),
-            Verdict.NOT_MET,
-            "of the arm 1234, but the run used 40937",
-        ),
-        (
-            facts(check(), check(), dated(scale=1.6)),
-            Verdict.NOT_MET,
-            "in the dated verification, near",
-        ),
-        (
-            facts(check(), check(), dated(error_mm=-0.8)),
-            Verdict.NOT_MET,
-            "300 mm were measured -0.80 mm wrong",
-        ),
-        (
-            facts(check(), check(), dated(lengths=False)),
-            Verdict.INCONCLUSIVE,
-            "no calibrated length was measured",
-        ),
-        (facts(check(1.6)), Verdict.NOT_MET, "0.48 mm"),
-    ],
-)
+GOOD, WORSE = check(), check(1.6)
+MET, NOT_MET, OPEN = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE
+CASES: list[tuple[dict[str, Any], Verdict, str]] = [
+    (facts(GOOD, GOOD), MET, "0.30 mm before and 0.30 mm after; no dated verification is named"),
+    (facts(GOOD, GOOD, dated()), MET, "verified on 2026-05-22"),
+    (facts(), Verdict.NOT_MEASURED, "neither a check point nor a verification"),
+    (facts(GOOD), OPEN, "not checked after the trials"),
+    (facts(verification=dated()), OPEN, "before the trials; the arm was not checked after"),
+    (facts(WORSE, GOOD), NOT_MET, "before the trials: readings of one point lie up to 0.48 mm"),
+    (facts(GOOD, WORSE), NOT_MET, "the check after the trials"),
+    (facts(check(1.5), GOOD), MET, "0.45 mm before"),
+    (facts(*[check(shift_mm=1.6)] * 2), NOT_MET, "1.60 mm from its place before the trials"),
+    (facts(GOOD, check(shift_mm=0.6)), NOT_MET, "moved by 0.60 mm during the run"),
+    (facts(GOOD, check(shift_mm=0.4)), MET, ""),
+    (facts(check(axes=np.repeat(SWUNG[:1], 5, axis=0)), GOOD), OPEN, "swung by 0 degrees only"),
+    (facts(check(n=4), GOOD), OPEN, "4 touches only"),
+    (facts(GOOD, GOOD, dated(181)), NOT_MET, "181 days old, limit 180 days"),
+    (facts(GOOD, GOOD, dated(179)), MET, ""),
+    (facts(GOOD, GOOD, dated(-1)), NOT_MET, "look at the computer's clock"),
+    (facts(GOOD, GOOD, dated(serial="1234")), NOT_MET, "of the arm 1234, but the run used 40937"),
+    (facts(GOOD, GOOD, dated(scale=1.6)), NOT_MET, "in the dated verification, near"),
+    (facts(GOOD, GOOD, dated(error_mm=-0.8)), NOT_MET, "300 mm were measured -0.80 mm wrong"),
+    (facts(GOOD, GOOD, dated(lengths=False)), OPEN, "no calibrated length was measured"),
+    (facts(WORSE), NOT_MET, "0.48 mm"),
+]
+
+
+@pytest.mark.parametrize(("known", "verdict", "says"), CASES)
 def test_each_case(known: dict[str, Any], verdict: Verdict, says: str) -> None:
     decision = decide_arm(RULE, known)
     assert decision.verdict is verdict, decision.sentence
@@ -161,11 +127,6 @@ def test_the_worst_figure_is_shown_against_its_limit() -> None:
 
 
 def test_the_shipped_script_asks_for_it() -> None:
-    rules = [
-        r
-        for r in load_script(find_script(None)).script.requirements
-        if isinstance(r, ArmRequirement)
-    ]
-    assert [(r.location_limit_mm, r.length_limit_mm, r.dated_required) for r in rules] == [
-        (0.46, 0.7, False)
-    ]
+    asked = load_script(find_script(None)).script.requirements
+    (rule,) = (rule for rule in asked if isinstance(rule, ArmRequirement))
+    assert (rule.location_limit_mm, rule.length_limit_mm, rule.dated_required) == (0.46, 0.7, False)

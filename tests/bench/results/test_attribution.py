@@ -33,16 +33,9 @@ def trial(
         {"teat": str(number), "visible": int(flag), "how": "touched"}
         for number, flag in enumerate(visible, 1)
     )
-    detection = {"detector": "d", "reason": None}
-    return TrialRecord(
-        {"id": name, "bath_state": "stable", "invalid": None, **head},
-        (),
-        (),
-        truth,
-        (detection,),
-        (),
-        {"d": seen},
-    )
+    kept = {"id": name, "bath_state": "stable", "invalid": None, **head}
+    detections = ({"detector": "d", "reason": None},)
+    return TrialRecord(kept, truth=truth, detections=detections, scores={"d": seen})
 
 
 def run(
@@ -57,9 +50,7 @@ def run(
         + [["never"]] * (ending != "finished")
     )
     facts = {"detectors": ["d"], "ending": ending, "pose set": {"poses": poses}}
-    return RunRecord(
-        Path(), facts, trials, skipped, (), events, np.empty((0, 3)), (), np.empty(0), None
-    )
+    return RunRecord(Path(), facts, trials, skipped, events=events)
 
 
 def whose(record: RunRecord) -> list[tuple[str, What, Cause]]:

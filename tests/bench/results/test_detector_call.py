@@ -14,15 +14,20 @@ import numpy as np
 import pytest
 
 from bench.config import read_calibration
-from bench.results.answers import Answer, Examiner, TruthRow, close_detectors, examine, score_answer
+from bench.record.reader import TrialRecord
+from bench.results.answers import Answer, Examiner, close_detectors, examine, score_answer
 from bench.rig.loading import RIGS
-from bench.run.rows import detection_rows, score_row, stage_pictures
+from bench.run.rows import detection_rows, stage_pictures
 from bench.scoring.scene import scene_from_dict
 from detector.calibration import Calibration
 from detector.protocol import Detection, DetectionFailure, Frames, Outcome, Served, Stage, Teat
 from instruments.camera.frame import FrameSet
+from instruments.camera.recording import TruthRow
 
-TRUTH = [TruthRow("1", (0.0, 0.0, 100.0), True, 0.2), TruthRow("2", (50.0, 0.0, 100.0), True, 0.2)]
+TRUTH = [
+    TruthRow("ideal", "1", (0.0, 0.0, 100.0), True, 0.2),
+    TruthRow("ideal", "2", (50.0, 0.0, 100.0), True, 0.2),
+]
 FRAMES = FrameSet(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
 
 
@@ -67,7 +72,7 @@ def test_a_good_answer_is_scored_and_stored(calibration: Calibration) -> None:
     score = score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0)
     assert score.success
     assert sorted(score.radial_mm) == [1.0, 2.0]
-    row = score_row("t", "scripted", score)
+    row = TrialRecord({"id": "t"}, scores={"scripted": score}).score_rows[0]
     assert "seconds" not in json.loads(str(row["score"]))
     again = scene_from_dict({**json.loads(str(row["score"])), **json.loads(str(row["wall_score"]))})
     assert again.as_dict() == score.as_dict()

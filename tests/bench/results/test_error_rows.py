@@ -27,50 +27,27 @@ from bench.scoring.scene import score_scene
 from bench.script.model import TRIALS, load_script
 
 ENDS = np.array([[-260.0, 267.0, 136.0], [-110.0, 284.0, 136.0]])
-NO_BATH = np.zeros((0, 3))
 
 
 def trial(
     number: int, pose: str, repeat: int, ends: Floats, found: Floats, **head: Any
 ) -> TrialRecord:
-    names = {
-        "id": f"{number:03d}-{pose}-{repeat}",
-        "number": number,
-        "name": pose,
-        "repeat": repeat,
-        "situation": "map",
-        "invalid": None,
-    }
-    rows = tuple(
-        {
-            "teat": str(k),
-            "x_mm": x,
-            "y_mm": y,
-            "z_mm": z,
-            "u_mm": 0.2,
-            "visible": 1,
-            "how": "touched",
-        }
+    names = {"id": f"{number:03d}-{pose}-{repeat}", "number": number, "name": pose}
+    names |= {"repeat": repeat, "situation": "map", "invalid": None}
+    of_all = {"u_mm": 0.2, "visible": 1, "how": "touched"}
+    rows = [
+        {"teat": str(k), "x_mm": x, "y_mm": y, "z_mm": z, **of_all}
         for k, (x, y, z) in enumerate(ends.tolist(), 1)
-    )
+    ]
     score = score_scene(
         found, ends, [True] * len(ends), u_mm=0.2, seconds=0.1, limit_mm=5.0, time_limit_s=2.0
     )
-    return TrialRecord(
-        {**names, "captured_s": 60.0 * number, "bath_c": 33.0, **head},
-        (),
-        (),
-        rows,
-        (),
-        (),
-        {"fused": score},
-    )
+    times = {"captured_s": 60.0 * number, "bath_c": 33.0}
+    return TrialRecord({**names, **times, **head}, truth=rows, scores={"fused": score})
 
 
 def record(folder: Path, trials: list[TrialRecord]) -> RunRecord:
-    return RunRecord(
-        folder, {"detectors": ["fused"]}, tuple(trials), (), (), (), NO_BATH, (), np.zeros(0), None
-    )
+    return RunRecord(folder, {"detectors": ["fused"]}, tuple(trials))
 
 
 @pytest.fixture
@@ -163,10 +140,8 @@ def test_runs_merge_by_their_counts_and_a_pose_has_to_succeed_in_each(
     other = record(
         tmp_path, [trial(1, "map-00", 1, ENDS, ENDS[:1]), trial(2, "map-01", 1, ENDS, ENDS)]
     )
-    alone, together = (
-        scored_together([drifting], "fused"),
-        scored_together([drifting, other], "fused"),
-    )
+    alone = scored_together([drifting], "fused")
+    together = scored_together([drifting, other], "fused")
     assert together.counts == alone.counts + scored_together([other], "fused").counts
     assert len(together.errors_mm) == 118 + 3
     assert alone.success == Rate(29, 30)  # pose 3 misses a teat
@@ -193,7 +168,7 @@ def touched(
         {"teat": "1", "touch": k, "x_mm": x, "y_mm": y, "z_mm": z, "refused": refused}
         for k, (x, y, z) in enumerate(points.tolist(), 1)
     )
-    return TrialRecord(base.head, (), rows, base.truth, (), (), base.scores)
+    return replace(base, touches=rows)
 
 
 def set_ups(folder: Path, poses: int = 40, repeats: int = 6, touches: int = 3) -> RunRecord:

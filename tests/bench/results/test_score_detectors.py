@@ -55,6 +55,11 @@ class Scored:
     said: str
 
 
+def score(recording: Path, out: Path, *detectors: object) -> int:
+    named = [word for name in detectors for word in ("--detector", str(name))]
+    return main(["score", str(recording), "--out", str(out), *named])
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_recording(tmp_path_factory.mktemp("recordings") / "five")
@@ -72,17 +77,7 @@ def scored(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
     said: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("builtins.print", lambda *parts, **_: said.append(" ".join(map(str, parts))))
-        arguments = [
-            "score",
-            str(recording),
-            "--detector",
-            str(folder / "mine.toml"),
-            "--detector",
-            "thesis",
-            "--out",
-            str(folder / "runs"),
-        ]
-        code = main(arguments)
+        code = score(recording, folder / "runs", folder / "mine.toml", "thesis")
     (run,) = (folder / "runs").iterdir()
     return Scored(code, read_run(run), "\n".join(said))
 
@@ -166,7 +161,7 @@ def test_without_truth_there_is_no_table(
     bare = tmp_path / "bare"
     shutil.copytree(recording, bare)
     (bare / "truth.csv").unlink()
-    main(["score", str(bare), "--out", str(tmp_path / "runs")])
+    score(bare, tmp_path / "runs")
     assert "There is no truth, so nothing was scored." in capsys.readouterr().out
 
 
@@ -174,18 +169,8 @@ def test_detect_tells_outcomes_and_first_calls(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "program.py").write_text(PROGRAM, encoding="utf-8")
-    assert (
-        main(
-            [
-                "detect",
-                str(recording),
-                "--json",
-                "--detector",
-                f"exec:{sys.executable} {tmp_path / 'program.py'}",
-            ]
-        )
-        == 0
-    )
+    command = f"exec:{sys.executable} {tmp_path / 'program.py'}"
+    assert main(["detect", str(recording), "--json", "--detector", command]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.strip().splitlines()]
     assert [line["detector"] for line in lines] == ["exec-program"] * 5
     assert [line.get("outcome") for line in lines] == [None, None, "failure", None, None]
@@ -199,9 +184,7 @@ def test_a_detector_that_crashes_is_no_bad_detector(
         "import sys\nsys.exit('cannot find model.bin')", encoding="utf-8"
     )
     command = f"exec:{sys.executable} {tmp_path / 'crasher.py'}"
-    assert (
-        main(["score", str(recording), "--detector", command, "--out", str(tmp_path / "runs")]) == 4
-    )
+    assert score(recording, tmp_path / "runs", command) == 4
     said = " ".join(capsys.readouterr().out.split())
     assert (
         "exec-crasher did not answer on 5 of 5 frame sets: the detector failed: it ended with exit"
@@ -227,16 +210,7 @@ def test_nothing_is_met_by_silence(
     command = f"command = [{json.dumps(sys.executable)}, 'mine.py']\n"
     (tmp_path / "mine.toml").write_text(command, encoding="utf-8")
     (tmp_path / "mine.py").write_text(silent_once, encoding="utf-8")
-    main(
-        [
-            "score",
-            str(recording),
-            "--detector",
-            str(tmp_path / "mine.toml"),
-            "--out",
-            str(tmp_path / "runs"),
-        ]
-    )
+    score(recording, tmp_path / "runs", tmp_path / "mine.toml")
     said = " ".join(capsys.readouterr().out.split())
     assert (
         "mine did not answer on 1 of 5 frame sets: the detector failed: it ended with exit code 9."
@@ -265,7 +239,7 @@ def test_a_score_that_fails_leaves_no_half_a_run(
             for kind, data in chunks
         )
     )
-    assert main(["score", str(odd), "--out", str(tmp_path / "runs")]) == 2
+    assert score(odd, tmp_path / "runs") == 2
     said = capsys.readouterr().err
     assert f"{last}: is not an image that can be read" in said
     assert "Traceback" not in said
@@ -285,15 +259,8 @@ def test_ctrl_c_while_a_program_is_silent_ends_both(recording: Path, tmp_path: P
     (tmp_path / "silent.py").write_text(
         f"{silent}open({str(tmp_path / 'up')!r}, 'w')\ntime.sleep(600)", encoding="utf-8"
     )
-    command = [
-        sys.executable,
-        "-m",
-        "bench.cli",
-        "score",
-        str(recording),
-        "--out",
-        str(tmp_path / "runs"),
-    ]
+    command = [sys.executable, "-m", "bench.cli", "score", str(recording)]
+    command += ["--out", str(tmp_path / "runs")]
     command += ["--detector", f"exec:{sys.executable} {tmp_path / 'silent.py'}"]
     with subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True

@@ -5,9 +5,12 @@ truth, one that fails, the real one.
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from bench.cli.main import main
@@ -15,10 +18,11 @@ from bench.config import ConfigError
 from bench.report.sensitivity import COLUMNS, figure_of, write_figure, write_numbers
 from bench.results.sensitivity import QUANTITIES, Bench, Limit, Measured, Tally, measure
 from bench.rig.loading import find_rig, load_rig
+from detector.calibration import Calibration
+from detector.protocol import Detection, Frames, Teat
 from detector.registry import available
 from instruments.world.situations import situation
 from reports.trust import svg_facts
-from tests.bench.results.sensitivity_bench import Knowing
 
 LIMIT = Limit(0.01, 0.03, 0.2, None)
 
@@ -112,7 +116,7 @@ def test_a_figure_stands_alone_on_paper_of_its_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--quantity", "contrats"], "did you mean 'contrast'"),
+        (["--quantity", "contrats"], 'did you mean "contrast"'),
         (["--detector", "thesys"], "thesys"),
         (["--rig", "no-such-rig"], "no-such-rig"),
     ],
@@ -173,3 +177,31 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
 
 def test_tallies_add() -> None:
     assert Tally((1.0,), 1, 0) + Tally((2.0, 3.0), 0, 1) == Tally((1.0, 2.0, 3.0), 1, 1)
+
+
+@dataclass(slots=True)
+class Knowing:
+    """Gives set points, off by ``error_mm``, and counts how often it is asked; with ``breaks`` it
+    fails instead.
+    """
+
+    ends_mm: list[Any]
+    error_mm: float = 0.0
+    breaks: bool = False
+    name: str = "knowing"
+    told: list[Calibration] = field(default_factory=list)
+
+    version = "7"
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        return {}
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        assert frames.left.shape == (1024, 1360)
+        self.told.append(calibration)
+        if self.breaks:
+            raise RuntimeError("no")
+        return Detection(
+            tuple(Teat(np.add(end, (0.0, self.error_mm, 0.0))) for end in self.ends_mm)
+        )

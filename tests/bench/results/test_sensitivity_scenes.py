@@ -131,6 +131,7 @@ def test_quantities_are_chosen_by_name() -> None:
     assert chosen([]) == tuple(QUANTITIES.values())
     assert [one.name for one in chosen(["netd", "tilt", "netd"])] == ["netd", "tilt"]
     with pytest.raises(
-        ConfigError, match=r"no quantity 'contrats'; did you mean 'contrast'\? \(known: pixel-noise"
+        ConfigError,
+        match=r"no quantity 'contrats'; did you mean \"contrast\"\? \(known: pixel-noise",
     ):
         chosen(["contrats"])

@@ -7,12 +7,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bench.config import read_config
-from bench.record.reader import Row, RunRecord, TrialRecord
+from bench.record.reader import RunRecord, TrialRecord
 from bench.report.page import _latency_parts
 from bench.report.wording import headline
 from bench.results.latency import latency_of
@@ -22,11 +23,9 @@ from bench.script.model import RECORDING_RULES, Rules, SuccessRequirement, TimeR
 from reports.page import Paragraph
 from tests.bench.results.test_error_rows import ENDS, record, trial
 
-MET, NOT_MET, OPEN, NOTHING = (
-    Verdict.MET,
-    Verdict.NOT_MET,
-    Verdict.INCONCLUSIVE,
-    Verdict.NOT_MEASURED,
+MET, NOT_MET, OPEN, NOTHING = Verdict
+STARVED = (
+    "in 11.8 s of detection it had a processor for 2.9 s; it waited for one, or for something else"
 )
 RULES = read_config(RECORDING_RULES, Rules)
 
@@ -36,25 +35,10 @@ def decided(run: RunRecord) -> dict[str, Decision]:
     return {decision.name: decision for decision in judgement.decisions}
 
 
-def timed(
-    one: TrialRecord,
-    seconds: float,
-    *,
-    cold: bool = False,
-    cpu_s: float | None = 0.2,
-    load: float = 0.5,
-) -> TrialRecord:
-    row: Row = {
-        "trial": one.id,
-        "detector": "fused",
-        "outcome": "answered",
-        "cold": int(cold),
-        "wall_seconds": seconds,
-        "wall_start_up_s": None,
-        "wall_cpu_s": cpu_s,
-        "wall_load": load,
-    }
-    return replace(one, detections=(row,))
+def timed(one: TrialRecord, seconds: float, **more: Any) -> TrialRecord:
+    row = {"trial": one.id, "detector": "fused", "outcome": "answered", "cold": 0}
+    row |= {"wall_seconds": seconds, "wall_start_up_s": None, "wall_cpu_s": 0.2, "wall_load": 0.5}
+    return replace(one, detections=({**row, **more},))
 
 
 def off_by(distances_mm: Sequence[float], repeats: int = 1) -> list[TrialRecord]:
@@ -175,14 +159,7 @@ def test_a_rate_of_times_counts_poses(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("cpu_s", "load", "why"),
     [
-        (
-            0.05,
-            0.5,
-            (
-                "in 11.8 s of detection it had a processor for 2.9 s; it waited for one, or for"
-                " something else"
-            ),
-        ),
+        (0.05, 0.5, STARVED),
         (None, 6.0, "half of the time 6.0 or more processes wanted each processor"),
         (None, 1.4, ""),
         (0.15, 6.0, ""),
@@ -195,7 +172,9 @@ def test_a_machine_that_was_too_busy_is_told_where_times_count(
     """In the bench's process by what the processor gave; of
     another process by the machine's load.
     """
-    run = record(tmp_path, [timed(one, 0.2, cpu_s=cpu_s, load=load) for one in off_by([1.0] * 59)])
+    run = record(
+        tmp_path, [timed(one, 0.2, wall_cpu_s=cpu_s, wall_load=load) for one in off_by([1.0] * 59)]
+    )
     told = {
         rule.name
         for rule in RULES.requirements
@@ -213,8 +192,8 @@ def test_a_machine_that_was_too_busy_is_told_where_times_count(
 
 
 def test_first_calls_and_short_times_say_nothing_of_the_machine(tmp_path: Path) -> None:
-    cold = [timed(one, 9.0, cold=True, cpu_s=0.1) for one in off_by([1.0])]
-    short = [timed(one, 0.01, cpu_s=0.0) for one in off_by([1.0] * 9)]
+    cold = [timed(one, 9.0, cold=1, wall_cpu_s=0.1) for one in off_by([1.0])]
+    short = [timed(one, 0.01, wall_cpu_s=0.0) for one in off_by([1.0] * 9)]
     assert latency_of(record(tmp_path, [*cold, *short]), "fused").starved == ""
 
 

@@ -19,8 +19,8 @@ from bench.rig.model import Cameras as CamerasTable
 from bench.rig.model import Checks, OneCamera, camera_url
 from bench.rig.opening import conversion_of, open_instruments
 from instruments.camera.cameras import CameraSet
-from instruments.camera.frame import Conversion, Radiometry
 from instruments.camera.emulator import EmulatedCameras
+from instruments.camera.frame import Conversion, Radiometry
 from instruments.camera.genicam import GenicamCamera
 from instruments.camera.settings import Settings
 from instruments.camera.stream import StreamServer

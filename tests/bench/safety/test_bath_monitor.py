@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from bench.record.writer import Row
+from bench.record.schema import Row
 from bench.rig.model import Limits
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import Interlocks, InterlockTrip, bath_of

@@ -21,12 +21,7 @@ from bench.truth.uncertainty import end_u_mm, reading_u_mm
 from instruments.microscribe.mechanics import KinematicError, workspace
 from instruments.microscribe.unit import shipped_unit
 
-MET, NOT_MET, INCONCLUSIVE, NOT_MEASURED = (
-    Verdict.MET,
-    Verdict.NOT_MET,
-    Verdict.INCONCLUSIVE,
-    Verdict.NOT_MEASURED,
-)
+MET, NOT_MET, INCONCLUSIVE, NOT_MEASURED = Verdict
 U = 0.23
 error = partial(decide_error, "error", limit_mm=5.0, u_mm=U, rate=0.95, confidence=0.95)
 

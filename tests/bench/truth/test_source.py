@@ -280,23 +280,11 @@ def test_touching_every_trial_needs_neither_stage_nor_checks() -> None:
 
 def record(bench: Bench, hows: dict[str, How]) -> RunRecord:
     """What a stopped run left: facts, checks and trials, as `read_run` gives them."""
-    heads = {name: {"id": name, "invalid": bench.invalid.get(name)} for name in hows}
     trials = tuple(
-        TrialRecord(heads[name], (), (), ({"how": how.value},), (), (), {})
+        TrialRecord({"id": name, "invalid": bench.invalid.get(name)}, truth=({"how": how.value},))
         for name, how in hows.items()
     )
-    return RunRecord(
-        Path(),
-        bench.facts,
-        trials,
-        (),
-        tuple(bench.checks),
-        (),
-        np.zeros((0, 3)),
-        (),
-        np.zeros(0),
-        None,
-    )
+    return RunRecord(Path(), bench.facts, trials, checks=tuple(bench.checks))
 
 
 def test_a_stopped_run_goes_on_from_what_is_in_the_store() -> None:
