@@ -1,6 +1,4 @@
-"""What is said when a Modbus device does not answer, says no, or answers nonsense. Pure: who,
-asked, seen, how long, what to do.
-"""
+"""The errors of a Modbus device that does not answer, refuses, or answers nonsense. Pure."""
 
 from __future__ import annotations
 
@@ -34,19 +32,16 @@ class BrokenError(LinkError):
 
 
 def unreachable(who: str, line: Line, why: str, tries: int, took_s: float) -> LinkError:
-    """Nobody took the connection, or the port can't be had; ``why`` in the system's words."""
+    """The connection or the port can't be opened; ``why`` in the system's words."""
+    what = f"nothing took the connection in {tries} tries: {why}"
+    hint = f"Is the controller on, on this network, and set to Modbus {line.transport.upper()}?"
     if line.kind == "serial":
+        what = f"the port can't be opened in {tries} tries: {why}"
         hint = (
             "Is the adapter plugged in, and is it yours to open? 'python -m"
             " serial.tools.list_ports' lists the ports."
         )
-        return LinkError(
-            who, f"the port can't be opened in {tries} tries: {why}", seconds=took_s, hint=hint
-        )
-    hint = f"Is the controller on, on this network, and set to Modbus {line.transport.upper()}?"
-    return LinkError(
-        who, f"nothing took the connection in {tries} tries: {why}", seconds=took_s, hint=hint
-    )
+    return LinkError(who, what, seconds=took_s, hint=hint)
 
 
 def silence(who: str, question: Question, took_s: float) -> LinkError:
@@ -59,8 +54,7 @@ def cut(who: str, question: Question, seen: bytes, line: Line) -> BrokenError | 
     """Over TCP ``seen`` came and no whole answer: only a part of one, or no Modbus at all."""
     if seen[2:4].strip(b"\0"):  # not the protocol's number
         return nonsense(who, "what came is no answer to this", question, seen, line)
-    hint = "Check network and gateway if it happens often."
-    what = "only a part of the answer came"
+    what, hint = "only a part of the answer came", "Check network and gateway if it happens often."
     return BrokenError(who, what, asked=question.asked, seen=seen, hint=hint)
 
 
@@ -72,10 +66,8 @@ def owing(who: str, questions: int, took_s: float, left_s: float) -> LinkError:
 
 def refused(who: str, code: int, question: Question) -> RefusedError:
     """The device answered with the Modbus exception ``code``."""
-    meaning = EXCEPTIONS.get(code, "a code that Modbus does not know")
-    error = RefusedError(
-        who, f"refused: {meaning}", asked=question.asked, seen=f"Modbus exception {code}"
-    )
+    what = f"refused: {EXCEPTIONS.get(code, 'a code that Modbus does not know')}"
+    error = RefusedError(who, what, asked=question.asked, seen=f"Modbus exception {code}")
     error.code = code
     return error
 

@@ -43,7 +43,6 @@ class Block:
 
     @property
     def address(self) -> int:
-        """The first register."""
         return self.rows[0].address
 
     @property
@@ -53,7 +52,6 @@ class Block:
 
     @property
     def count(self) -> int:
-        """How many registers."""
         return self.end - self.address
 
 
@@ -67,11 +65,8 @@ def blocks(profile: Wiring, *, gaps: bool, inferred: bool = False) -> tuple[Bloc
     polled = (row for row in profile.rows if row.poll and (inferred or row.evidence != "INFERRED"))
     for row in sorted(polled, key=lambda row: (row.table, row.address)):
         last = found[-1] if found and found[-1].table == row.table else None
-        if (
-            last
-            and row.end - last.address <= MOST_WORDS
-            and row.address - last.end <= (MOST_GAP if gaps else 0)
-        ):
+        near = last is not None and row.address - last.end <= (MOST_GAP if gaps else 0)
+        if last and near and row.end - last.address <= MOST_WORDS:
             found[-1] = Block(last.function, last.table, (*last.rows, row))
         else:
             found.append(Block(reader(profile, row.table), row.table, (row,)))
@@ -100,11 +95,7 @@ def markers(profile: Wiring, *, inferred: bool = False) -> tuple[tuple[int, int,
     ]
     reads += [(block.function, block.address, block.count) for block in asked]
     if profile.alike:
-        reads += [
-            (4 if function == 3 else 3, address, count)
-            for function, address, count in reads
-            if function in (3, 4)
-        ]
+        reads += [(7 - function, at, count) for function, at, count in reads if function in (3, 4)]
     shapes = {
         (function, -(-count // 8) if function in (1, 2) else count): (function, address, count)
         for function, address, count in reads
@@ -159,12 +150,8 @@ def read_question(function: int, address: int, count: int, unit_id: int) -> Ques
     """``count`` bits (functions 1 and 2) or registers (3 and 4) from ``address``."""
     size = -(-count // 8) if function in (1, 2) else 2 * count
     request = REQUESTS[function](address=address, count=count, dev_id=unit_id)
-    return Question(
-        request,
-        bytes((unit_id, function, size)),
-        3 + size,
-        f"{NAMES[function]} {address} to {address + count - 1}",
-    )
+    asked = f"{NAMES[function]} {address} to {address + count - 1}"
+    return Question(request, bytes((unit_id, function, size)), 3 + size, asked)
 
 
 def write_question(function: int, address: int, values: Sequence[int], unit_id: int) -> Question:
@@ -172,21 +159,15 @@ def write_question(function: int, address: int, values: Sequence[int], unit_id: 
     right answer is an echo.
     """
     request: ModbusPDU
+    words = list(values)
     if function == 5:
-        request = WriteSingleCoilRequest(address=address, bits=[bool(values[0])], dev_id=unit_id)
-    elif function == 6:
-        request = WriteSingleRegisterRequest(address=address, registers=[values[0]], dev_id=unit_id)
+        request = WriteSingleCoilRequest(address=address, bits=[bool(words[0])], dev_id=unit_id)
     else:
-        request = WriteMultipleRegistersRequest(
-            address=address, registers=list(values), dev_id=unit_id
-        )
+        kind = WriteSingleRegisterRequest if function == 6 else WriteMultipleRegistersRequest
+        request = kind(address=address, registers=words, dev_id=unit_id)
     echo = (bytes((unit_id, function)) + request.encode())[:6]
-    return Question(
-        request,
-        echo,
-        6,
-        f"write {list(values)} to {'coil' if function == 5 else 'holding register'} {address}",
-    )
+    what = "coil" if function == 5 else "holding register"
+    return Question(request, echo, 6, f"write {words} to {what} {address}")
 
 
 def values_in(answer: bytes) -> list[int]:

@@ -101,42 +101,37 @@ class Words:
 
 def words(text: str, axes: int, most_line_number: float) -> Words:
     """Take a line apart (capitals, no spaces) for a board of so many axes. Raises GcodeError."""
-    groups: dict[str, float] = {}
-    values: dict[str, float] = {}
-    at = 0
+    line, at = Words({}, {}), 0
     while at < len(text):
-        letter = text[at]
-        if not "A" <= letter <= "Z":
+        if not "A" <= text[at] <= "Z":
             raise GcodeError(1)
         number = _NUMBER.match(text, at + 1)
         if not number:
             raise GcodeError(2)
+        _place(line, text[at], float(number[0]), _AXES[:axes] + "FPNST")
         at = number.end()
-        _place(letter, float(number[0]), _AXES[:axes], groups, values)
-    if int(values.get("N", 0)) > most_line_number:
+    if int(line.values.get("N", 0)) > most_line_number:
         raise GcodeError(27)
-    return Words(groups, values)
+    return line
 
 
-def _place(
-    letter: str, value: float, axes: str, groups: dict[str, float], values: dict[str, float]
-) -> None:
+def _place(line: Words, letter: str, value: float, known: str) -> None:
     if letter in "GM":
-        known = _GROUPS if letter == "G" else _M_GROUPS
-        group = next((name for name, members in known.items() if value in members), None)
+        groups = (_GROUPS if letter == "G" else _M_GROUPS).items()
+        group = next((name for name, members in groups if value in members), None)
         if group is None:
             raise GcodeError(20)
-        if group in groups:
+        if group in line.groups:
             raise GcodeError(21)
-        groups[group] = value
-    elif letter not in axes + "FPNST":
+        line.groups[group] = value
+    elif letter not in known:
         raise GcodeError(20)
-    elif letter in values:
+    elif letter in line.values:
         raise GcodeError(25)
     elif letter in "FNPST" and value < 0:
         raise GcodeError(4)
     else:
-        values[letter] = value
+        line.values[letter] = value
 
 
 def command(
