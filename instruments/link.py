@@ -11,9 +11,8 @@ import contextlib
 import select
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
 from urllib.parse import urlsplit
 
 import serial
@@ -26,13 +25,6 @@ from instruments.tap import NoTap, Tap
 SLICE_S = 1.0
 SOCKETS = ("socket://", "tcp://", "rtu+tcp://")
 COUNTED_S = 2.0  # real time until bytes that an emulator has counted must have come over loopback
-
-
-class _Port(Protocol):
-    def read_some(self, timeout_s: float) -> bytes: ...
-    def write(self, data: bytes) -> None: ...
-    def set_baud(self, baud: int) -> None: ...
-    def close(self) -> None: ...
 
 
 class Link:
@@ -82,19 +74,17 @@ class Link:
 
     def _open(self) -> None:
         self._buffer = b""
-        near_end: int | None = None
-        self._port: _Port
+        self._port: _TcpPort | _SerialPort
         if self.url.startswith(SOCKETS):
-            self._port = tcp = _TcpPort(self.url, self.who, self._connect_timeout_s)
-            near_end = tcp.near_end
+            self._port = _TcpPort(self.url, self.who, self._connect_timeout_s)
         else:
             self._port = _SerialPort(self.url, self.who, self.baud, self._parity, self._stopbits)
         self._is_open = self.connected = True
-        self._near_end = near_end or 0
         self._virtual: tuple[VirtualClock, Wire] | None = None
         self._tap.opened(self.url)
-        if isinstance(self.clock, VirtualClock) and near_end is not None:
-            self._virtual = self.clock, self.clock.wire(near_end)
+        if isinstance(self.clock, VirtualClock) and isinstance(self._port, _TcpPort):
+            self._near_end = self._port.near_end
+            self._virtual = self.clock, self.clock.wire(self._near_end)
             self._settle(self._virtual[1])
 
     def write(self, data: bytes) -> None:
@@ -136,8 +126,7 @@ class Link:
         """All up to ``terminator``, or what came within ``timeout_s``. Raises LinkError."""
 
         def end(data: bytes) -> int | None:
-            at = data.find(terminator)
-            return None if at < 0 else at + len(terminator)
+            return len(terminator) + at if (at := data.find(terminator)) >= 0 else None
 
         return self._collect(end, timeout_s)
 
@@ -170,18 +159,16 @@ class Link:
             hint = "Check cable and power, then connect again."
             raise LinkError(self.who, "the link is closed", hint=hint)
 
-    def _collect(self, end: _End, timeout_s: float) -> bytes:
-        data = b""
-        deadline = self.clock.now() + timeout_s
-        while True:
-            at = end(data)
-            if at is not None:
-                self._buffer = data[at:] + self._buffer
-                return data[:at]
+    def _collect(self, end: Callable[[bytes], int | None], timeout_s: float) -> bytes:
+        """All up to ``end`` of what has come; None while that is not there."""
+        data, deadline = b"", self.clock.now() + timeout_s
+        while (at := end(data)) is None:
             more = self.receive(max(0.0, deadline - self.clock.now()))
             if not more:
                 return data
             data += more
+        self._buffer = data[at:] + self._buffer
+        return data[:at]
 
     def _receive_by_slices(self, timeout_s: float) -> bytes:
         """Looks at the clock every second: a sign of life, and on Windows the moment for Ctrl-C."""
@@ -211,15 +198,14 @@ class Link:
                 if clock.now() >= deadline:
                     return b""
                 clock.step(deadline)
-            data = self._receive_really(COUNTED_S) or self._receive_late(wire)
+            # or what the emulator's thread counted but had no time to send
+            data = self._receive_really(COUNTED_S) or self._receive_really(
+                PATIENCE_S if wire.sending else 0.0
+            )
             if data:
                 wire.add(to_host=-len(data))
                 return data
             wire.nothing_came()
-
-    def _receive_late(self, wire: Wire) -> bytes:
-        """What the emulator's thread counted but had no time to send."""
-        return self._receive_really(PATIENCE_S if wire.sending else 0.0)
 
     def _settle(self, wire: Wire) -> bool:
         try:
@@ -228,25 +214,18 @@ class Link:
             raise LinkError(self.who, f"the emulator hangs: {error}") from error
 
 
-class _End(Protocol):
-    def __call__(self, data: bytes, /) -> int | None: ...
-
-
 class _TcpPort:
     def __init__(self, url: str, who: str, connect_timeout_s: float) -> None:
         try:
             parts = urlsplit(url)
-            address = (parts.hostname or "", parts.port or 0)
+            host, port = parts.hostname, parts.port
+            if not host or not port:
+                raise ValueError("host or port is missing")
         except ValueError as error:
-            raise LinkError(
-                who, f"not a link: {error}", hint="Write socket://host:port."
-            ) from error
-        if not address[0] or not address[1]:
-            raise LinkError(
-                who, "not a link: host or port is missing", hint="Write socket://host:port."
-            )
+            hint = "Write socket://host:port."
+            raise LinkError(who, f"not a link: {error}", hint=hint) from error
         try:
-            self._socket = socket.create_connection(address, timeout=connect_timeout_s)
+            self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
         except OSError as error:
             raise LinkError(
                 who,

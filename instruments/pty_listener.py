@@ -21,34 +21,22 @@ _CLOSE = 0x08 | 0x10  # inotify(7): IN_CLOSE_WRITE, IN_CLOSE_NOWRITE
 _FLAGS = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
 
 
-def watch(path: str) -> Closings | None:
-    """A watch over ``path``; None where the system has none to give."""
-    try:
-        libc = ctypes.CDLL(None, use_errno=True)
-        end = int(libc.inotify_init1(_FLAGS))
-    except (AttributeError, OSError, TypeError):
-        return None
-    if end < 0:
-        return None
-    if libc.inotify_add_watch(end, os.fsencode(path), _CLOSE) < 0:
-        os.close(end)
-        return None
-    return Closings(end)
-
-
-def either(end: int, closings: Closings) -> select.epoll:
-    """One thing to `select` for both: bytes at ``end``, and closings."""
-    both = select.epoll()
-    both.register(end, select.EPOLLIN)
-    both.register(closings.fileno(), select.EPOLLIN)
-    return both
-
-
 class Closings:
-    """``fileno`` is readable when somebody has closed the file."""
+    """``fileno`` is readable when somebody has closed the file at ``path``. Raises OSError without
+    inotify.
+    """
 
-    def __init__(self, end: int) -> None:
-        self._end = end
+    def __init__(self, path: str) -> None:
+        try:
+            libc = ctypes.CDLL(None, use_errno=True)
+            self._end = int(libc.inotify_init1(_FLAGS))
+        except (AttributeError, TypeError) as error:
+            raise OSError(f"no inotify: {error}") from error
+        if self._end < 0:
+            raise OSError(ctypes.get_errno(), "inotify_init1")
+        if libc.inotify_add_watch(self._end, os.fsencode(path), _CLOSE) < 0:
+            os.close(self._end)
+            raise OSError(ctypes.get_errno(), "inotify_add_watch")
 
     def fileno(self) -> int:
         return self._end
@@ -159,8 +147,13 @@ class _Terminal:
     def __init__(self, name: str) -> None:
         self._master, self.path = _open(name)
         self._wake_near, self._wake_far = os.pipe()
-        self._closings = watch(self.path)
-        self._either = either(self._master, self._closings) if self._closings else None
+        self._closings: Closings | None = None
+        self._either: select.epoll | None = None
+        with contextlib.suppress(OSError):
+            self._closings = Closings(self.path)
+            self._either = select.epoll()
+            self._either.register(self._master, select.EPOLLIN)
+            self._either.register(self._closings, select.EPOLLIN)
         self._lock = threading.Lock()
         self._early = b""
         self.hung_up = False

@@ -171,7 +171,7 @@ def _parts(camera: str) -> tuple[str, ...]:
 
 
 def _noise(rng: np.random.Generator, sigma: float, image: Any) -> NDArray[np.float64]:
-    return sigma * rng.standard_normal(image.shape)
+    return np.asarray(sigma * rng.standard_normal(image.shape))
 
 
 def _blurred(

@@ -85,24 +85,37 @@ def test_what_follows_the_terminator_is_kept(virtual: tuple[VirtualClock, Link, 
     assert link.read(4, 1.0) == b"HREE"
 
 
-@pytest.mark.parametrize("clock", [VirtualClock(), RealClock()], ids=["virtual", "real"])
-def test_a_device_that_hangs_up_breaks_the_link(clock: Clock) -> None:
-    listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")
+@pytest.fixture(params=["virtual", "real"])
+def served(request: pytest.FixtureRequest) -> Iterator[tuple[Clock, Listener, Link]]:
+    clock = VirtualClock() if request.param == "virtual" else RealClock()
+    listener = Listener(Echo(later_s=0.05), clock, lock=threading.RLock(), name="echo")
     link = Link(listener.url, clock, who="echo")
     assert link.read_until(b"\n", 1.0) == b"hello\n"
-    link.write(b"x")
-    with pytest.raises(LinkError, match="hung up"):
-        link.receive(5.0)
+    yield clock, listener, link
     link.close()
     listener.close()
     if isinstance(clock, RealClock):
         clock.close()
 
 
-@pytest.mark.parametrize("clock", [VirtualClock(), RealClock()], ids=["virtual", "real"])
-def test_a_closed_link_says_so_to_every_call_until_it_is_opened_again(clock: Clock) -> None:
-    listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")
-    link = Link(listener.url, clock, who="echo")
+def test_a_later_answer_is_waited_for(served: tuple[Clock, Listener, Link]) -> None:
+    clock, _, link = served
+    link.write(b"a")
+    assert link.read_until(b"\n", 5.0) == b"Adone\n"
+    assert clock.now() >= 0.05
+
+
+def test_a_device_that_hangs_up_breaks_the_link(served: tuple[Clock, Listener, Link]) -> None:
+    _, _, link = served
+    link.write(b"x")
+    with pytest.raises(LinkError, match="hung up"):
+        link.receive(5.0)
+
+
+def test_a_closed_link_says_so_to_every_call_until_it_is_opened_again(
+    served: tuple[Clock, Listener, Link],
+) -> None:
+    _, listener, link = served
     link.close()
     for call in (
         lambda: link.write(b"a"),
@@ -122,21 +135,6 @@ def test_a_closed_link_says_so_to_every_call_until_it_is_opened_again(clock: Clo
         link.reopen()
     with pytest.raises(LinkError, match="the link is closed"):
         link.receive(1.0)
-    if isinstance(clock, RealClock):
-        clock.close()
-
-
-def test_real_time_waits_for_the_later_answer() -> None:
-    clock = RealClock()
-    listener = Listener(Echo(later_s=0.05), clock, lock=threading.RLock(), name="echo")
-    link = Link(listener.url, clock, who="echo")
-    link.read_until(b"\n", 1.0)
-    link.write(b"a")
-    assert link.read_until(b"\n", 5.0) == b"Adone\n"
-    assert clock.now() >= 0.05
-    link.close()
-    listener.close()
-    clock.close()
 
 
 def test_closing_leaves_no_thread() -> None:
