@@ -20,6 +20,7 @@ from bench.calibrate.merge import merge as merged
 from bench.cli.arguments import CODES, command_line, complain, refuse_existing
 from bench.config import ConfigError
 from bench.files import write_synced
+from bench.rig.board import find_board_file, load_board
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
@@ -193,7 +194,7 @@ def check(given: argparse.Namespace) -> int:
 
 
 def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page]:
-    from bench.calibrate.check import check_pair
+    from bench.calibrate.cameras import check_pair
     from bench.report.calibration import check_page
 
     _one_source(
@@ -216,8 +217,7 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
 def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page]:
     import numpy as np
 
-    from bench.calibrate.check import check_points
-    from bench.calibrate.world import read_points
+    from bench.calibrate.world import check_points, read_points
     from bench.report.calibration import check_points_page
 
     if given.frames or given.rig:
@@ -247,7 +247,6 @@ def _views_of(
 ) -> tuple[BoardViews, tuple[Path, ...]]:
     """The board in the pictures of these cameras, and the files they were."""
     from bench.calibrate.views import find_pictures, find_views
-    from bench.rig.board import find_board_file, load_board
 
     board_file = find_board_file(given.board)
     found = find_pictures(given.frames).only(*wanted)
@@ -294,11 +293,11 @@ def _record(
 
 def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page | None) -> None:
     """The step's file, whole or not at all, and its page beside it."""
-    from reports.render import write_report
-
     write_synced(given.out, dump_calibration(found, command_line()).encode("utf-8"))
     print(f"written: {given.out}")
     if page is not None:
+        from reports.render import write_report
+
         print(f"page: {write_report(page, given.out.with_suffix('.page'))}")
 
 
@@ -321,7 +320,6 @@ def _gather_views(
     Raises ConfigError, InstrumentError, OperatorAbort.
     """
     from bench.calibrate.capture import ViewsRequest, free_folder, gather
-    from bench.rig.board import find_board_file, load_board
 
     request = ViewsRequest(**wanted)
     board = load_board(find_board_file(given.board)).board
@@ -341,7 +339,6 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
     """
     from bench.calibrate.capture import free_folder
     from bench.calibrate.touch_board import POINTS_FILE, Asking, gather_points
-    from bench.rig.board import find_board_file, load_board
     from bench.truth.arm_tip import TipReader
 
     board = load_board(find_board_file(given.board)).board
@@ -402,7 +399,6 @@ def tell(text: str) -> None:
 
 def board(given: argparse.Namespace) -> int:
     from bench.calibrate.board_print import board_pdf
-    from bench.rig.board import find_board_file, load_board
 
     refuse_existing(given.pdf, replace=True, option="--pdf")
     write_synced(given.pdf, board_pdf(load_board(find_board_file(given.board)).board, given.paper))

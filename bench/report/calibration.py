@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from bench.calibrate.cameras import CamerasResult, PairsResult, ThermalResult
-from bench.calibrate.check import PointsAgain
 from bench.calibrate.views import BoardViews
-from bench.calibrate.world import WorldResult
+from bench.calibrate.world import PointsAgain, WorldResult
 from bench.report.calibration_parts import (
     coverage_parts,
     finding_parts,

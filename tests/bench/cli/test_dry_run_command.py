@@ -19,9 +19,7 @@ from instruments.clock import RealClock
 from tests.bench.commands import Said, teatbench, words
 
 
-def test_the_command_says_what_and_exits_with_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_says_what_and_exits_with_2(tmp_path: Path, said: Said) -> None:
     text = (
         (find_script("repeatability"))
         .read_text(encoding="utf-8")
@@ -30,18 +28,17 @@ def test_the_command_says_what_and_exits_with_2(
     text = text.replace("cycles = 30", "cycles = 2")
     path = tmp_path / "wide.toml"
     path.write_text(text, encoding="utf-8")
-    assert teatbench("run {} --dry-run --out {}", path, tmp_path / "runs") == 2
-    said = capsys.readouterr().out
+    seen = said(2, "run {} --dry-run --out {}", path, tmp_path / "runs").out
     assert (
         "p-2: limits: x +160 mm, y +96 mm needs the stage's X axis at 10, which goes from -300 to 0"
-        in said
+        in seen
     )
-    assert "10 trials at 5 poses: 1 problem. Nothing was moved." in said
+    assert "10 trials at 5 poses: 1 problem. Nothing was moved." in seen
     assert (
         "gone through on emulators, in virtual time: 8 of 10 trials; frames of 4 were rendered"
-        in said
+        in seen
     )
-    assert "not gone through: 2 trials" in said, (
+    assert "not gone through: 2 trials" in seen, (
         "what would end the run at once doesn't keep the others from being looked at"
     )
     assert not (tmp_path / "runs").exists()
@@ -72,18 +69,16 @@ def trials():
 
 
 def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, said: Said
 ) -> None:
     (tmp_path / "one.py").write_text(PYTHON, encoding="utf-8")
     rig = lab(tmp_path, "/dev/tty-there-is-none")
-    assert (
-        teatbench("run {} --dry-run --rig {} --out {}", tmp_path / "one.py", rig, tmp_path / "runs")
-        == 0
-    )
-    said = capsys.readouterr().out
-    assert "not checked: the stage's travel: its controller doesn't answer" in said
-    assert "1 trials at 1 poses: nothing wrong." in said
-    assert "; the operator's by assumed times, see 'teatbench trials show'" in said
+    seen = said(
+        0, "run {} --dry-run --rig {} --out {}", tmp_path / "one.py", rig, tmp_path / "runs"
+    ).out
+    assert "not checked: the stage's travel: its controller doesn't answer" in seen
+    assert "1 trials at 1 poses: nothing wrong." in seen
+    assert "; the operator's by assumed times, see 'teatbench trials show'" in seen
 
 
 def test_what_a_run_is_refused_for_is_told_by_its_dry_run(tmp_path: Path, said: Said) -> None:
@@ -156,10 +151,10 @@ def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(
         teatbench(
             "run {} --dry-run --rig {} --out {}", tmp_path / "one.py", path, tmp_path / "runs"
         )
-    said = capsys.readouterr().out
-    assert "limits" not in said
-    assert "the stage's travel" not in said
-    assert "1 of 1 trials" in said
+    seen = capsys.readouterr().out
+    assert "limits" not in seen
+    assert "the stage's travel" not in seen
+    assert "1 of 1 trials" in seen
 
 
 def lab(folder: Path, stage: str, reference: str = "") -> Path:
