@@ -203,13 +203,14 @@ def test_rigs_lists_what_can_be_run_and_says_what_to_copy(said: Said) -> None:
 
 
 def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def mistaken(*_: object) -> None:
         raise ZeroDivisionError("a mistake")
 
     monkeypatch.setattr("bench.cli.rig.load_rig", mistaken)
-    seen = said(3, "check").err
+    assert teatbench("check") == 3
+    seen = capsys.readouterr().err
     assert "ZeroDivisionError: a mistake" in seen
     assert seen.endswith(
         "teatbench: a mistake of the bench, not yours: please report what stands above\n"
