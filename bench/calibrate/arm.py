@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -164,17 +163,6 @@ def limits_of(script: str | None) -> Limits:
         f"{loaded.path} has no requirement of the kind arm_verified, so it has no limits for an"
         " arm. Name another one."
     )
-
-
-def refuse_existing(out: Path, *, replace: bool, option: str = "--out") -> None:
-    """Raises ConfigError before anybody has worked for a file that can't be written."""
-    if out.is_dir() or not out.resolve().parent.is_dir():
-        why = f"there is no folder {out.parent}" if not out.is_dir() else "this is a folder"
-        raise ConfigError.plain(f"{option} {out}: {why}; name a file in a folder that is there.")
-    if out.exists() and not replace:
-        raise ConfigError.plain(
-            f"{option} {out} is there already. Name another file, or give --replace."
-        )
 
 
 @dataclass(frozen=True, slots=True)

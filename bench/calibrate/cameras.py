@@ -6,7 +6,7 @@ the left camera sees too, or as homographies from point pairs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -177,6 +177,28 @@ def _findings(
     for camera in PAIR:
         found += outlier_views(joint.view_rms_px(camera), camera)
     return tuple(found)
+
+
+def check_pair(part: Part, views: BoardViews) -> tuple[Remeasured, tuple[Finding, ...]]:
+    """The board measured with the pair, and what that tells. Raises ConfigError without a pair, or
+    without a view of both.
+    """
+    pair = pair_of_part(part)
+    pair = replace(pair, world_from_right=Motion.identity())
+    for camera, lens in (("left", pair.left), ("right", pair.right)):
+        if views.image_size[camera] != lens.image_size:
+            seen, known = (
+                "{} x {}".format(*size) for size in (views.image_size[camera], lens.image_size)
+            )
+            raise ConfigError.plain(
+                f"the {camera} pictures are {seen} px, the calibration is for {known}: made for"
+                " other cameras"
+            )
+    pairs = views.pairs()
+    if not pairs:
+        raise ConfigError.plain("the board was found in no view of both cameras")
+    again = remeasure(pair, views.board, pairs)
+    return again, tuple(measured_again(again, pair))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,5 @@
-"""Camera to table from points that the arm touched and both cameras saw, read from comma-separated
-values with a first line of names.
+"""Points that the arm touched and both cameras saw, read from comma-separated values with a first
+line of names: camera to table from them, or whether an existing calibration still holds.
 """
 
 from __future__ import annotations
@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import chi2
 
 from bench.calibrate.merge import pair_of_part
 from bench.config import ConfigError, short
 from detector.calibration import Part, Record
 from detector.calibration.diagnosis import Finding, against_the_arm
+from detector.calibration.values import covariance_of_points
 from detector.calibration.world import WorldFit, fit_world
 from detector.geometry import Array
 
@@ -55,6 +57,9 @@ def _number(where: str, name: str, text: str | None) -> float:
     return value
 
 
+SIGNIFICANT = 1e-4  # of a chance to accuse a calibration that holds
+MOVED_MATTERS_MM = 1.0
+SCATTER_MATTERS = 2.0  # times what is expected
 POINT_COLUMNS = ("left_x", "left_y", "right_x", "right_y", "x_mm", "y_mm", "z_mm")
 LEAST_POINTS = 4  # three fix the pose and leave nothing to see by whether it is right
 
@@ -124,3 +129,76 @@ def calibrate_world(
     except ValueError as error:
         raise ConfigError.plain(f"the touched points determine no world: {error}") from error
     return WorldResult(points, fit, tuple(against_the_arm(fit)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointsAgain:
+    """Points that the arm touched, measured again: measured less touched (n, 3) mm, and what to
+    expect of each distance (n,) mm.
+    """
+
+    missed_mm: Array
+    expected_mm: Array
+
+
+def check_points(
+    part: Part, points: TouchedPoints, *, pixel_sd_px: float, touch_sd_mm: float
+) -> tuple[PointsAgain, tuple[Finding, ...]]:
+    """One or more touched points measured with a whole calibration, and what that tells. Raises
+    ConfigError for a part of one.
+    """
+    pair = pair_of_part(part)
+    if part.world_from_right is None:
+        raise ConfigError.plain(
+            "touched points need a whole calibration, with [cameras.left], [cameras.right],"
+            " [stereo] and [world]"
+        )
+    if not len(points.touched_mm):
+        raise ConfigError.plain("the table of touched points is empty")
+    missed = pair.place(points.left_px, points.right_px) - points.touched_mm
+    if not np.isfinite(missed).all():
+        bad = int(np.flatnonzero(~np.isfinite(missed).all(axis=1))[0]) + 1
+        raise ConfigError.plain(
+            f"point {bad} can't be triangulated: its pixels are outside of what the lenses were"
+            " calibrated for"
+        )
+    noise = covariance_of_points(pair, None, points.touched_mm, pixel_sd_px)
+    noise += touch_sd_mm**2 * np.eye(3)
+    own = covariance_of_points(pair, part.covariance, points.touched_mm, 0.0)
+    again = PointsAgain(missed, np.sqrt(np.trace(noise + own, axis1=1, axis2=2)))
+    return again, (*_moved(missed, noise, own), *_scattered(missed, noise, own))
+
+
+def _moved(missed: Array, noise: Array, own: Array) -> list[Finding]:
+    """Whether all are off the same way: the calibration's own error is common to them, noise
+    averages out.
+    """
+    mean = missed.mean(axis=0)
+    covariance = own.mean(axis=0) + noise.mean(axis=0) / len(missed)
+    if np.linalg.norm(mean) < MOVED_MATTERS_MM or mean @ np.linalg.solve(
+        covariance, mean
+    ) < chi2.ppf(1.0 - SIGNIFICANT, 3):
+        return []
+    x, y, z = mean
+    sentence = (
+        f"points are measured {np.linalg.norm(mean):.1f} mm off on the mean ({x:+.1f}, {y:+.1f},"
+        f" {z:+.1f} mm): the cameras, the arm or the table have moved against each other since"
+    )
+    return [Finding("moved cameras", sentence)]
+
+
+def _scattered(missed: Array, noise: Array, own: Array) -> list[Finding]:
+    """Whether they are off in different ways by more than noise and calibration allow."""
+    free = len(missed) - 1
+    if not free:
+        return []
+    left_over = float(np.sum((missed - missed.mean(axis=0)) ** 2)) / free
+    expected = float(np.trace(noise + own, axis1=1, axis2=2).mean())
+    limit = max(SCATTER_MATTERS**2, chi2.ppf(1.0 - SIGNIFICANT, 3 * free) / (3 * free))
+    if left_over < limit * expected:
+        return []
+    sentence = (
+        f"points scatter by {np.sqrt(left_over):.1f} mm, where {np.sqrt(expected):.1f} mm is to be"
+        " expected: a lens or one of the cameras has moved, or points were mistaken for each other"
+    )
+    return [Finding("scattered points", sentence)]

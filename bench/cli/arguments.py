@@ -12,6 +12,7 @@ import shlex
 import sys
 from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bench import __version__
@@ -19,6 +20,7 @@ from bench import __version__
 if TYPE_CHECKING:
     SubParsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
+PATHS = ("FILE", "DIR", "FOLDER", "CSV", "PART", "CAL", "FRAMES", "RUN")
 Argument = Callable[[argparse._ActionsContainer], object]  # adds itself to a parser
 
 EXIT_CODES = """exit codes: 0 all requirements met, 1 a requirement not met, 2 wrong use or file,
@@ -42,6 +44,19 @@ def complain(text: str, code: int) -> int:
     """Say on standard error what is wrong; gives back ``code``."""
     print(f"teatbench: {text}", file=sys.stderr)
     return code
+
+
+def refuse_existing(out: Path, *, replace: bool, option: str = "--out") -> None:
+    """Raises ConfigError before anybody has worked for a file that can't be written."""
+    from bench.config import ConfigError
+
+    if out.is_dir() or not out.resolve().parent.is_dir():
+        why = f"there is no folder {out.parent}" if not out.is_dir() else "this is a folder"
+        raise ConfigError.plain(f"{option} {out}: {why}; name a file in a folder that is there.")
+    if out.exists() and not replace:
+        raise ConfigError.plain(
+            f"{option} {out} is there already. Name another file, or give --replace."
+        )
 
 
 def command_line() -> str:
@@ -92,16 +107,18 @@ def flag(name: str, what: str) -> Argument:
 def option(
     name: str,
     what: str | None = None,
-    kind: Callable[[str], Any] = str,
+    kind: Callable[[str], Any] | None = None,
     default: object = None,
     *,
     many: bool = False,
     **more: Any,
 ) -> Argument:
     """An option with a value, ``name`` with how help calls that; without ``--``, an argument by its
-    place. ``many`` may be given several times. Help names the default where ``what`` doesn't.
+    place. ``many`` may be given several times. What help calls one of `PATHS` is a path. Help names
+    the default where ``what`` doesn't.
     """
     word, _, metavar = name.partition(" ")
+    kind = kind or (Path if metavar in PATHS else str)
     if many:
         more |= {"action": "append", "default": []}
     elif default is not None:

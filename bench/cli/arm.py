@@ -16,12 +16,11 @@ from bench.calibrate.arm import (
     limits_of,
     mm,
     open_arm,
-    refuse_existing,
     today,
     touch_frame,
 )
 from bench.calibrate.arm import verify as verify_arm
-from bench.cli.arguments import CODES, complain
+from bench.cli.arguments import CODES, complain, refuse_existing
 from bench.config import ConfigError
 from bench.rig.arm_files import frame_text, load_frame, verification_text, write_file
 from instruments.microscribe.stream import Pedal

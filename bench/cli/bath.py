@@ -14,6 +14,8 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
@@ -36,6 +38,7 @@ from instruments.clock import Clock
 from instruments.errors import InstrumentError, LimitError
 
 PERIOD_S = 1.0
+KEPT_S = 3600.0
 WIDTH, HEIGHT = 72, 14
 RATE_S = 60.0  # the rate that a forecast is made from
 LEAST_SPAN_K = 0.2  # or noise would fill the plot
@@ -189,47 +192,40 @@ def plot(
     """Temperature over time, the set point as a line; ``height`` rows of text, and one that says
     the time.
     """
-    temps = [sample.temp_c for sample in samples]
-    low, high = min(*temps, set_point_c), max(*temps, set_point_c)
+    temps_c = np.array([set_point_c, *(sample.temp_c for sample in samples)])
+    low, high = temps_c.min(), temps_c.max()
     middle, half = (low + high) / 2, max(high - low, LEAST_SPAN_K) * 0.55
-    rows = [[" "] * width for _ in range(height)]
-
-    def row(temp_c: float) -> int:
-        return min(height - 1, max(0, round((middle + half - temp_c) / (2 * half) * (height - 1))))
-
-    rows[row(set_point_c)] = [LINE] * width
-    span_s = _span_s(samples, width)
-    for sample in samples:
-        rows[row(sample.temp_c)][_column(sample, samples, width)] = POINT
-    labels = {0: middle + half, height - 1: middle - half, row(set_point_c): set_point_c}
+    from_top = np.rint((middle + half - temps_c) / (2 * half) * (height - 1))
+    rows = np.clip(from_top, 0, height - 1).astype(int)
+    cells = np.full((height, width), " ")
+    cells[rows[0]] = LINE
+    columns, span_s = _columns(samples, width)
+    cells[rows[1:], columns] = POINT
+    labels = {0: middle + half, height - 1: middle - half, rows[0]: set_point_c}
     lines = [
-        f"{f'{labels[i]:.2f}' if i in labels else '':>7} {''.join(cells)}"
-        for i, cells in enumerate(rows)
+        f"{f'{labels[i]:.2f}' if i in labels else '':>7} {''.join(row)}"
+        for i, row in enumerate(cells)
     ]
     return [*lines, f"{'degC':>7} last {span_s / 60:.1f} min; {LINE * 2} set point, {POINT} bath"]
 
 
 def output_strip(samples: Sequence[BathReading], *, width: int = WIDTH) -> str:
     """The heater's output over the same time, a bar a column; empty where the controller doesn't
-    tell it.
+    say it.
     """
     bars = [" "] * width
-    for sample in samples:
+    for column, sample in zip(_columns(samples, width)[0], samples, strict=True):
         if sample.power_percent is not None:
-            bars[_column(sample, samples, width)] = BARS[
-                round(min(100.0, max(0.0, sample.power_percent)) / 100.0 * (len(BARS) - 1))
-            ]
+            part = min(100.0, max(0.0, sample.power_percent)) / 100.0
+            bars[column] = BARS[round(part * (len(BARS) - 1))]
     return f"{'output':>7} {''.join(bars)}" if any(bar != " " for bar in bars) else ""
 
 
-def _span_s(samples: Sequence[BathReading], width: int) -> float:
-    return max(samples[-1].t_s - samples[0].t_s, width * PERIOD_S)
-
-
-def _column(sample: BathReading, samples: Sequence[BathReading], width: int) -> int:
-    return min(
-        width - 1, int((sample.t_s - samples[0].t_s) / _span_s(samples, width) * (width - 1))
-    )
+def _columns(samples: Sequence[BathReading], width: int) -> tuple[NDArray[np.int_], float]:
+    """In which of ``width`` columns each reading stands, and how many seconds they span."""
+    after_s = np.array([sample.t_s for sample in samples]) - samples[0].t_s
+    span_s = max(float(after_s[-1]), width * PERIOD_S)
+    return np.minimum(width - 1, after_s / span_s * (width - 1)).astype(int), span_s
 
 
 class BathView:
@@ -238,13 +234,11 @@ class BathView:
     def __init__(
         self,
         gate: StabilityGate,
-        kept_s: float = 3600.0,
         *,
         moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw,
     ) -> None:
         self._gate = gate
         self._moving = moving
-        self._kept_s = kept_s
         self._samples: deque[BathReading] = deque()
         self._started = True
         self.trouble = ""
@@ -258,7 +252,7 @@ class BathView:
             reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c
         )
         self._samples.append(reading)
-        while reading.t_s - self._samples[0].t_s > self._kept_s:
+        while reading.t_s - self._samples[0].t_s > KEPT_S:
             self._samples.popleft()
         self.trouble = ""
 
@@ -275,17 +269,13 @@ class BathView:
             f"set point {gate.set_point_c:.2f} degC",
             f"output {output}",
         ]
-        if self._started:
-            parts.append(report.state.value)
-            parts.append(
-                {None: "not getting nearer", 0.0: "stable now"}.get(
-                    left_s, f"stable in {_minutes(left_s)} at the earliest"
-                )
-            )
-        else:
-            parts.append("in standby")
+        minutes, seconds = divmod(int(left_s or 0), 60)
+        when = {None: "not getting nearer", 0.0: "stable now"}.get(
+            left_s, f"stable in {minutes}:{seconds:02d} min at the earliest"
+        )
+        parts += [report.state.value, when] if self._started else ["in standby"]
         parts += [f"alarm {reading.alarm}"] if reading.alarm else []
-        return ", ".join([*parts, *([self.trouble] if self.trouble else [])])
+        return ", ".join(filter(None, [*parts, self.trouble]))
 
     def lines(self) -> Iterator[str]:
         """Plot, state, and what the gate still waits for."""
@@ -321,7 +311,3 @@ def _look(view: BathView, bath: Bath) -> None:
         view.add(bath.read(), bath.get("set_point"), started=_started(bath))
     except InstrumentError as error:  # it may come back: somebody looks on
         view.trouble = f"NO READING: {error}"
-
-
-def _minutes(seconds: float | None) -> str:
-    return f"{int(seconds or 0) // 60}:{int(seconds or 0) % 60:02d} min"

@@ -12,24 +12,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from bench import __version__
-from bench.calibrate.arm import refuse_existing
-from bench.calibrate.capture import ViewsRequest, free_folder, gather
 from bench.calibrate.merge import CAMERAS_INPUT, read_part
 from bench.calibrate.merge import merge as merged
-from bench.calibrate.views import BoardViews, find_pictures, find_views
-from bench.cli.arguments import CODES, command_line, complain
+from bench.cli.arguments import CODES, command_line, complain, refuse_existing
 from bench.config import ConfigError
 from bench.files import write_synced
 from bench.rig.board import find_board_file, load_board
-from bench.rig.cameras_alone import Look, patient, pictures
-from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig, find_rig, load_rig
-from bench.rig.opening import open_instruments
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
     Calibration,
@@ -38,13 +30,14 @@ from detector.calibration import (
     dump_calibration,
     file_hash,
 )
-from detector.calibration.bundle import BundleError
-from detector.calibration.diagnosis import Finding
-from instruments.camera.frame import Grey
 from instruments.clock import wall_time
 
 if TYPE_CHECKING:
     from bench.calibrate.cameras import Delivered
+    from bench.calibrate.views import BoardViews
+    from bench.rig.cameras_alone import Look
+    from detector.calibration.diagnosis import Finding
+    from instruments.camera.frame import Grey
     from reports.page import Page
 
 CHECK_VIEWS = 5
@@ -55,14 +48,17 @@ PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus 
 
 
 def cameras(given: argparse.Namespace) -> int:
+    import numpy as np
+
     from bench.calibrate.cameras import Lens, calibrate_pair
     from bench.report.calibration import cameras_page
+    from detector.calibration.bundle import BundleError
 
     refuse_existing(given.out, replace=given.replace)
     _one_source(given, given.frames, "folders of pictures (FRAMES)")
     identity = _identities(given.identity)
     if given.rig:
-        identity = {**_gather_views(given, ViewsRequest()), **identity}
+        identity = {**_gather_views(given), **identity}
     views, paths = _views_of(given, "left", "right")
     try:
         result = calibrate_pair(views, Lens(given.model, given.square_pixels))
@@ -83,6 +79,7 @@ def cameras(given: argparse.Namespace) -> int:
 def thermal(given: argparse.Namespace) -> int:
     from bench.calibrate.cameras import calibrate_thermal, map_pairs
     from bench.report.calibration import pairs_page, thermal_page
+    from detector.calibration.bundle import BundleError
 
     refuse_existing(given.out, replace=given.replace)
     delivered = _delivered(given)
@@ -105,8 +102,14 @@ def thermal(given: argparse.Namespace) -> int:
     pair, identity = read_part(given.cameras), {}
     if given.rig:
         mirrored = frozenset({"thermal"} if delivered.mirrored else ())
-        wanted = ViewsRequest(("left", "thermal"), ("thermal",), heated=True, mirrored=mirrored)
-        identity = _gather_views(given, wanted, pair.part)
+        identity = _gather_views(
+            given,
+            pair.part,
+            cameras=("left", "thermal"),
+            guided=("thermal",),
+            heated=True,
+            mirrored=mirrored,
+        )
     views, paths = _views_of(given, "left", "thermal", mirrored=delivered.mirrored)
     try:
         result = calibrate_thermal(
@@ -190,7 +193,7 @@ def check(given: argparse.Namespace) -> int:
 
 
 def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page]:
-    from bench.calibrate.check import check_pair
+    from bench.calibrate.cameras import check_pair
     from bench.report.calibration import check_page
 
     _one_source(
@@ -199,7 +202,7 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
     if not given.board:
         raise ConfigError.plain("--board is needed: what is in the pictures")
     if given.rig:
-        _gather_views(given, ViewsRequest(guided=(), most=CHECK_VIEWS), part)
+        _gather_views(given, part, guided=(), most=CHECK_VIEWS)
     views, paths = _views_of(given, "left", "right")
     again, findings = check_pair(part, views)
     scale, sd = again.scale
@@ -211,8 +214,9 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
 
 
 def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page]:
-    from bench.calibrate.check import check_points
-    from bench.calibrate.world import read_points
+    import numpy as np
+
+    from bench.calibrate.world import check_points, read_points
     from bench.report.calibration import check_points_page
 
     if given.frames or given.rig:
@@ -241,6 +245,8 @@ def _views_of(
     given: argparse.Namespace, *wanted: str, mirrored: bool = False
 ) -> tuple[BoardViews, tuple[Path, ...]]:
     """The board in the pictures of these cameras, and the files they were."""
+    from bench.calibrate.views import find_pictures, find_views
+
     board_file = find_board_file(given.board)
     found = find_pictures(given.frames).only(*wanted)
     views = find_views(
@@ -286,11 +292,11 @@ def _record(
 
 def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page | None) -> None:
     """The step's file, whole or not at all, and its page beside it."""
-    from reports.render import write_report
-
     write_synced(given.out, dump_calibration(found, command_line()).encode("utf-8"))
     print(f"written: {given.out}")
     if page is not None:
+        from reports.render import write_report
+
         print(f"page: {write_report(page, given.out.with_suffix('.page'))}")
 
 
@@ -305,28 +311,32 @@ def _say(findings: Sequence[Finding]) -> int:
 
 
 def _gather_views(
-    given: argparse.Namespace, wanted: ViewsRequest, known: Part | None = None
+    given: argparse.Namespace, known: Part | None = None, **wanted: Any
 ) -> dict[str, str]:
     """Views of ``given.board`` from the cameras of ``given.rig``, which are those of ``known``, as
-    ``given.frames``; gives back who the cameras are.
+    ``given.frames``; ``wanted`` as in a `ViewsRequest`. Gives back who the cameras are.
 
     Raises ConfigError, InstrumentError, OperatorAbort.
     """
+    from bench.calibrate.capture import ViewsRequest, free_folder, gather
+
+    request = ViewsRequest(**wanted)
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
     with _opened(given, known, arm=False) as (parts, rig):
-        kept = gather(_look(parts, rig), parts.operator, board, wanted, folder, tell)
+        kept = gather(_look(parts, rig), parts.operator, board, request, folder, tell)
         parts.operator.finish()
         identity = dict(parts.cameras.identity)
     tell(f"{kept} views in {folder}")
     given.frames = [folder]
-    return {camera: str(who) for camera, who in identity.items() if camera in wanted.cameras}
+    return {camera: str(who) for camera, who in identity.items() if camera in request.cameras}
 
 
 def _gather_world(given: argparse.Namespace, known: Part) -> Path:
     """Points of ``given.board`` that the arm of ``given.rig`` touched and its cameras, those of
     ``known``, saw: a table.
     """
+    from bench.calibrate.capture import free_folder
     from bench.calibrate.touch_board import POINTS_FILE, Asking, gather_points
     from bench.truth.arm_tip import TipReader
 
@@ -355,6 +365,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
 def _opened(
     given: argparse.Namespace, known: Part | None, *, arm: bool
 ) -> Iterator[tuple[Devices, LoadedRig]]:
+    from bench.rig.opening import open_instruments
     from bench.script.calibration_age import refuse_other_cameras
 
     rig = load_rig(find_rig(given.rig))
@@ -367,6 +378,8 @@ def _opened(
 
 def _look(parts: Devices, rig: LoadedRig) -> Look:
     """Takes each camera's picture, once whatever the operator moved has come to rest."""
+    from bench.rig.cameras_alone import patient, pictures
+
     taken = patient(lambda: pictures(parts.cameras.capture()))
 
     def look() -> Mapping[str, Grey]:

@@ -49,7 +49,7 @@ RIG_HELP = "a shipped rig by name, or a .toml file (default: emulated)"
 SCRIPT_HELP = "a shipped script by name ('teatbench trials' lists them), or a .toml file"
 
 CAPTURE = option(
-    "--capture FILE", "record the bytes of every link in a new file (docs/captures.md)", Path
+    "--capture FILE", "record the bytes of every link in a new file (docs/captures.md)"
 )
 JSON = flag("--json", "one JSON object, units in its keys")
 RIG = option("rig", RIG_HELP, nargs="?")
@@ -59,14 +59,14 @@ CAMERAS_OF = option(
 )
 RUN = option("run", "the run's folder", Path)
 RECORDING = option("recording", "a recording's folder", Path)
-OUT_RUNS = option("--out DIR", "where run folders go", Path, Path("runs"))
+OUT_RUNS = option("--out DIR", "where run folders go", default=Path("runs"))
 DETECTORS = option(
     "--detector NAME",
     "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md); may be given"
     " several times",
     many=True,
 )
-EVENTS = option("--events FILE", "also tell what goes on as JSON lines, for others to watch", Path)
+EVENTS = option("--events FILE", "also tell what goes on as JSON lines, for others to watch")
 DESPITE_DAMAGE = flag(
     "--despite-damage",
     "go on though the record is not as it was written: nothing is decided by it then",
@@ -99,7 +99,7 @@ HOMED = (
     flag("--homed", "the stylus was on its peg when the arm was last switched on: don't ask"),
 )
 ARM_FILE = (
-    option("--out FILE", "where to write it; the rig file names it", Path, required=True),
+    option("--out FILE", "where to write it; the rig file names it", required=True),
     REPLACE,
 )
 
@@ -152,9 +152,9 @@ LIVE = (
     option("--rig RIG", "live, with the cameras of this rig: by name, or a .toml file"),
     RIG_SEED,
 )
-MADE_WITH = option("--cameras FILE", "what 'calibrate cameras' wrote; needed with pictures", Path)
+MADE_WITH = option("--cameras FILE", "what 'calibrate cameras' wrote; needed with pictures")
 TOUCH_SD = option("--touch-sd MM", "of a touch, along each axis", SD, 0.25)
-FRAMES = option("frames FRAMES", "folders of pictures (docs/calibration.md)", Path, nargs="*")
+FRAMES = option("frames FRAMES", "folders of pictures (docs/calibration.md)", nargs="*")
 FINDER = (
     option("--max-views N", "take this many views, spread over the set", whole(1)),
     option(
@@ -171,7 +171,6 @@ def _part(name: str) -> tuple[Argument, Argument, Argument]:
         option(
             "--out FILE",
             f"where to write it, such as {name}; its page stands beside it",
-            Path,
             required=True,
         ),
         REPLACE,
@@ -191,7 +190,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         ),
         RIG_OPTION,
         option("--seed", "seed of all chance (default: the rig file's)", whole(0)),
-        option("--record DIR", "also write a recording that 'teatbench score' reads", Path),
+        option("--record DIR", "also write a recording that 'teatbench score' reads"),
         flag("--realtime", "emulated rig only: let time pass as it does"),
         flag(
             "--dry-run", "move nothing: look at each pose, then go through all trials on emulators"
@@ -215,7 +214,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     "report": (
         "(re)write the report of a run",
         RUN,
-        option("--baseline RUN", "also hold it against this older run of the same scenes", Path),
+        option("--baseline RUN", "also hold it against this older run of the same scenes"),
         flag(
             "--single-file", "also write single-file.html for mail: pictures in it, at most 20 MB"
         ),
@@ -233,7 +232,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "compare": (
         "paired differences between runs, or between the detectors of one run",
-        option("run RUN", "folders of runs; the first is the old one", Path, nargs="+"),
+        option("run RUN", "folders of runs; the first is the old one", nargs="+"),
         option("--detector NAME", "only this one; may be given several times", many=True),
         option(
             "--margin-mm MM",
@@ -250,7 +249,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         flag(
             "--together", "judge all runs as one, by their counts and errors, instead of comparing"
         ),
-        option("--out DIR", "also write a page and comparison.json there", Path),
+        option("--out DIR", "also write a page and comparison.json there"),
         DESPITE_DAMAGE,
         flag("--json", "print JSON instead of tables"),
     ),
@@ -294,7 +293,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
             choices=("csv", "parquet", "mcap"),
         ),
         DESPITE_DAMAGE,
-        option("--out DIR", "where to; files of the same names are replaced", Path, required=True),
+        option("--out DIR", "where to; files of the same names are replaced", required=True),
     ),
     "detect": (
         "detect only: what each detector finds in recorded frames",
@@ -307,7 +306,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         *SITUATIONS,
         option("--seeds N", "members of each family", whole(1), 1),
         *FIRST_SEEDS,
-        option("--out FILE", "default: scene.png", Path, Path("scene.png")),
+        option("--out FILE", "default: scene.png", default=Path("scene.png")),
     ),
     "scene record": (
         "a recording of situations with exact truth, for `teatbench score`",
@@ -317,8 +316,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         option(
             "--out DIR",
             "default: recordings/situations; is added to",
-            Path,
-            Path("recordings/situations"),
+            default=Path("recordings/situations"),
         ),
     ),
     "scene boards": (
@@ -337,7 +335,9 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         ),
         option("--seed N", "of poses, noise and the cameras' fixed patterns", whole(0), 1),
         option(
-            "--out DIR", "default: recordings/boards; is added to", Path, Path("recordings/boards")
+            "--out DIR",
+            "default: recordings/boards; is added to",
+            default=Path("recordings/boards"),
         ),
     ),
     "scene sensitivity": (
@@ -352,7 +352,9 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         option("--first N", "the first scene's seed", whole(0), 0),
         option("--seed N", "of noise and of the cameras' fixed patterns", whole(0), 1),
         option(
-            "--out DIR", "default: sensitivity; files there are replaced", Path, Path("sensitivity")
+            "--out DIR",
+            "default: sensitivity; files there are replaced",
+            default=Path("sensitivity"),
         ),
     ),
     "check": ("connect to every instrument, print who it is and one reading", CAPTURE, RIG),
@@ -364,7 +366,6 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         option(
             "--write-rig FILE",
             "write a rig file with these addresses, for 'run --rig FILE' in another process",
-            Path,
         ),
         REPLACE,
         flag("--paced", "serial instruments at the rig's baud rate, 10 bits a byte"),
@@ -373,7 +374,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         "one position",
         *HOMED,
         option("--packets N", "packets that make one reading", whole(1, 1000), 8),
-        option("--frame FILE", "a table frame: gives the position in the world too", Path),
+        option("--frame FILE", "a table frame: gives the position in the world too"),
         JSON,
     ),
     "arm watch": (
@@ -464,7 +465,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     "camera grab": (
         "save frame sets as a recording",
         SOURCES,
-        option("--out FOLDER", "the recording; one that is there is added to", Path, required=True),
+        option("--out FOLDER", "the recording; one that is there is added to", required=True),
         option("--count N", "how many frame sets", whole(1), 1),
     ),
     "calibrate cameras": (
@@ -490,7 +491,6 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         option(
             "--pairs CSV",
             "point pairs instead of pictures: thermal_x,thermal_y,left_x,left_y,right_x,right_y",
-            Path,
         ),
         option(
             "--image-size COLUMNSxROWS",
@@ -518,44 +518,37 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         "camera to table, from points that the arm touched and both cameras saw",
         CAPTURE,
         option(
-            "points CSV",
-            "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm, a point a line",
-            Path,
-            nargs="?",
+            "points CSV", "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm, a point a line", nargs="?"
         ),
         *LIVE,
         option("--board BOARD", f"with --rig: {BOARD_HELP}"),
-        option("--cameras FILE", "what 'calibrate cameras' wrote", Path, required=True),
+        option("--cameras FILE", "what 'calibrate cameras' wrote", required=True),
         option("--pixel-sd PX", "of a pixel coordinate", SD, 0.1),
         TOUCH_SD,
         *_part("world.toml"),
     ),
     "calibrate merge": (
         "put the steps' files together into one calibration.toml",
-        option("parts PART", "the files that the steps wrote", Path, nargs="+"),
+        option("parts PART", "the files that the steps wrote", nargs="+"),
         *_part("calibration.toml"),
     ),
     "calibrate check": (
         "measure a board or touched points again with an existing calibration: does it still hold?",
         CAPTURE,
-        option(
-            "calibration CAL", "the calibration, or the cameras' file where a board is shown", Path
-        ),
+        option("calibration CAL", "the calibration, or the cameras' file where a board is shown"),
         FRAMES,
         option("--board BOARD", BOARD_HELP),
         *FINDER,
         *LIVE,
-        option(
-            "--points CSV", "touched points in the place of a board, as for 'calibrate world'", Path
-        ),
+        option("--points CSV", "touched points in the place of a board, as for 'calibrate world'"),
         option("--pixel-sd PX", "of a pixel coordinate of a point", SD, 0.1),
         TOUCH_SD,
-        option("--page DIR", "where the page goes (default: none is written)", Path),
+        option("--page DIR", "where the page goes (default: none is written)"),
     ),
     "calibrate board": (
         "a calibration board as a PDF in true size",
         option("board BOARD", BOARD_HELP),
-        option("--pdf FILE", "where to write it", Path, required=True),
+        option("--pdf FILE", "where to write it", required=True),
         option(
             "--paper",
             "the sheet (default: the smallest that holds it)",
@@ -564,15 +557,15 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "calibrate export": (
         "write a calibration for another tool",
-        option("calibration CAL", kind=Path),
+        option("calibration CAL"),
         option("--format", choices=("opencv", "bouguet", "ros"), required=True),
         option("--camera", "for ros, which has one camera a file", default="left", choices=CAMERAS),
-        option("--out FILE", kind=Path, required=True),
+        option("--out FILE", required=True),
         REPLACE,
     ),
     "calibrate import": (
         "take the cameras of another tool over, as a part for merge",
-        option("file FILE", "for ros two: left, right", Path, nargs="+"),
+        option("file FILE", "for ros two: left, right", nargs="+"),
         option("--format", choices=("opencv", "bouguet", "ros"), required=True),
         option("--image-size COLUMNSxROWS", "for opencv, whose files may leave it out", size),
         *_part("cameras.toml"),
@@ -584,7 +577,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         ),
         CAPTURE,
         option("--rig RIG", RIG_HELP),
-        option("--out FILE", "where to write it; a script's [truth] names it", Path, required=True),
+        option("--out FILE", "where to write it; a script's [truth] names it", required=True),
         REPLACE,
         option("--layout NAME", "how the phantom's teats stand", default="table-5-1"),
         option("--teat N", "the teat to touch", whole(1, 20), 1),

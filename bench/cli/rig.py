@@ -9,13 +9,15 @@ import threading
 from collections.abc import Mapping
 from contextlib import closing, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES, complain
+from bench.cli.arguments import CODES, complain, refuse_existing
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
-from instruments.captures.reader import read_capture
-from instruments.captures.replay import Replay
 from instruments.clock import Clock, RealClock
+
+if TYPE_CHECKING:
+    from instruments.captures.replay import Replay
 
 
 def check(given: argparse.Namespace) -> int:
@@ -37,7 +39,6 @@ def check(given: argparse.Namespace) -> int:
 
 
 def emulate(given: argparse.Namespace) -> int:
-    from bench.calibrate.arm import refuse_existing
     from bench.files import write_synced
     from bench.rig.emulated_rig import EmulatedRig
     from bench.rig.urls import ELSEWHERE
@@ -135,6 +136,9 @@ def replay_wire(given: argparse.Namespace) -> int:
     """The far end of a capture, until Ctrl-C or, for ``--once``, its end; mismatches are printed as
     they come.
     """
+    from instruments.captures.reader import read_capture
+    from instruments.captures.replay import Replay
+
     capture = read_capture(given.file)
     if not capture.links:
         raise ConfigError.plain(

@@ -58,7 +58,7 @@ def run(given: argparse.Namespace) -> int:
             script,
             given.out,
             progress,
-            typed=_typed_lines(rig.rig.operator.url),
+            typed=typed_lines(rig.rig.operator.url),
             seed=given.seed,
             detectors=given.detector,
             record=given.record,
@@ -96,7 +96,7 @@ def resume(given: argparse.Namespace) -> int:
         operator = files_of(read_run(given.run))[0].rig.operator.url
         with event_lines(given.events) as lines, TerminalProgress(console) as shown:
             progress = WatchedProgress(shown, lines)
-            typed = _typed_lines(operator)
+            typed = typed_lines(operator)
             resume_run(
                 given.run,
                 progress,
@@ -108,7 +108,7 @@ def resume(given: argparse.Namespace) -> int:
     return code
 
 
-def _typed_lines(operator_url: str) -> Callable[[], str | None]:
+def typed_lines(operator_url: str) -> Callable[[], str | None]:
     """Lines typed at this terminal, where it is one and no operator is asked there."""
     if operator_url == CONSOLE or sys.stdin is None or not sys.stdin.isatty():
         return lambda: None

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import __version__
-from bench.cli.arguments import CODES, complain
+from bench.cli.arguments import CODES, complain, refuse_existing
 from bench.rig.loading import find_rig, load_rig
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ def _members(given: argparse.Namespace) -> range:
 
 
 def sheet(given: argparse.Namespace) -> int:
-    from bench.calibrate.arm import refuse_existing
     from bench.rig.scenes import write_sheet
 
     refuse_existing(given.out, replace=True)

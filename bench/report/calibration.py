@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from bench.calibrate.cameras import PAIR, CamerasResult, PairsResult, ThermalResult
-from bench.calibrate.check import PointsAgain
 from bench.calibrate.views import BoardViews
-from bench.calibrate.world import WorldResult
+from bench.calibrate.world import PointsAgain, WorldResult
 from bench.report.wording import NOT_MEASURED, listed, spanned, table
 from detector.calibration import Record
 from detector.calibration.bundle import LENS, POSE

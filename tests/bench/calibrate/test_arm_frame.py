@@ -41,12 +41,6 @@ def test_exact_touches_give_the_motion_back(om: Triple, T: Triple) -> None:
     assert np.allclose(found.T, put_in.T, atol=1e-6)
 
 
-def test_a_table_turned_by_a_right_angle() -> None:
-    found = world_from_arm([[100.0, 0.0, 20.0], [100.0, 300.0, 20.0], [-50.0, 0.0, 20.0]])
-    assert np.allclose(found.apply([100.0, 10.0, 20.0]), [10.0, 0.0, 0.0])
-    assert np.allclose(found.apply([90.0, 0.0, 25.0]), [0.0, 10.0, 5.0])
-
-
 @pytest.mark.parametrize(
     ("touched", "sentence"),
     [

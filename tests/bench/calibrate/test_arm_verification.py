@@ -106,20 +106,6 @@ def test_the_least_sphere_is_that_of_an_optimiser(points: list[tuple[float, floa
     assert mine == pytest.approx(2.0 * np.sqrt(max(found.x[3], 0.0)), abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("points", "diameter"),
-    [
-        ([[0, 0, 0]], 0.0),
-        ([[0, 0, 0], [0, 0, 2]], 2.0),
-        ([[0, 0, 0], [0, 0, 2], [0, 0.5, 1]], 2.0),
-        ([[1, 0, 0], [-0.5, 3**0.5 / 2, 0], [-0.5, -(3**0.5) / 2, 0]], 2.0),
-        ([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1], [0, 0, 0]], 2.0 * 3**0.5),
-    ],
-)
-def test_least_spheres_that_are_known(points: list[list[float]], diameter: float) -> None:
-    assert least_sphere_mm(np.array(points, dtype=float)) == pytest.approx(diameter)
-
-
 def test_a_verification_survives_being_a_fact() -> None:
     lengths = (LengthTest("flat", np.zeros(3), np.array([0.0, 300.1, 0.0]), 300.0),)
     found = Verification(MADE, "40937", (LocationTest("near", CROSS, SWUNG),), lengths)

@@ -10,15 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.calibrate.check import check_points
-from bench.calibrate.world import TouchedPoints, read_points
-from bench.cli.main import main
+from bench.calibrate.world import TouchedPoints, check_points
 from bench.config import ConfigError
 from detector.calibration import Part, dump_calibration, load_part
 from detector.geometry import Motion
 from tests.bench.calibrate.board_pictures import LEFT, RIGHT, RIGHT_FROM_LEFT
 from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
-from tests.bench.commands import teatbench, words
+from tests.bench.commands import Said, teatbench, words
 
 NOISE = {"pixel_sd_px": 0.1, "touch_sd_mm": 0.25}
 WHOLE = Part(
@@ -80,7 +78,7 @@ def test_a_calibration_without_a_world_is_refused() -> None:
         check_points(replace(WHOLE, world_from_right=None), touched(1), **NOISE)
 
 
-def test_by_command_with_its_page(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_by_command_with_its_page(lab: Path, said: Said) -> None:
     points = write_touched(lab / "again.csv")
     cameras = load_part(lab / "cameras.toml")
     assert (
@@ -98,15 +96,13 @@ def test_by_command_with_its_page(lab: Path, capsys: pytest.CaptureFixture[str])
     given = words(
         "calibrate check {} --points {} --page {}", lab / "whole.toml", points, lab / "points.page"
     )
-    assert main(given) == 0
-    assert "18 points: missed by" in capsys.readouterr().out
+    assert "18 points: missed by" in said(0, "{}", given).out
     page = (lab / "points.page" / "index.html").read_text(encoding="utf-8")
     assert "It still holds." in page
     assert "Measured less touched" in page
     expected = []
     for noise in ((), ("--touch-sd", "2.5"), ("--pixel-sd", "2.5")):
-        assert teatbench("{} {}", given, noise) == 0
-        expected.append(float(capsys.readouterr().out.partition("rms, ")[2].split()[0]))
+        expected.append(float(said(0, "{} {}", given, noise).out.partition("rms, ")[2].split()[0]))
     assert expected[0] + 1.0 < min(expected[1:]), "who touches or sees worse may expect worse"
     lines = points.read_text(encoding="utf-8").splitlines()
     pushed = [
@@ -117,11 +113,6 @@ def test_by_command_with_its_page(lab: Path, capsys: pytest.CaptureFixture[str])
         ),
     ]
     points.write_text("\n".join(pushed), encoding="utf-8")
-    assert main(given) == 1
-    said = capsys.readouterr()
-    assert "It no longer holds." in said.out
-    assert "moved cameras: points are measured" in said.err
-
-
-def test_read_points_gives_what_was_written(tmp_path: Path) -> None:
-    assert read_points(write_touched(tmp_path / "points.csv")).touched_mm.shape == (18, 3)
+    seen = said(1, "{}", given)
+    assert "It no longer holds." in seen.out
+    assert "moved cameras: points are measured" in seen.err

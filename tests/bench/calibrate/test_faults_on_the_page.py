@@ -94,9 +94,9 @@ def test_swapped_cameras(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
         for path in (lab / "day1" / other).iterdir():
             (lab / "swapped" / name / path.name).write_bytes(path.read_bytes())
     assert calibrate_cameras(lab, lab / "sc.toml", frames="swapped") == 1
-    said = "swapped cameras: the right camera stands 100 mm to the left of the left one"
-    assert said in named(lab / "sc.page" / "index.html")
-    assert said in capsys.readouterr().err
+    seen = "swapped cameras: the right camera stands 100 mm to the left of the left one"
+    assert seen in named(lab / "sc.page" / "index.html")
+    assert seen in capsys.readouterr().err
 
 
 def test_a_bent_board(lab: Path) -> None:

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from bench.cli.main import main
 from detector.calibration import Part, load_calibration, load_part
 from tests.bench.calibrate.small_rig import small_calibration, write_rig
-from tests.bench.commands import teatbench, words
+from tests.bench.commands import Said, teatbench, words
 
 BOARD, HEATED = "chessboard-9x6-40", "heated-circles-7x5-18"
 
@@ -181,15 +180,12 @@ class TestWorld:
         np.testing.assert_array_equal(first.T, again.T)
 
 
-def test_it_still_holds_on_another_day(
-    bench_room: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_still_holds_on_another_day(bench_room: Path, said: Said) -> None:
     rig = ["--rig", str(bench_room / "small.toml"), "--seed", "9"]
     given = ["calibrate", "check", str(bench_room / "cameras.toml"), *rig, "--board", BOARD]
-    assert main(given) == 0
-    said = capsys.readouterr().out
-    assert "5 views are enough." in said
-    assert "It still holds." in said
+    seen = said(0, "{}", given).out
+    assert "5 views are enough." in seen
+    assert "It still holds." in seen
 
 
 def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_room: Path) -> None:
@@ -212,9 +208,7 @@ def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_ro
     assert found.record.cameras["thermal"].startswith("emulated")
 
 
-def test_cameras_of_another_rig_are_refused(
-    bench_room: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_cameras_of_another_rig_are_refused(bench_room: Path, said: Said) -> None:
     given = [
         "calibrate",
         "check",
@@ -224,11 +218,10 @@ def test_cameras_of_another_rig_are_refused(
         "--board",
         BOARD,
     ]
-    assert main(given) == 3
-    said = " ".join(capsys.readouterr().err.split())
+    seen = " ".join(said(3, "{}", given).err.split())
     assert (
         "made for the left camera 'emulated 680 x 512', but the one that answers is 'emulated 1360"
-        " x 1024'" in said
+        " x 1024'" in seen
     )
 
 

@@ -58,9 +58,7 @@ def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
         assert said in page
 
 
-def test_a_second_day_shows_that_it_still_holds_or_not(
-    lab: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, said: Said) -> None:
     write_pairs(lab / "day2", 5, seed=2)
     given = words(
         "calibrate check {} {} --board {} --page {}",
@@ -69,14 +67,12 @@ def test_a_second_day_shows_that_it_still_holds_or_not(
         lab / "board.toml",
         lab / "again",
     )
-    assert main(given) == 0
-    assert "It still holds." in capsys.readouterr().out
+    assert "It still holds." in said(0, "{}", given).out
     assert "It still holds." in (lab / "again" / "index.html").read_text(encoding="utf-8")
     write_pairs(lab / "day3", 5, seed=3, pitch_mm=40.6)
-    assert main([*given[:3], str(lab / "day3"), *given[4:]]) == 1
-    said = capsys.readouterr()
-    assert "It no longer holds." in said.out
-    assert "wrong baseline" in said.err
+    seen = said(1, "{}", [*given[:3], str(lab / "day3"), *given[4:]])
+    assert "It no longer holds." in seen.out
+    assert "wrong baseline" in seen.err
 
 
 def test_all_steps_make_one_calibration(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 
 from bench.calibrate.simulated_arm import PLACED, Step, TryingArm
-from bench.cli.main import parser
 from bench.rig.arm_files import load_frame, load_verification
 from bench.rig.model import Arm
 from bench.script.model import ArmRequirement, find_script, load_script
@@ -273,9 +272,7 @@ def test_read_gives_one_json_object(said: Said) -> None:
     assert line["serial_number"] == "40937"
 
 
-def test_read_in_the_world_uses_the_frame_of_this_arm_only(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, said: Said) -> None:
     out = tmp_path / "frame.toml"
     with at_terminal(
         words("arm frame --port emulator: --out {} --homed --plane-checks 0", out)
@@ -283,15 +280,13 @@ def test_read_in_the_world_uses_the_frame_of_this_arm_only(
         for _ in range(3):
             answer(terminal, ENTER)
         assert terminal.code() == 0, terminal.text
-    assert teatbench("arm read --port emulator: --homed --json --frame {}", out) == 0
-    line = json.loads(capsys.readouterr().out)
+    line = json.loads(said(0, "arm read --port emulator: --homed --json --frame {}", out).out)
     assert line["world_mm"] == pytest.approx(PLACED.apply(line["tip_mm"]).tolist(), abs=1.5)
     out.write_text(out.read_text(encoding="utf-8").replace('"40937"', '"11111"'), encoding="utf-8")
-    assert teatbench("arm read --port emulator: --homed --frame {}", out) == 2
-    said = capsys.readouterr().err
+    seen = said(2, "arm read --port emulator: --homed --frame {}", out).err
     assert (
         f"{out}:5: serial_number: this file is of the arm 11111, but the arm that answers is 40937"
-        in said
+        in seen
     )
 
 
@@ -304,9 +299,9 @@ def test_it_reads_the_arm_of_a_bench_that_only_emulates(capsys: pytest.CaptureFi
         assert teatbench("arm watch --port {} --homed --seconds 0.5", urls["arm"]) == 0
         child.send_signal(signal.SIGINT)
         child.communicate(timeout=60)
-    said = capsys.readouterr().out.strip().split("\n")
-    assert json.loads(said[0])["tip_mm"][2] == pytest.approx(212.2, abs=0.01)
-    assert "packets/s" in said[1]
+    seen = capsys.readouterr().out.strip().split("\n")
+    assert json.loads(seen[0])["tip_mm"][2] == pytest.approx(212.2, abs=0.01)
+    assert "packets/s" in seen[1]
 
 
 def test_writing_over_has_to_be_asked_for(tmp_path: Path) -> None:
@@ -325,14 +320,6 @@ def test_writing_over_has_to_be_asked_for(tmp_path: Path) -> None:
 # The page for the lab
 
 GUIDE = (ROOT / "docs" / "arm.md").read_text(encoding="utf-8")
-
-
-def test_every_command_of_the_guide_is_one() -> None:
-    blocks = [block for block in GUIDE.split("```")[1::2] if block.startswith("\n")]
-    lines = [line for block in blocks for line in block.strip().split("\n")]
-    assert {line.split()[2] for line in lines} == {"home", "frame", "read", "verify"}
-    for line in lines:
-        parser().parse_args(line.split()[1:])
 
 
 def test_the_guides_pieces_of_files_are_right() -> None:

@@ -100,9 +100,8 @@ def test_a_recording_is_not_written_over(tmp_path: Path, said: Said) -> None:
     assert not (tmp_path / "runs").exists()
 
 
-def test_check_prints_every_instrument(capsys: pytest.CaptureFixture[str]) -> None:
-    assert teatbench("check") == 0
-    said = capsys.readouterr().out
+def test_check_prints_every_instrument(said: Said) -> None:
+    seen = said(0, "check").out
     for words in (
         "arm: ok",
         "serial_number: 40937",
@@ -113,12 +112,10 @@ def test_check_prints_every_instrument(capsys: pytest.CaptureFixture[str]) -> No
         "cameras: ok",
         "1360 x 1024",
     ):
-        assert words in said, words
+        assert words in seen, words
 
 
-def test_check_names_every_instrument_that_does_not_answer(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_names_every_instrument_that_does_not_answer(tmp_path: Path, said: Said) -> None:
     text = (ROOT / "bench" / "rigs" / "lab.example.toml").read_text(encoding="utf-8")
     for real, dead in {
         '"/dev/ttyUSB0"            #': '"/dev/no-such-port" #',
@@ -131,11 +128,10 @@ def test_check_names_every_instrument_that_does_not_answer(
     (tmp_path / "lab.toml").write_text(text, encoding="utf-8")
     calibration = (ROOT / "bench" / "rigs" / "calibration.toml").read_text(encoding="utf-8")
     (tmp_path / "calibration.toml").write_text(calibration, encoding="utf-8")
-    assert teatbench("check {}", tmp_path / "lab.toml") == 3
-    said = capsys.readouterr().out
+    seen = said(3, "check {}", tmp_path / "lab.toml").out
     for name in ("arm", "bath", "stage", "cameras"):
-        assert f"{name}: FAULT" in said
-    assert "Traceback" not in said
+        assert f"{name}: FAULT" in seen
+    assert "Traceback" not in seen
 
 
 def test_detect_prints_the_lines_of_the_format(shared_data: Path, said: Said) -> None:
@@ -207,15 +203,15 @@ def test_rigs_lists_what_can_be_run_and_says_what_to_copy(said: Said) -> None:
 
 
 def test_a_mistake_of_the_bench_is_no_requirement_that_is_not_met(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def mistaken(*_: object) -> None:
         raise ZeroDivisionError("a mistake")
 
     monkeypatch.setattr("bench.cli.rig.load_rig", mistaken)
     assert teatbench("check") == 3
-    said = capsys.readouterr().err
-    assert "ZeroDivisionError: a mistake" in said
-    assert said.endswith(
+    seen = capsys.readouterr().err
+    assert "ZeroDivisionError: a mistake" in seen
+    assert seen.endswith(
         "teatbench: a mistake of the bench, not yours: please report what stands above\n"
     )

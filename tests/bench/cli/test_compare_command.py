@@ -106,13 +106,11 @@ def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     said: Said,
-    capsys: pytest.CaptureFixture[str],
     fault_px: float,
 ) -> None:
     create = registry.create
     monkeypatch.setattr(registry, "create", lambda name: Faulted(create(name), fault_px))
     new = score(recording, tmp_path, "fused")
-    capsys.readouterr()
     told = " ".join(said(1, "compare {} {} --gate", baseline, new).out.split())
     assert "THE NEW ONE IS WORSE" in told
     assert f"{SCENES} scenes, each in the very same frames." in told
@@ -125,10 +123,9 @@ def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
 
 
 def test_of_too_few_poses_the_gate_says_how_many_it_takes(
-    recording: Path, baseline: Path, tmp_path: Path, said: Said, capsys: pytest.CaptureFixture[str]
+    recording: Path, baseline: Path, tmp_path: Path, said: Said
 ) -> None:
     again = score(recording, tmp_path, "fused")
-    capsys.readouterr()
     told = " ".join(said(4, "compare {} {} --gate", baseline, again).out.split())
     assert (
         "in 3 poses; poses that were not run may hide that it grew by 3.538 mm (margin 0.25 mm): 72"
@@ -142,11 +139,8 @@ def test_of_too_few_poses_the_gate_says_how_many_it_takes(
     assert "at most 70.8 % of poses are lost anew (3 poses, 97.5 % confidence each)" in told
 
 
-def test_two_detectors_of_one_run_and_the_page(
-    recording: Path, tmp_path: Path, said: Said, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, said: Said) -> None:
     run = score(recording, tmp_path / "runs", "fused", "thesis")
-    capsys.readouterr()
     (told,) = json.loads(said(1, "compare {} --gate --json --out {}", run, tmp_path / "page").out)
     assert (told["old"]["detector"], told["new"]["detector"]) == ("fused", "thesis")
     assert told["gate"]["verdict"] == "worse"
@@ -254,7 +248,7 @@ def test_one_recording_scored_twice_is_the_same_poses_and_not_twice_as_many(
 
 
 def test_runs_are_judged_together_by_their_counts(
-    baseline: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    baseline: Path, tmp_path: Path, said: Said
 ) -> None:
     again = changed(baseline, tmp_path / "again")
     other = changed(
@@ -263,17 +257,15 @@ def test_runs_are_judged_together_by_their_counts(
         "UPDATE facts SET value = '\"another recording\"' WHERE key = 'about'",
     )
     for second, poses in ((again, SCENES), (other, 2 * SCENES)):
-        assert teatbench("compare {} {} --together --json", baseline, second) == 0
-        (told,) = json.loads(capsys.readouterr().out)
+        (told,) = json.loads(said(0, "compare {} {} --together --json", baseline, second).out)
         assert {
             decision["n"] for decision in told["decisions"] if decision["unit"] in ("mm", "%", "")
         } == {poses}
     # six poses show little
-    assert teatbench("compare {} {} --together --gate", baseline, other) == 4
-    said = capsys.readouterr().out
-    assert "fused, all runs together: inconclusive" in said
-    assert f"0 in {2 * SCENES} scenes" in said
-    assert "of 6 poses succeeded" in said
+    seen = said(4, "compare {} {} --together --gate", baseline, other).out
+    assert "fused, all runs together: inconclusive" in seen
+    assert f"0 in {2 * SCENES} scenes" in seen
+    assert "of 6 poses succeeded" in seen
 
 
 def test_what_cannot_be_judged_together(baseline: Path, tmp_path: Path) -> None:

@@ -9,19 +9,15 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.emulation_model import EmulatedStage
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.script.model import find_script
 from instruments.clock import RealClock
-from tests.bench.commands import Said, teatbench, words
+from tests.bench.commands import Said
 
 
-def test_the_command_says_what_and_exits_with_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_says_what_and_exits_with_2(tmp_path: Path, said: Said) -> None:
     text = (
         (find_script("repeatability"))
         .read_text(encoding="utf-8")
@@ -30,18 +26,17 @@ def test_the_command_says_what_and_exits_with_2(
     text = text.replace("cycles = 30", "cycles = 2")
     path = tmp_path / "wide.toml"
     path.write_text(text, encoding="utf-8")
-    assert teatbench("run {} --dry-run --out {}", path, tmp_path / "runs") == 2
-    said = capsys.readouterr().out
+    seen = said(2, "run {} --dry-run --out {}", path, tmp_path / "runs").out
     assert (
         "p-2: limits: x +160 mm, y +96 mm needs the stage's X axis at 10, which goes from -300 to 0"
-        in said
+        in seen
     )
-    assert "10 trials at 5 poses: 1 problem. Nothing was moved." in said
+    assert "10 trials at 5 poses: 1 problem. Nothing was moved." in seen
     assert (
         "gone through on emulators, in virtual time: 8 of 10 trials; frames of 4 were rendered"
-        in said
+        in seen
     )
-    assert "not gone through: 2 trials" in said, (
+    assert "not gone through: 2 trials" in seen, (
         "what would end the run at once doesn't keep the others from being looked at"
     )
     assert not (tmp_path / "runs").exists()
@@ -67,99 +62,70 @@ SCRIPT["requirements"] = [{"kind": "bath_in_band", "name": "bath", "band_k": 0.5
 
 
 def trials():
-    yield {"name": "one", "situation": "ideal", "layout": "single", "set_up": "One teat."}
+    yield {"name": "one", "situation": "ideal", "layout": "single", "set_up": "One teat."POSE}
 """
+DRY = "run {} --dry-run --out {}"
+NO_STAGE = "/dev/tty-there-is-none"
+
+
+def one(folder: Path, pose: str = "") -> tuple[Path, Path]:
+    """A script in Python, and where its runs would go."""
+    (folder / "one.py").write_text(PYTHON.replace("POSE", pose), encoding="utf-8")
+    return folder / "one.py", folder / "runs"
 
 
 def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, said: Said
 ) -> None:
-    (tmp_path / "one.py").write_text(PYTHON, encoding="utf-8")
-    rig = lab(tmp_path, "/dev/tty-there-is-none")
-    assert (
-        teatbench("run {} --dry-run --rig {} --out {}", tmp_path / "one.py", rig, tmp_path / "runs")
-        == 0
-    )
-    said = capsys.readouterr().out
-    assert "not checked: the stage's travel: its controller doesn't answer" in said
-    assert "1 trials at 1 poses: nothing wrong." in said
-    assert "; the operator's by assumed times, see 'teatbench trials show'" in said
+    seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path), lab(tmp_path, NO_STAGE)).out
+    assert "not checked: the stage's travel: its controller doesn't answer" in seen
+    assert "1 trials at 1 poses: nothing wrong." in seen
+    assert "; the operator's by assumed times, see 'teatbench trials show'" in seen
 
 
 def test_what_a_run_is_refused_for_is_told_by_its_dry_run(tmp_path: Path, said: Said) -> None:
-    (tmp_path / "one.py").write_text(PYTHON, encoding="utf-8")
-    rig = lab(tmp_path, "/dev/tty-there-is-none")
+    rig = lab(tmp_path, NO_STAGE)
     (tmp_path / "lab.tripped.json").write_text(
         '{"rule": "bath too hot", "why": "38 degC"}', encoding="utf-8"
     )
-    assert (
-        "the rig: latched: interlock bath too hot at an unknown time: 38 degC"
-        in said(
-            2, "run {} --dry-run --rig {} --out {}", tmp_path / "one.py", rig, tmp_path / "runs"
-        ).out
-    )
+    seen = said(2, f"{DRY} --rig {{}}", *one(tmp_path), rig).out
+    assert "the rig: latched: interlock bath too hot at an unknown time: 38 degC" in seen
     text = rig.read_text(encoding="utf-8")
     rig.write_text(
         text[: text.index("[stage]")] + text[text.index("[cameras]") :], encoding="utf-8"
     )
-    assert (
-        "needs a stage"
-        in said(2, "run plane-map --dry-run --rig {} --out {}", rig, tmp_path / "runs").err
-    )
+    assert "needs a stage" in said(2, "run plane-map --dry-run --rig {}", rig).err
 
 
 def test_a_stage_is_not_asked_while_a_run_has_its_rig(tmp_path: Path, said: Said) -> None:
     """Opening its port resets most boards."""
-    (tmp_path / "one.py").write_text(PYTHON, encoding="utf-8")
-    rig = lab(tmp_path, "/dev/tty-there-is-none")
-    arguments = words(
-        "run {} --dry-run --rig {} --out {}", tmp_path / "one.py", rig, tmp_path / "runs"
-    )
-    held = {
-        "host": "another machine",
-        "pid": 1,
-        "since": "2026-11-01T12:00:00",
-        "run": "runs/other",
-    }
+    rig = lab(tmp_path, NO_STAGE)
+    held = {"host": "another machine", "pid": 1, "since": "2026-11-01T12:00:00", "run": "runs/o"}
     (tmp_path / "lab.lock.json").write_text(json.dumps(held), encoding="utf-8")
-    assert (
-        "not checked: the stage's travel: another bench has the rig" in said(0, "{}", arguments).out
-    )
+    seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path), rig).out
+    assert "not checked: the stage's travel: another bench has the rig" in seen
+
+
+FAR = ', "pose": {"x_mm": 170.0}'
 
 
 def test_a_script_of_which_no_trial_is_within_the_travel(tmp_path: Path, said: Said) -> None:
-    (tmp_path / "one.py").write_text(
-        PYTHON.replace('"One teat."', '"One teat.", "pose": {"x_mm": 170.0}'), encoding="utf-8"
-    )
-    assert (
-        "not checked: the script as a whole: no trial is within the stage's travel"
-        in said(2, "run {} --dry-run --out {}", tmp_path / "one.py", tmp_path / "runs").out
-    )
+    seen = said(2, DRY, *one(tmp_path, FAR)).out
+    assert "not checked: the script as a whole: no trial is within the stage's travel" in seen
 
 
 def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, said: Said
 ) -> None:
-    (tmp_path / "one.py").write_text(
-        PYTHON.replace('"One teat."', '"One teat.", "pose": {"x_mm": 170.0}'), encoding="utf-8"
-    )
     rig = load_rig(find_rig(None))
     wide = rig.rig.emulation.model_copy(update={"stage": EmulatedStage(settings={130: 640.0})})
-    clock = RealClock()
-    with (
-        closing(clock),
-        EmulatedRig(
-            replace(rig, rig=rig.rig.model_copy(update={"emulation": wide})), clock, 1
-        ) as there,
-    ):
+    twin = replace(rig, rig=rig.rig.model_copy(update={"emulation": wide}))
+    with closing(RealClock()) as clock, EmulatedRig(twin, clock, 1) as there:
         path = lab(tmp_path, there.urls["stage"], reference="reference_mm = [-320.0, -137.5]")
-        teatbench(
-            "run {} --dry-run --rig {} --out {}", tmp_path / "one.py", path, tmp_path / "runs"
-        )
-    said = capsys.readouterr().out
-    assert "limits" not in said
-    assert "the stage's travel" not in said
-    assert "1 of 1 trials" in said
+        seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path, FAR), path).out
+    assert "limits" not in seen
+    assert "the stage's travel" not in seen
+    assert "1 of 1 trials" in seen
 
 
 def lab(folder: Path, stage: str, reference: str = "") -> Path:
@@ -170,7 +136,5 @@ def lab(folder: Path, stage: str, reference: str = "") -> Path:
     (folder / "lab.toml").write_text(
         text.replace("/dev/ttyACM0", stage).replace(known, reference or known), encoding="utf-8"
     )
-    (folder / "calibration.toml").write_text(
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
+    (folder / "calibration.toml").write_bytes((RIGS / "calibration.toml").read_bytes())
     return folder / "lab.toml"

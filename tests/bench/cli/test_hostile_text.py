@@ -27,7 +27,7 @@ from bench.cli.terminal import Terminal
 from bench.rig.loading import RIGS
 from bench.script.model import TRIALS
 from reports.sanitize import csv_text, sanitized
-from tests.bench.commands import teatbench
+from tests.bench.commands import Said, teatbench
 from tests.bench.small_recording import write_recording
 from tests.conftest import ROOT
 
@@ -113,9 +113,7 @@ def check_cells(table: Path) -> None:
     ] == []
 
 
-def test_names_of_a_recording_and_words_of_a_detector(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_names_of_a_recording_and_words_of_a_detector(tmp_path: Path, said: Said) -> None:
     recording = write_recording(
         tmp_path
         / f"five{'' if sys.platform == 'win32' else HOSTILE.replace('/', '').translate({0: None})}"
@@ -131,11 +129,11 @@ def test_names_of_a_recording_and_words_of_a_detector(
     declared = f"version = {TOML}\ncommand = [{json.dumps(sys.executable)}, 'mine.py']\n"
     (tmp_path / "mine.toml").write_text(declared, encoding="utf-8")
     arguments = [str(recording), "--detector", str(tmp_path / "mine.toml")]
-    assert teatbench("detect {}", arguments) == 0
-    assert teatbench("score {} --out {}", arguments, tmp_path / "runs") == 1
-    said = "".join(capsys.readouterr())
-    assert UNSAFE.findall(said) == []
-    assert f"@{REPLACED}[2J{REPLACED}]0;owned" in said
+    detected = said(0, "detect {}", arguments)
+    scored = said(1, "score {} --out {}", arguments, tmp_path / "runs")
+    seen = "".join((*detected, *scored))
+    assert UNSAFE.findall(seen) == []
+    assert f"@{REPLACED}[2J{REPLACED}]0;owned" in seen
     (run,) = (tmp_path / "runs").iterdir()
     check_files(run)
     assert teatbench("store export {} --format csv --out {}", run, tmp_path / "tables") == 0
@@ -190,9 +188,9 @@ def test_words_on_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
         board.start()
         code = teatbench("stage status --port {}", f"socket://127.0.0.1:{server.getsockname()[1]}")
         board.join()
-    said = "".join(capsys.readouterr())
-    assert (code, UNSAFE.findall(said)) == (3, [])
-    assert "[2J" in said
+    seen = "".join(capsys.readouterr())
+    assert (code, UNSAFE.findall(seen)) == (3, [])
+    assert "[2J" in seen
 
 
 def test_the_console_shows_no_markup_and_no_controls_of_others(

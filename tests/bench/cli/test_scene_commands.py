@@ -21,14 +21,13 @@ from tests.bench.commands import Said, teatbench, words
 
 
 def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, said: Said
 ) -> None:
     out = tmp_path / "situations"
-    said = words(
+    seen = words(
         "scene record --situation overlapping --situation missing_or_hidden --seeds 2 --first 3"
     )
-    assert teatbench("{} --out {}", said, out) == 0
-    assert "4 frames in" in capsys.readouterr().out
+    assert "4 frames in" in said(0, "{} --out {}", seen, out).out
     recording = Recording(out)
     assert recording.frames == (
         "missing_or_hidden-0003",

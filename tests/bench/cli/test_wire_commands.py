@@ -129,7 +129,7 @@ def test_a_whole_check_is_replayed_to_a_check(
             (ROOT / "bench" / "rigs" / "calibration.toml").read_bytes()
         )
         teatbench("check {}", tmp_path / "lab.toml")
-        said = capsys.readouterr().out
+        seen = capsys.readouterr().out
         output, _ = child.communicate(timeout=60)
     for text in (
         "arm: ok",
@@ -140,7 +140,7 @@ def test_a_whole_check_is_replayed_to_a_check(
         "1.1h",
         "cameras: FAULT",
     ):
-        assert text in said, text
+        assert text in seen, text
     assert (child.returncode, output) == (0, "")
 
 

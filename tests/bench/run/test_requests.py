@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bench.cli.main import main
-from bench.cli.run import _typed_lines
+from bench.cli.run import typed_lines
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, read_run
 from bench.rig.loading import load_rig
@@ -217,7 +217,7 @@ def test_a_bench_in_the_background_reads_nothing_of_what_is_typed_to_others(
         os.fdopen(person, "wb", buffering=0) as keys,
     ):
         monkeypatch.setattr("sys.stdin", stream)
-        typed = _typed_lines("emulator:")
+        typed = typed_lines("emulator:")
         keys.write(b"abort\n")
         monkeypatch.setattr("os.tcgetpgrp", lambda _: os.getpgrp() + 1)
         assert typed() is None
