@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -20,18 +19,12 @@ from bench.calibrate.guide import Grey, Guide
 from bench.config import ConfigError
 from bench.files import write_synced
 from detector.calibration.boards import DICTIONARIES, Board
-from instruments.operators.operator import BoardAsked, OperatorEnough
+from instruments.operators.operator import BoardAsked, Operator, OperatorEnough
 from instruments.world.boards import Pattern
 
 MOST_VIEWS = 60
 TOLD = 3  # of what is missing, in one instruction
 GUIDE = "guide.png"
-
-
-class BoardHolder(Protocol):
-    """Whoever holds the board."""
-
-    def hold_board(self, asked: BoardAsked) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +44,7 @@ class ViewsRequest:
 
 def gather(
     look: Callable[[], Mapping[str, Grey]],
-    operator: BoardHolder,
+    operator: Operator,
     board: Board,
     wanted: ViewsRequest,
     folder: Path,
@@ -68,7 +61,7 @@ def gather(
             tell("Nothing is missing any more.")
             return number - 1
         try:
-            operator.hold_board(
+            operator.ask(
                 BoardAsked(
                     pattern, _instruction(wanted, missing), number, wanted.cameras, wanted.heated
                 )

@@ -24,7 +24,7 @@ from bench.truth.touching import Toucher
 from bench.truth.uncertainty import end_u_mm
 from instruments.captures.capture import NO_CAPTURE, Captures
 from instruments.errors import InstrumentError
-from instruments.operators.operator import Arrangement
+from instruments.operators.operator import Arrangement, Homing
 from instruments.stage.driver import Stage
 from instruments.world.phantom import Phantom, PlatePose
 
@@ -107,7 +107,7 @@ def _registered(
 ) -> Registration:
     devices.arm.sign_on()
     tip.refuse_other_arm()
-    devices.operator.confirm_homing(PEG)
+    devices.operator.ask(Homing(PEG))
     devices.arm.confirm_homed()
     stage.connect()
     stage.home()
@@ -115,9 +115,9 @@ def _registered(
         f"Put the phantom on the stage, its teats as in layout {wanted.layout}, and fix it: it must"
         " not shift on its plate."
     )
-    devices.operator.set_up(Arrangement("stage_registration", phantom, (), text))
+    devices.operator.ask(Arrangement("stage_registration", phantom, (), text))
     toucher = Toucher(
-        devices.operator, tip, rig.rig.arm, devices.clock, lambda: None, wanted.readings
+        devices.operator.ask, tip, rig.rig.arm, devices.clock, lambda: None, wanted.readings
     )
     return register(
         stage,

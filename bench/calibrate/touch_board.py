@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -23,7 +22,7 @@ from detector.calibration.corners import Found, ViewRefusedError, find_board, or
 from detector.geometry import Array
 from instruments.errors import DeviceError
 from instruments.microscribe.errors import ArmMovesError
-from instruments.operators.operator import BoardAsked
+from instruments.operators.operator import BoardAsked, BoardTouch, Operator, Release
 
 POSITIONS = 2
 TRIES = 4  # of one position, or of one point, before it is given up
@@ -32,14 +31,6 @@ ROWS, COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
 MISTAKEN = 0.25
 WHERE = ("high and near", "lower and farther, tilted another way")
 POINTS_FILE = "points.csv"
-
-
-class BoardOperator(Protocol):
-    """Whoever fixes the board and touches it."""
-
-    def hold_board(self, asked: BoardAsked) -> None: ...
-    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None: ...
-    def release(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +59,7 @@ class Asking:
     """
 
     look: Callable[[], Mapping[str, Grey]]
-    operator: BoardOperator
+    operator: Operator
     tip: TipReader
     tip_radius_mm: float
     tell: Callable[[str], None]
@@ -104,7 +95,7 @@ def _at_position(
     readings: list[WorldTip] = []
     for at in range(len(seen.corners)):
         readings.append(_touched(asking, board, seen, at, readings))
-    asking.operator.release()
+    asking.operator.ask(Release())
     points = under_ball(
         [reading.point_mm for reading in readings],
         [reading.axis for reading in readings],
@@ -123,7 +114,7 @@ def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> Seen:
             " see all of it and the arm reaches all of it, so that a touch can't move it. Take"
             " hands and arm out of the pictures."
         )
-        asking.operator.hold_board(BoardAsked(pattern_of(board), text, position, fixed=True))
+        asking.operator.ask(BoardAsked(pattern_of(board), text, position, fixed=True))
         pictures = asking.look()
         try:
             seen = _looked(pictures, board)
@@ -175,7 +166,7 @@ def _touched(asking: Asking, board: Board, seen: Seen, at: int, before: list[Wor
         "",
     )
     for _ in range(TRIES):
-        asking.operator.touch_board(seen.corners[at], text, again=again)
+        asking.operator.ask(BoardTouch(seen.corners[at], text, again))
         try:
             reading = asking.tip.read()
         except ArmMovesError as moves:

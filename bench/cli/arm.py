@@ -236,7 +236,7 @@ def _home(given: argparse.Namespace) -> int:
         )
     with open_arm(given.port, given.baud, given.answer_s, given.capture) as session:
         if not given.on_peg:
-            session.console.ask(
+            session.ask(
                 f"{PEG} and let go of it. Anywhere else, homing makes every position wrong."
             )
         session.arm.home()

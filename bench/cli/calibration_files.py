@@ -232,12 +232,13 @@ def gather_views(
     """
     from bench.calibrate.capture import free_folder, gather
     from bench.rig.board import find_board_file, load_board
+    from instruments.operators.operator import Finish
 
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
     with _opened(given, known, arm=False) as (parts, rig):
         kept = gather(_look(parts, rig), parts.operator, board, wanted, folder, _tell)
-        parts.operator.finish()
+        parts.operator.ask(Finish())
         identity = {
             camera: str(who)
             for camera, who in parts.cameras.identity.items()
@@ -255,6 +256,7 @@ def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
     from bench.calibrate.touch_board import Asking, gather_points
     from bench.rig.board import find_board_file, load_board
     from bench.truth.arm_tip import TipReader
+    from instruments.operators.operator import Finish, Homing
 
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
@@ -266,13 +268,13 @@ def gather_world(given: argparse.Namespace, known: Part) -> Gathered:
             arm.sign_on()
             tip = TipReader(arm, rig.rig.arm, rig.frame)
             tip.refuse_other_arm()
-            parts.operator.confirm_homing(PEG)
+            parts.operator.ask(Homing(PEG))
             arm.confirm_homed()
             asking = Asking(
                 _look(parts, rig), parts.operator, tip, rig.rig.arm.tip_radius_mm, _tell
             )
             gather_points(asking, board, folder)
-            parts.operator.finish()
+            parts.operator.ask(Finish())
         finally:
             arm.safe()
         identity = {"arm": arm.identity.serial_number}

@@ -1,14 +1,10 @@
-"""The emulated operator's hands, who look whether the arm reaches before they try: what it can't
-reach is met, not waited for.
+"""The operators of a rehearsal.
 
-An arm that is pulled too far hangs up, and the bench would take it for one that has lost its cable.
-A person may lean the stylus.
-
-Who is asked in a rehearsal: a person who takes as long as persons take, or a script of answers;
-prompts are counted.
-
-A run that takes a person days would take the clock as many bath readings: then a part of each
-prompt passes on the clock, and the rest is only booked. May not know the world.
+`ReachingHands` are the emulated hands, which look whether the arm reaches before they try: an arm
+that is pulled too far hangs up, and the bench would take it for one that has lost its cable.
+`Person` takes as long as persons take, or gives the answers of a file, and counts what is asked; a
+part of that time passes on the clock, and the rest is booked. `TimedOperator` books what the time
+goes to.
 """
 
 from __future__ import annotations
@@ -25,74 +21,52 @@ from detector.geometry import Motion
 from instruments.clock import Clock
 from instruments.microscribe.kinematics import OutOfReachError, inverse
 from instruments.operators.operator import (
+    Answer,
     Arrangement,
-    BoardAsked,
+    CheckPoint,
+    NextTrial,
     Operator,
     OperatorAbort,
     OperatorSkip,
-    Placed,
     Prompt,
+    Release,
+    Request,
+    Touch,
+    no_check,
 )
-from instruments.operators.prompted import Answerer
+from instruments.operators.prompted import PromptedOperator
 
 Floats = NDArray[np.float64]
+LOOK_S = 1.0  # between two looks at the interlocks
 
 
 class ReachingHands:
     """The operator of ``twin``, whose arm stands at ``placed``. ``met`` gets what is out of reach;
-    ``leans`` where a person touches.
+    ``leans`` where a person touches, who may lean the stylus.
     """
 
     def __init__(
         self, twin: EmulatedRig, placed: ArmPlaced, met: Callable[[str, str], None], *, leans: bool
     ) -> None:
         self._twin = twin
-        self._hands = twin.operator
         self._arm_from_world = Motion.from_vectors(placed.om, placed.T).inverse()
         self._met = met
         self._leans = leans
         # to within a millimetre, how the stylus was held: nobody solves the same pose twice
         self._reached: dict[bytes, Floats] = {}
 
-    def check_interrupts(self, check: Callable[[], None]) -> None:
-        self._hands.check_interrupts(check)
-
-    def next_trial(self, number: int, of: int, left_s: float | None) -> None:
-        self._hands.next_trial(number, of, left_s)
-
-    def confirm_homing(self, instruction: str) -> None:
-        self._hands.confirm_homing(instruction)
-
-    def touch_check_point(self, touch: int, of: int) -> None:
-        """Raises OperatorAbort where the arm doesn't reach the check point."""
-        self._hands.touch_check_point(touch, of)
-        if why := self._out_of_reach("the check point"):
+    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+        """Raises OperatorAbort where the arm doesn't reach the check point, OperatorSkip where it
+        doesn't reach a teat's end.
+        """
+        answer = self._twin.operator.ask(request, check)
+        if isinstance(request, CheckPoint) and (why := self._out_of_reach("the check point")):
             raise OperatorAbort(why)
-
-    def set_up(self, arrangement: Arrangement) -> Placed:
-        return self._hands.set_up(arrangement)
-
-    def touch(
-        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
-    ) -> None:
-        """Raises OperatorSkip where the arm doesn't reach the teat's end."""
-        self._hands.touch(teat, of, number=number, numbers=numbers, again=again)
-        if why := self._out_of_reach(
-            f"the end of teat {self._twin.world.phantom().teats[teat - 1].name or teat}"
-        ):
-            raise OperatorSkip(why)
-
-    def hold_board(self, asked: BoardAsked) -> None:
-        self._hands.hold_board(asked)
-
-    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
-        self._hands.touch_board(corner, instruction, again=again)
-
-    def release(self) -> None:
-        self._hands.release()
-
-    def finish(self) -> None:
-        self._hands.finish()
+        if isinstance(request, Touch):
+            name = self._twin.world.phantom().teats[request.teat - 1].name or request.teat
+            if why := self._out_of_reach(f"the end of teat {name}"):
+                raise OperatorSkip(why)
+        return answer
 
     def _out_of_reach(self, what: str) -> str:
         """Empty where the arm gets there, leaning if need be; else the tip is let go of, and why is
@@ -119,28 +93,21 @@ class ReachingHands:
         can be, else any for who leans.
         """
         arm, there = self._twin.arm, self._arm_from_world.apply(point_mm)
+        unit = arm.unit
         try:
             arm.check_reach(there, np.asarray(self._arm_from_world.R @ axis))
+            return axis
         except OutOfReachError:
-            return self._leaning(there) if self._leans else None
-        return axis
-
-    def _leaning(self, there_mm: Floats) -> Floats | None:
-        """As the arm likes, at (3,) in its own frame."""
-        unit = self._twin.arm.unit
-        geometry = unit.geometry()
+            if not self._leans:
+                return None
         try:
-            counts = inverse(geometry, there_mm, None, start=unit.home)
+            counts = inverse(unit.geometry(), there, None, start=unit.home)
         except OutOfReachError:
             return None
-        _, axes = geometry.forward(counts)
-        return np.asarray(self._arm_from_world.R.T @ axes[0])
+        return np.asarray(self._arm_from_world.R.T @ unit.geometry().forward(counts)[1][0])
 
 
-LOOK_S = 1.0  # between two looks at the interlocks
-
-
-class Person:
+class Person(PromptedOperator):
     """Answers prompts. ``seconds`` has "set-up", "placing" and "touch"; ``on_clock`` is the share
     of them that passes on the clock.
 
@@ -157,7 +124,7 @@ class Person:
         on_clock: float = 1.0,
         *,
         beside_s: float = 0.0,
-        answers: Answerer | None = None,
+        answers: PromptedOperator | None = None,
     ) -> None:
         self._clock = clock
         self._seconds = seconds
@@ -168,7 +135,7 @@ class Person:
         self.next_set_up_s = 0.0
         self.asked = 0
 
-    def ask(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
         self.asked += 1
         takes = {"homing": self._seconds["placing"], "set up": self.next_set_up_s}
         seconds = takes.get(prompt.kind, self._seconds["touch"])
@@ -178,7 +145,7 @@ class Person:
         while (left_s := end_s - self._clock.now()) > 0.0:
             self._clock.sleep(min(LOOK_S, left_s))
             check()
-        return self._answers.ask(prompt, check) if self._answers else frozenset()
+        return self._answers.answer(prompt, check) if self._answers else frozenset()
 
     def say(self, text: str) -> None:
         if self._answers:
@@ -191,7 +158,7 @@ class Person:
 
 class TimedOperator:
     """Has ``operator`` do what is asked, tells ``spent`` what that is, and ``person`` how long a
-    set-up takes: as `trial_time` has it.
+    set-up takes.
     """
 
     def __init__(
@@ -203,46 +170,22 @@ class TimedOperator:
         self._seconds = seconds
         self._stands: Arrangement | None = None
 
-    def check_interrupts(self, check: Callable[[], None]) -> None:
-        self._operator.check_interrupts(check)
-
-    def next_trial(self, number: int, of: int, left_s: float | None) -> None:
-        self._spent.work(MOVES)
-        self._operator.next_trial(number, of, left_s)
-
-    def confirm_homing(self, instruction: str) -> None:
-        self._operator.confirm_homing(instruction)
-
-    def touch_check_point(self, touch: int, of: int) -> None:
-        self._spent.asking(TOUCHES)
-        self._operator.touch_check_point(touch, of)
-
-    def set_up(self, arrangement: Arrangement) -> Placed:
-        self._spent.asking(SET_UPS)
-        self._person.next_set_up_s = self._takes_s(arrangement)
-        placed = self._operator.set_up(arrangement)
-        self._stands = arrangement
-        self._spent.work(CAPTURES)
-        return placed
-
-    def touch(
-        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
-    ) -> None:
-        self._spent.asking(TOUCHES)
-        self._operator.touch(teat, of, number=number, numbers=numbers, again=again)
-
-    def hold_board(self, asked: BoardAsked) -> None:
-        self._operator.hold_board(asked)
-
-    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
-        self._operator.touch_board(corner, instruction, again=again)
-
-    def release(self) -> None:
-        self._operator.release()
-        self._spent.work(MOVES)
-
-    def finish(self) -> None:
-        self._operator.finish()
+    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+        match request:
+            case NextTrial():
+                self._spent.work(MOVES)
+            case CheckPoint() | Touch():
+                self._spent.asking(TOUCHES)
+            case Arrangement():
+                self._spent.asking(SET_UPS)
+                self._person.next_set_up_s = self._takes_s(request)
+        answer = self._operator.ask(request, check)
+        if isinstance(request, Arrangement):
+            self._stands = request
+            self._spent.work(CAPTURES)
+        elif isinstance(request, Release):
+            self._spent.work(MOVES)
+        return answer
 
     def _takes_s(self, wanted: Arrangement) -> float:
         before = self._stands

@@ -32,7 +32,6 @@ from bench.script.model import LoadedScript
 from detector.protocol import Detector
 from instruments.clock import VirtualClock
 from instruments.operators.operator import Operator
-from instruments.operators.prompted import PromptedOperator
 from instruments.stage.settings import StageSettings
 
 # of prompts; where they take longer, the rest of each passes beside the clock
@@ -125,7 +124,8 @@ def rehearse(
             hands = ReachingHands(
                 twin, twin_rig.rig.emulation.arm_placed, course.met, leans=pace.in_person
             )
-            operator = TimedOperator(PromptedOperator(person, hands), person, spent, pace.seconds)
+            person.hands = hands
+            operator = TimedOperator(person, person, spent, pace.seconds)
             _go_through(lenient(twin_rig), script, twin, store, cameras, operator, course)
         if course.interrupted:
             raise KeyboardInterrupt

@@ -39,7 +39,7 @@ from instruments.microscribe.protocol import Packet
 from instruments.microscribe.stream import Debouncer
 from instruments.operators.console import Console
 from instruments.operators.operator import Operator
-from instruments.operators.prompted import Answerer, PromptedOperator
+from instruments.operators.prompted import PromptedOperator
 from instruments.operators.remote import RemoteOperator
 from instruments.stage.driver import Stage
 from reports.sanitize import sanitized
@@ -265,7 +265,7 @@ def _connected(
     rig: LoadedRig,
     clock: Clock,
     twin: EmulatedRig | None,
-    answerer: Answerer | None,
+    answerer: PromptedOperator | None,
     capture: Captures,
 ) -> Iterator[Devices]:
     openers = driver_openers(rig, clock, twin.urls if twin else rig.rig.urls, capture)
@@ -298,7 +298,7 @@ def _opened(openers: dict[str, Callable[[], Any]]) -> Iterator[dict[str, Any]]:
             device.close()
 
 
-def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> Answerer | None:
+def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> PromptedOperator | None:
     """Who answers prompts; None where an emulated operator acts without being asked. Raises
     ConfigError.
     """
@@ -317,9 +317,12 @@ def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> Answerer | None:
     return load_answers(rig.path.parent / url.removeprefix(SCRIPT), show)
 
 
-def _operator(rig: LoadedRig, answerer: Answerer | None, hands: Operator | None = None) -> Operator:
+def _operator(
+    rig: LoadedRig, answerer: PromptedOperator | None, hands: Operator | None = None
+) -> Operator:
     if answerer is not None:
-        return PromptedOperator(answerer, hands)
+        answerer.hands = hands
+        return answerer
     if hands is None:
         raise ConfigError.plain(f"{rig.path}: an emulated operator can't work on real instruments")
     return hands

@@ -42,7 +42,13 @@ from bench.truth.arm_tip import TipReader
 from detector.protocol import Detector
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip, time_left
+from instruments.operators.operator import (
+    Finish,
+    OperatorAbort,
+    OperatorRepeat,
+    OperatorSkip,
+    time_left,
+)
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
 
@@ -177,7 +183,7 @@ class Engine:
         self.recovery.run(
             "the arm check after the trials", lambda: self._preparation.check_arm(AFTER)
         )
-        self._devices.operator.finish()
+        self._devices.operator.ask(Finish())
 
     def _one(self, trial: PlannedTrial) -> None:
         """A trial as it is due: run, gone through again, or passed over since it has its result."""

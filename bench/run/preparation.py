@@ -17,6 +17,7 @@ from bench.script.model import Script
 from bench.truth.arm_check import BEFORE, CHECK_FACT, check_arm, told
 from bench.truth.arm_tip import TipReader
 from instruments.bath.sequence import start_bath
+from instruments.operators.operator import Homing
 
 HOMING = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
 
@@ -49,7 +50,6 @@ class Preparation:
         d = self._devices
         self._attention.note("preparing")
         self._attention.watch.start()
-        d.operator.check_interrupts(self._attention.look)
         self._recovery.run("signing on to the arm", self._sign_on)
         self._recovery.run("the arm check", lambda: self.check_arm(BEFORE))
         self._attention.check()
@@ -69,7 +69,13 @@ class Preparation:
         if arm.check_point_mm is None:
             return
         self._attention.progress.state(f"checking the arm {when} the trials")
-        fact = check_arm(d.operator, self._tip, arm, d.clock, self._attention.check)
+        fact = check_arm(
+            lambda request: d.operator.ask(request, self._attention.look),
+            self._tip,
+            arm,
+            d.clock,
+            self._attention.check,
+        )
         name = CHECK_FACT.format(when)
         if when == BEFORE:
             self._fact(name, fact)
@@ -87,7 +93,7 @@ class Preparation:
         arm.sign_on()
         write_arm_facts(self._store, self._loaded)
         self._tip.refuse_other_arm()
-        self._devices.operator.confirm_homing(HOMING)
+        self._devices.operator.ask(Homing(HOMING), self._attention.look)
         arm.confirm_homed()
 
     def _home_stage(self) -> None:

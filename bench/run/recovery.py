@@ -27,6 +27,7 @@ from bench.run.states import RunState, RunStates
 from instruments.camera.cameras import CameraSet
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from instruments.microscribe.errors import AnotherArmError, UnusableArmError
+from instruments.operators.operator import Homing, Release
 
 INSTRUMENTS = ("arm", "stage", "bath", "cameras")
 GONE, GARBLED, REFUSES = "gone", "garbled", "refuses"
@@ -169,7 +170,7 @@ class Recovery:
         self._missing = (fault, policy)
         started_s = self._attention.now_s()
         if name == "arm":
-            self._devices.operator.release()
+            self._devices.operator.ask(Release())
         with self._states.during(RunState.PAUSED):
             self._attention.event("dropped out", f"{what}: {fault} ({count})")
             self._attention.progress.warn(
@@ -208,7 +209,7 @@ class Recovery:
         arm = self._devices.arm
         self._attention.long("looking for the arm", 120.0)
         arm.recover(EVERY_S)
-        self._devices.operator.confirm_homing(HOMING)
+        self._devices.operator.ask(Homing(HOMING), self._attention.look)
         arm.home()
 
     def _stage(self) -> None:

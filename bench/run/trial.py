@@ -38,7 +38,7 @@ from detector.protocol import Detector, Served
 from instruments.camera.frame import FrameSet
 from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError
-from instruments.operators.operator import Operator, OperatorRepeat, OperatorSkip
+from instruments.operators.operator import NextTrial, Operator, OperatorRepeat, OperatorSkip
 from instruments.world.phantom import PlatePose
 
 
@@ -83,7 +83,7 @@ class Attempts:
         raises.
         """
         started_s = self._started_s = self._working_s()
-        self._operator.next_trial(trial.number, self._planned, self.left_s)
+        self._operator.ask(NextTrial(trial.number, self._planned, self.left_s))
         try:
             if why := self._poison.get(trial.id):
                 raise OperatorSkip(why)
@@ -221,7 +221,7 @@ class TrialRun:
         settled_s = self._states.away_s
         self._move(trial)
         asked = replace(trial.arrangement(self._axes), unattended=self._truth.unattended(there))
-        placed = self._devices.operator.set_up(asked)
+        placed = self._devices.operator.ask(asked, self._attention.look)
         self._attention.wait(self._rig.cameras.settle_s)
         frames = self._capture_settled(trial_id)
         captured_s = self._devices.clock.now()

@@ -73,7 +73,14 @@ def choose_truth(
     are used further.
     """
     table, stage, arm = script.script.truth, devices.stage, rig.rig.arm
-    toucher = Toucher(devices.operator, tip, arm, devices.clock, attention.check, table.readings)
+    toucher = Toucher(
+        lambda request: devices.operator.ask(request, attention.look),
+        tip,
+        arm,
+        devices.clock,
+        attention.check,
+        table.readings,
+    )
     if table.mode == "touch":
         return TouchedTruth(toucher, lambda: None if stage is None else stands_at(stage))
     if stage is None or rig.rig.stage is None:
@@ -182,7 +189,7 @@ class _Maker:
                 f" {len(first.phantom.teats)} teats"
             )
             raise DeviceError("truth", what, hint="Name one of them in the script's [truth].")
-        self._devices.operator.set_up(first.arrangement(self._settings.axes))
+        self._devices.operator.ask(first.arrangement(self._settings.axes), self._attention.look)
         try:
             made = register(
                 self._stage,

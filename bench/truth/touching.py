@@ -29,6 +29,7 @@ from bench.truth.uncertainty import How, Triple, TruthPoint, reading_u_mm, touch
 from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError
 from instruments.microscribe.errors import ArmMovesError
+from instruments.operators.operator import Release, Request, Touch
 from instruments.teat_end import end_under_ball_mm
 
 SPARE = 4  # touches of one end beyond those that are asked for, before it is given up
@@ -40,15 +41,6 @@ class NoTruthError(DeviceError):
     """A teat end could not be touched well: the touches asked for again were refused too. The trial
     has no truth.
     """
-
-
-class TouchingOperator(Protocol):
-    """Whoever brings the tip to the ends."""
-
-    def touch(
-        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
-    ) -> None: ...
-    def release(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,20 +72,20 @@ class _Reading:
 
 
 class Toucher:
-    """Touches with ``arm``'s settings, ``readings`` an end. ``check`` is called before each touch,
-    and may raise.
+    """Has the operator touch by ``ask``, with ``arm``'s settings, ``readings`` an end. ``check`` is
+    called before each touch, and may raise.
     """
 
     def __init__(
         self,
-        operator: TouchingOperator,
+        ask: Callable[[Request], object],
         tip: TipReader,
         arm: Arm,
         clock: Clock,
         check: Callable[[], None],
         readings: int | None = None,
     ) -> None:
-        self._operator = operator
+        self._ask = ask
         self._tip = tip
         self._arm = arm
         self._clock = clock
@@ -111,13 +103,13 @@ class Toucher:
                 teat, ends, {other: np.array(p.point_mm) for other, p in done.items()}
             )
             rows += touches
-        self._operator.release()
+        self._ask(Release())
         return list(done.values()), rows
 
     def touch_one(self, teat: int, ends: Ends) -> tuple[TruthPoint, list[Row]]:
         """The same for one end alone."""
         point, rows = self._touch_end(teat, ends, {})
-        self._operator.release()
+        self._ask(Release())
         return point, rows
 
     def u_registration_mm(self, point_mm: Floats) -> float | None:
@@ -134,13 +126,8 @@ class Toucher:
         while (missing := self.readings - len(taken.kept)) > 0:
             taken.refuse_endless(self.readings + SPARE)
             self._check()
-            self._operator.touch(
-                teat,
-                ends.count,
-                number=self.readings - missing + 1,
-                numbers=self.readings,
-                again=again,
-            )
+            number = self.readings - missing + 1
+            self._ask(Touch(teat, ends.count, number, self.readings, again))
             again = self._read(taken)
         points = np.array([r.end_mm for r in taken.kept])
         truth = touched(

@@ -29,9 +29,7 @@ ACTIONS: tuple[tuple[type, str], ...] = (
     (Bath, "start"),
     (Bath, "standby"),
     (Bath, "safe"),
-    (EmulatedOperator, "confirm_homing"),
-    (EmulatedOperator, "set_up"),
-    (EmulatedOperator, "touch"),
+    (EmulatedOperator, "ask"),
 )
 
 

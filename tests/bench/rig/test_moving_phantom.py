@@ -18,7 +18,7 @@ from instruments.stage.driver import Stage
 
 def test_the_world_moves_as_fast_as_the_stage() -> None:
     with EmulatedRig(load_rig(find_rig(None)), VirtualClock(), seed=5) as twin:
-        twin.operator.set_up(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
+        twin.operator.ask(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
         clock = twin.world.clock
         stage = Stage(Link(twin.urls["stage"], clock, who="stage"), clock)
         stage.connect()

@@ -16,8 +16,16 @@ from bench.run.trial import Attempts
 from bench.script.model import find_script, load_script
 from bench.script.planned_trials import PlannedTrial
 from instruments.clock import VirtualClock
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
-from tests.instruments.operators.people import hands, world
+from instruments.operators.operator import (
+    DONE,
+    Answer,
+    NextTrial,
+    OperatorAbort,
+    OperatorRepeat,
+    OperatorSkip,
+    Request,
+    no_check,
+)
 
 PLANNED = load_script(find_script(None)).planned[:5]
 
@@ -29,8 +37,10 @@ class Told:
         self.trials: list[tuple[int, int, float | None]] = []
         self.events: list[str] = []
 
-    def next_trial(self, number: int, of: int, left_s: float | None) -> None:
-        self.trials.append((number, of, left_s))
+    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+        assert isinstance(request, NextTrial)
+        self.trials.append((request.number, request.of, request.left_s))
+        return DONE
 
     def event(self, kind: str, text: str) -> None:
         self.events.append(f"{kind} {text}")
@@ -40,10 +50,8 @@ def attempts(
     once: Callable[[PlannedTrial], None], clock: VirtualClock, folder: Path
 ) -> tuple[Attempts, Told, Store]:
     told = Told()
-    operator = hands(world())
-    operator.next_trial = told.next_trial  # type: ignore[method-assign]
     store = Store.create(folder / "run", {})
-    return Attempts(once, len(PLANNED), operator, clock, store, cast(Attention, told)), told, store
+    return Attempts(once, len(PLANNED), told, clock, store, cast(Attention, told)), told, store
 
 
 def test_the_time_left_is_told_from_the_third_trial_on(tmp_path: Path) -> None:
@@ -58,13 +66,12 @@ def test_the_time_left_is_told_from_the_third_trial_on(tmp_path: Path) -> None:
 
 
 def test_until_then_by_what_was_expected(tmp_path: Path) -> None:
-    clock, told, operator = VirtualClock(), Told(), hands(world())
-    operator.next_trial = told.next_trial  # type: ignore[method-assign]
+    clock, told = VirtualClock(), Told()
     store = Store.create(tmp_path / "run", {})
     all_of = Attempts(
         lambda _: clock.sleep(60.0),
         len(PLANNED),
-        operator,
+        told,
         clock,
         store,
         cast(Attention, told),
@@ -87,10 +94,9 @@ def test_time_that_was_no_work_is_kept_out_of_the_time_left(tmp_path: Path) -> N
         away_s += 1000.0
 
     store = Store.create(tmp_path / "run", {})
-    told, operator = Told(), hands(world())
-    operator.next_trial = told.next_trial  # type: ignore[method-assign]
+    told = Told()
     all_of = Attempts(
-        once, len(PLANNED), operator, clock, store, cast(Attention, told), away_s=lambda: away_s
+        once, len(PLANNED), told, clock, store, cast(Attention, told), away_s=lambda: away_s
     )
     for trial in PLANNED:
         all_of.run(trial)

@@ -24,7 +24,7 @@ from bench.run.engine import Ending
 from bench.run.progress import EventLines, WatchedProgress, event_lines
 from instruments.clock import stopwatch_s
 from instruments.operators.emulated import EmulatedOperator
-from instruments.operators.operator import Arrangement, Placed
+from instruments.operators.operator import Answer, Arrangement, Request, no_check
 from tests.bench.killed_runs import Silent, only_run, resume, start
 from tests.bench.operated_runs import files
 
@@ -140,13 +140,16 @@ def test_a_folder_that_is_gone_is_noticed_in_the_trial_in_which_it_went(
 ) -> None:
     """Not at the end: SQLite goes on writing into a file that has no name any more."""
     files(tmp_path)
-    asked, set_up = [], EmulatedOperator.set_up
+    asked, ask = [], EmulatedOperator.ask
 
-    def counted(operator: EmulatedOperator, arrangement: Arrangement) -> Placed:
-        asked.append(arrangement)
-        return set_up(operator, arrangement)
+    def counted(
+        operator: EmulatedOperator, request: Request, check: Callable[[], None] = no_check
+    ) -> Answer:
+        if isinstance(request, Arrangement):
+            asked.append(request)
+        return ask(operator, request, check)
 
-    monkeypatch.setattr(EmulatedOperator, "set_up", counted)
+    monkeypatch.setattr(EmulatedOperator, "ask", counted)
     progress = Tampering(what, tmp_path, at)
     with pytest.raises(
         FolderGoneError, match=r"was deleted, moved or replaced: .* teatbench resume"
