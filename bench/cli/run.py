@@ -108,7 +108,7 @@ def _run(given: argparse.Namespace) -> int:
     from bench.cli.dry_run import look_ahead
     from bench.cli.terminal import Terminal, TerminalProgress
     from bench.rig.loading import find_rig, load_rig
-    from bench.run.progress import WatchedProgress, event_lines
+    from bench.run.events import Events, event_lines
     from bench.script.model import find_script, load_script
     from bench.script.pixel_offsets import is_offset_script
 
@@ -119,16 +119,12 @@ def _run(given: argparse.Namespace) -> int:
     script = load_script(path, rig.rig.limits.set_point_c)
     if given.dry_run:
         return look_ahead(rig, script, given.out, given.detector, given.seed)
-    from bench.run.start import run_script
+    from bench.run.start import RunOptions, run_script
 
     console = Terminal()
     with event_lines(given.events) as lines, TerminalProgress(console) as shown:
-        progress = WatchedProgress(shown, lines)
-        folder, _ = run_script(
-            rig,
-            script,
-            given.out,
-            progress,
+        progress = Events(shown, lines)
+        how = RunOptions(
             typed=typed_lines(rig.rig.operator.url),
             seed=given.seed,
             detectors=given.detector,
@@ -137,6 +133,7 @@ def _run(given: argparse.Namespace) -> int:
             capture=given.capture,
             begun=shown.say,
         )
+        folder, _ = run_script(rig, script, given.out, progress, how)
         progress.state("writing the report")
         code, show = _reported(folder)
     show(console)
@@ -162,7 +159,7 @@ def _compare_times(folder: Path, out: Path, rig: LoadedRig, script: LoadedScript
 def _resume(given: argparse.Namespace) -> int:
     from bench.cli.terminal import Terminal, TerminalProgress
     from bench.record.reader import read_run
-    from bench.run.progress import WatchedProgress, event_lines
+    from bench.run.events import Events, event_lines
     from bench.run.resume import files_of
     from bench.run.start import RunOptions, resume_run
 
@@ -170,7 +167,7 @@ def _resume(given: argparse.Namespace) -> int:
     with undamaged([given.run], given) as damage:
         operator = files_of(read_run(given.run))[0].rig.operator.url
         with event_lines(given.events) as lines, TerminalProgress(console) as shown:
-            progress = WatchedProgress(shown, lines)
+            progress = Events(shown, lines)
             resume_run(
                 given.run,
                 progress,
@@ -239,7 +236,7 @@ def _score(given: argparse.Namespace) -> int:
     from bench.cli.terminal import Terminal, TerminalProgress
     from bench.record.reader import read_run
     from bench.report.tables import score_table
-    from bench.run.progress import SafeProgress
+    from bench.run.events import SafeProgress
     from bench.run.start import score_recording
 
     console = Terminal()

@@ -23,7 +23,7 @@ from rich.text import Text
 from bench.record.reader import RunRecord
 from bench.report.wording import headline, limit, measured
 from bench.results.verdicts import Judgement
-from bench.run.progress import FAILURES
+from bench.run.events import FAILURES
 from reports.sanitize import sanitized, unfiltered
 
 TONES = {

@@ -26,8 +26,10 @@ from bench.rig.loading import LoadedRig
 from bench.rig.opening import driver_openers
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import CONSOLE, SCRIPT
+from bench.run.context import RunContext
 from bench.run.engine import Engine
 from bench.run.estimate import ASSUMED, SETTLING, TimeSpent, needs
+from bench.run.events import Events
 from bench.script.model import LoadedScript
 from detector.protocol import Detector
 from instruments.clock import VirtualClock
@@ -162,7 +164,8 @@ def _go_through(
         devices = Devices(
             clock, opened["arm"], opened["bath"], opened.get("stage"), cameras, operator
         )
-        Engine(rig, script, devices, store, (), course, exact_ends=twin.world.ends_mm).run()
+        ctx = RunContext(rig, script, devices, store, Events(course))
+        Engine(ctx, (), exact_ends=twin.world.ends_mm).run()
 
 
 def _pace(rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float]) -> Pace:

@@ -9,13 +9,10 @@ not know who looks.
 
 from __future__ import annotations
 
-import math
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from instruments.clock import stopwatch_s
-from instruments.operators.operator import AWAITED, Answer, Operator, Request, no_check
 
 BRIEF_S = 10.0  # what needs no word of its own is over by then
 
@@ -85,21 +82,3 @@ class Heartbeat:
                         f"{who} hangs: {doing.what}, and no sign of life for {doing.silence_s:g} s"
                     )
         return None
-
-
-class AwaitedOperator:
-    """An operator who may take his time: the thread that waits for him doesn't hang."""
-
-    def __init__(self, operator: Operator, pulse: Heartbeat) -> None:
-        self._operator = operator
-        self._pulse = pulse
-
-    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
-        awaited = AWAITED.get(type(request))
-        if awaited is None:
-            return self._operator.ask(request, check)
-        self._pulse.sign(f"waiting for {awaited}", math.inf)
-        try:
-            return self._operator.ask(request, check)
-        finally:
-            self._pulse.sign("going on")

@@ -154,15 +154,6 @@ class Finish:
     """Nothing more will be asked. Raises ProtocolError where answers are left over."""
 
 
-AWAITED: Mapping[type, str] = {
-    Homing: "the arm to be put on its peg",
-    CheckPoint: "the check point to be touched",
-    Arrangement: "the scene to be set up",
-    Touch: "a teat to be touched",
-    BoardAsked: "a calibration board to be held",
-    BoardTouch: "a point of the board to be touched",
-    Task: "a task to be done",
-}
 Awaited = Homing | CheckPoint | Arrangement | Touch | BoardAsked | BoardTouch | Task
 Notice = NextTrial | Release | Finish  # nobody waits for an answer to these
 Request = Awaited | Notice
@@ -197,6 +188,15 @@ class Operator(Protocol):
 
 
 Kind = Literal["homing", "check point", "set up", "touch", "board", "corner", "task"]
+KIND_OF: Mapping[type, Kind] = {
+    Homing: "homing",
+    CheckPoint: "check point",
+    Arrangement: "set up",
+    Touch: "touch",
+    BoardAsked: "board",
+    BoardTouch: "corner",
+    Task: "task",
+}
 IN_TRIALS: tuple[Kind, ...] = ("set up", "touch")  # what may be skipped or repeated
 
 GO = ("go",)

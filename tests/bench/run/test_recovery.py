@@ -11,9 +11,9 @@ import pytest
 from bench.record.reader import RunRecord, read_run
 from bench.rig.emulation_model import EmulatedFault
 from bench.rig.loading import load_rig
-from bench.run.context import Attention
+from bench.run.context import RunContext
 from bench.run.recovery import GARBLED, GONE, POLICIES, REFUSES, instrument_of, policy_for
-from bench.run.start import run_script
+from bench.run.start import RunOptions, run_script
 from bench.run.states import EVENT
 from bench.run.trial import TrialRun
 from bench.script.model import load_script
@@ -104,7 +104,7 @@ def given(words: str, folder: Path, fault: str) -> RunRecord:
             load_script(folder / "script.toml"),
             folder / "runs",
             progress,
-            typed=progress.typed,
+            RunOptions(typed=progress.typed),
         )[0]
     )
 
@@ -157,29 +157,29 @@ def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
     fault = '[[emulation.faults]]\ninstrument = "stage"\nname = "silent"\nat_s = 45.0\nfor_s = 30.0'
     files(tmp_path, stage=STAGE, emulation=f"prompt_s = 5.0\n{fault}")
     low_level = Bringer("", EmulatedFault(instrument="bath", name="low level", for_s=600.0))
-    reconnect, home, wait, attentions, homings = (
+    reconnect, home, wait, contexts, homings = (
         Stage.reconnect,
         Stage.home,
-        Attention.wait,
-        list[Attention](),
+        RunContext.wait,
+        list[RunContext](),
         list[bool](),
     )
 
-    def noted(attention: Attention, seconds: float) -> None:
-        attentions.append(attention)
-        wait(attention, seconds)
+    def noted(ctx: RunContext, seconds: float) -> None:
+        contexts.append(ctx)
+        wait(ctx, seconds)
 
     def slow(stage: Stage) -> None:
         reconnect(stage)
         low_level.bring()
-        while attentions[-1].watch.tripped is None:
-            attentions[-1].watch._clock.sleep(1.0)
+        while contexts[-1].watch.tripped is None:
+            contexts[-1].clock.sleep(1.0)
 
     def homed(stage: Stage) -> None:
-        homings.append(bool(attentions) and attentions[-1].watch.tripped is not None)
+        homings.append(bool(contexts) and contexts[-1].watch.tripped is not None)
         home(stage)
 
-    monkeypatch.setattr(Attention, "wait", noted)
+    monkeypatch.setattr(RunContext, "wait", noted)
     monkeypatch.setattr(Stage, "reconnect", slow)
     monkeypatch.setattr(Stage, "home", homed)
     with known_to(low_level):

@@ -10,7 +10,7 @@ import pytest
 
 from bench.results.latency import latency_of
 from bench.rig.frame_capture import FrameTaker
-from bench.run.context import Attention
+from bench.run.context import RunContext
 from bench.run.states import EVENT
 from instruments.camera.frame import FrameSet
 from tests.bench.operated_runs import SCRIPT, files, run
@@ -54,8 +54,8 @@ def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and
     """
     take, wait, waiting, taken = (
         FrameTaker.take,
-        Attention.wait,
-        list[Attention](),
+        RunContext.wait,
+        list[RunContext](),
         list[FrameSet](),
     )
 
@@ -65,12 +65,12 @@ def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and
         taken.append(take(taker))
         return taken[-1]
 
-    def noted(attention: Attention, seconds: float) -> None:
-        waiting.append(attention)
-        wait(attention, seconds)
+    def noted(ctx: RunContext, seconds: float) -> None:
+        waiting.append(ctx)
+        wait(ctx, seconds)
 
     monkeypatch.setattr(FrameTaker, "take", late)
-    monkeypatch.setattr(Attention, "wait", noted)
+    monkeypatch.setattr(RunContext, "wait", noted)
     script = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean_k = 0.03")
     fault = FAULT.replace("prompt_s = 120.0", "").replace("at_s = 855.0", "at_s = 100.0")
     code, record = run(files(tmp_path, script=script, emulation=fault), tmp_path)

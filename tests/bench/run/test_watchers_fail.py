@@ -10,13 +10,14 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import FileIO
 from pathlib import Path
 
 import pytest
 
 from bench.record.reader import read_run
 from bench.run.engine import Ending
-from bench.run.progress import EventLines, SafeProgress, WatchedProgress, event_lines
+from bench.run.events import Events, SafeProgress, event_lines
 from tests.bench.killed_runs import Silent, only_run, start
 from tests.bench.operated_runs import files
 from tests.conftest import ROOT
@@ -66,7 +67,7 @@ def test_a_screen_that_fails_ends_neither_the_run_nor_the_lines(
     path = tmp_path / "events.jsonl"
     with event_lines(path) as lines:
         screen = Gone(error, after=3)
-        assert start(tmp_path, progress=WatchedProgress(screen, lines))[1] is Ending.FINISHED  # type: ignore[arg-type]
+        assert start(tmp_path, progress=Events(screen, lines))[1] is Ending.FINISHED
     assert screen.tried == 4, "once it has failed it is left alone"
     told = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     assert [line["name"] for line in told if line["what"] == "trial"] == [
@@ -95,11 +96,9 @@ def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
         def state(self, text: str) -> None:
             shown.append(text)
 
-    progress = WatchedProgress(Screen(), None)
+    progress = Events(Screen())
     progress.state("preparing")
-    progress.fed_by(
-        lambda: 0.0, lambda: {"bath": "bath 33.02 degC, stable", "left": "about 12 min left"}
-    )
+    progress.live = lambda: {"bath": "bath 33.02 degC, stable", "left": "about 12 min left"}
     progress.trial(1, 3, "place-2")
     progress.event("state", "no error")
     progress.state("capturing")
@@ -120,7 +119,7 @@ def test_the_line_follows_the_bath_while_one_thing_takes_long(tmp_path: Path) ->
             shown.append(text)
 
     files(tmp_path, emulation="prompt_s = 10.0")
-    assert start(tmp_path, progress=WatchedProgress(Screen(), None))[1] is Ending.FINISHED  # type: ignore[arg-type]
+    assert start(tmp_path, progress=Events(Screen()))[1] is Ending.FINISHED
     touching = [text for text in shown if text.startswith("place-2; taking the truth")]
     assert len(touching) >= 40, "four touches of ten seconds, a look at the bath each second"
     assert len(set(touching)) > 1
@@ -132,8 +131,8 @@ def test_a_line_that_cannot_be_made_is_no_trouble_of_the_baths() -> None:
     def fails() -> dict[str, str]:
         raise RuntimeError("a bug in the line")
 
-    progress = WatchedProgress(Silent(), None)
-    progress.fed_by(lambda: 0.0, fails)
+    progress = Events(Silent())
+    progress.live = fails
     progress.refresh()
     with pytest.raises(RuntimeError, match="a bug in the line"):
         progress.state("capturing")
@@ -141,12 +140,9 @@ def test_a_line_that_cannot_be_made_is_no_trouble_of_the_baths() -> None:
 
 def test_screen_and_lines_may_fail_both(tmp_path: Path) -> None:
     files(tmp_path)
-    with (tmp_path / "e").open("w", encoding="utf-8") as file:
-        closed = EventLines(file)
-    assert (
-        start(tmp_path, progress=WatchedProgress(Gone(BrokenPipeError()), closed))[1]  # type: ignore[arg-type]
-        is Ending.FINISHED
-    )
+    with FileIO(tmp_path / "e", "a") as closed:
+        pass
+    assert start(tmp_path, progress=Events(Gone(BrokenPipeError()), closed))[1] is Ending.FINISHED
     kinds = [event["kind"] for event in read_run(only_run(tmp_path, "runs")).events]
     assert kinds.count("not shown") == 2
 
@@ -202,7 +198,7 @@ def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
     )
     path = tmp_path / "events.jsonl"
     with event_lines(path) as lines:
-        assert start(tmp_path, progress=WatchedProgress(Silent(), lines))[1] is Ending.FAULTED  # type: ignore[arg-type]
+        assert start(tmp_path, progress=Events(Silent(), lines))[1] is Ending.FAULTED
     told = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     (trip,) = [line for line in told if line.get("kind") == "trip"]
     assert trip["text"].startswith("interlock controller alarm")

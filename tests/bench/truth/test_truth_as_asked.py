@@ -24,9 +24,8 @@ from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.registration_file import load_registration, write_registration
 from bench.truth.touching import NoTruthError
-from instruments.clock import VirtualClock
 from reports.parts import Notes
-from tests.bench.run.test_attempts import PLANNED, attempts
+from tests.bench.run.test_attempts import PLANNED, Context, attempts
 from tests.bench.truth.touches import registered, stage_of
 from tests.bench.truth.truth_runs import CARRY, done, rig_in, script_in
 
@@ -146,7 +145,8 @@ def test_a_trial_without_truth_is_left_out_with_its_reason_and_the_run_goes_on(
         if trial is PLANNED[0]:
             raise NoTruthError("truth", "teat 2: 7 of 7 touches could not be used")
 
-    all_of, told, store = attempts(once, VirtualClock(), tmp_path)
+    told = Context(tmp_path)
+    all_of, store = attempts(told, once), told.store
     for trial in PLANNED[:2]:
         all_of.run(trial)
     store.close()

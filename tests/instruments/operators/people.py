@@ -9,7 +9,6 @@ import tomllib
 from collections.abc import Callable
 
 from bench.rig.loading import RIGS
-from bench.safety.heartbeat import AwaitedOperator, Heartbeat
 from bench.script.phantom import shipped_phantom
 from instruments.clock import VirtualClock
 from instruments.operators.console import Console
@@ -74,5 +73,4 @@ ANSWERERS: dict[str, Callable[[], Operator]] = {
     "script": willing_script,
     "emulated": lambda: hands(world()),
     "rehearsal": lambda: willing_script(hands(world())),
-    "awaited": lambda: AwaitedOperator(hands(world()), Heartbeat()),
 }

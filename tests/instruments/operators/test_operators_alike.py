@@ -1,5 +1,5 @@
-"""What the bench relies on, of all who answer alike: a person, a file of answers, emulated hands, a
-rehearsal of both, and whoever is awaited under the guardian's eyes.
+"""What the bench relies on, of all who answer alike: a person, a file of answers, emulated hands, and
+a rehearsal of both.
 """
 
 from __future__ import annotations
