@@ -19,7 +19,7 @@ from bench.safety.heartbeat import BRIEF_S, Heartbeat
 from bench.script.model import LoadedScript
 from bench.truth.arm_tip import TipReader
 from instruments.clock import stopwatch_s, wall_time
-from instruments.operators.operator import KIND_OF, Answer, Request
+from instruments.operators.operator import KIND_OF, Answer, Release, Request
 
 LOOK_S = 1.0
 STEPPED_S = 5.0  # time servers nudge a clock by less
@@ -65,6 +65,8 @@ class RunContext:
         """Have the operator do it; the interlocks are looked at meanwhile."""
         kind = KIND_OF.get(type(request))
         if kind is None:
+            if isinstance(request, Release):
+                self.events.asked("release")
             return self.devices.operator.ask(request, self.look)
         self._pulse.sign(f"waiting for the operator: {kind}", math.inf)
         self.events.asked(kind)

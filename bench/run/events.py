@@ -155,7 +155,9 @@ class Events:
         self._write("trial", done=done, total=total, name=name)
 
     def asked(self, kind: str) -> None:
-        """The operator is asked for something of this kind; "" once it is done."""
+        """The operator is asked for something of this kind, or told to release the arm; "" once
+        what was asked is done.
+        """
         self._write("asked", kind=kind)
 
     def warn(self, text: str) -> None:
@@ -209,6 +211,12 @@ class Events:
     def _screen_failed(self, said: str) -> None:
         self._write("warning", text=said)
         self.not_shown(said)
+
+
+def read_events(folder: Path) -> Iterator[dict[str, Any]]:
+    """The lines of the run in ``folder``. Raises OSError, ValueError."""
+    for line in (folder / EVENTS_FILE).read_bytes().splitlines():
+        yield json.loads(line)
 
 
 def _last_number(file: FileIO) -> int:

@@ -58,7 +58,7 @@ class Attempts:
         self._each_s = each_s
         self._done = 0
         self._started_s: float | None = None  # of the trial under way
-        self._taken_s: list[float] = []
+        self._taken_s, self._timed = 0.0, -1  # of the trials but for the first
 
     def run(self, trial: PlannedTrial) -> None:
         """Until the trial is in the store or has been skipped. Raises whatever else ``once``
@@ -78,7 +78,8 @@ class Attempts:
             self._skipped(trial, str(none), str(none))
         self._done += 1
         self._started_s = None
-        self._taken_s.append(self._working_s() - started_s)
+        self._timed += 1
+        self._taken_s += self._working_s() - started_s if self._timed else 0.0
 
     def passed(self) -> None:
         """A trial that needs nothing: it was done before this session."""
@@ -89,8 +90,7 @@ class Attempts:
         """By the mean of the trials so far, but for the first, and until then by what was
         expected.
         """
-        seen = self._taken_s[1:]
-        each_s = sum(seen) / len(seen) if seen else self._each_s
+        each_s = self._taken_s / self._timed if self._timed > 0 else self._each_s
         if each_s is None:
             return None
         under_way_s = self._working_s() - self._started_s if self._started_s is not None else 0.0
