@@ -134,6 +134,8 @@ class Engine:
         self._prepare()
         again("preparing the truth", self._truth.begin)
         for trial in planned:
+            if self._left and trial.id not in self._left.done:
+                self._go_live()
             ctx.events.trial(trial.number - 1, len(planned), trial.name)
             self._one(trial)
         self._go_live()  # where all trials had their result, and only the end was missing
@@ -208,14 +210,13 @@ class Engine:
 
     def _one(self, trial: PlannedTrial) -> None:
         """A trial as it is due: run, gone through again, or passed over since it has its result."""
-        if self._left and trial.id in self._left.done:
+        if self._left:
             if self._rehearsed and trial.id not in self._left.poison:
                 self._trials.rehearsing = True
                 self._attempts.run(trial)
             else:
                 self._attempts.passed()
             return
-        self._go_live()
         self._requests.pause_if_asked(self._ctx)
         self._ctx.check_interrupts = self._requests.look
         self._attempts.run(trial)

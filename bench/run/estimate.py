@@ -23,6 +23,7 @@ from bench.record.reader import RunRecord
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage
 from bench.rig.urls import CONSOLE
+from bench.run.events import read_events
 from bench.run.states import RunState
 from bench.safety.stability import StabilityGate, State
 from bench.script.model import LoadedScript
@@ -292,33 +293,23 @@ def _prompts(rig: LoadedRig, script: LoadedScript) -> int:
 
 
 def took(run: RunRecord) -> dict[str, float]:
-    """The seconds that a run took, by the same parts; what it doesn't tell is left out."""
+    """The seconds that a run took: settling at first, set-ups, a touch, all; what it doesn't tell
+    is left out.
+    """
     found: dict[str, float] = {}
-    heating = next(
-        (
-            e["t_s"]
-            for e in run.events
-            if e["kind"] == "state" and e["text"].startswith("heating the bath")
-        ),
-        None,
-    )
-    stable = next((e["t_s"] for e in run.events if e["kind"] == "stable"), None)
-    if heating is not None and stable is not None:
-        found["settling_s"] = stable - heating
-    timed = [
-        trial.head
-        for trial in run.trials
-        if trial.head["started_s"] is not None and trial.head["note"] is None
-    ]
-    if timed[1:]:
-        found["to_capture_s"] = sum(
-            head["captured_s"] - head["started_s"] for head in timed[1:]
-        ) / len(timed[1:])
-    touches = sum(len(trial.touches) for trial in run.trials)
-    if touches:
-        found["touch_s"] = sum(head["ended_s"] - head["captured_s"] for head in timed) / touches
     if run.events and run.events[-1]["t_s"] is not None:
         found["total_s"] = float(run.events[-1]["t_s"])
+    try:
+        events = list(read_events(run.folder))
+    except (OSError, ValueError):
+        return found
+    spent = spent_of(events)
+    if settling_s := spent_of(events, first_settling=True)[SETTLING]:
+        found["settling_s"] = settling_s
+    if spent[SET_UPS]:
+        found["set_ups_s"] = spent[SET_UPS]
+    if touches := sum(event.get("kind") in ("touch", "check point") for event in events):
+        found["touch_s"] = spent[TOUCHES] / touches
     return found
 
 
@@ -334,22 +325,12 @@ def figures(
         learnt["heating"] = 60.0 * rise_k / heating_s
     if "touch_s" in spent:
         learnt["touch"] = spent["touch_s"]
-    if "to_capture_s" in spent:
-        learnt |= _set_ups(rig, script, spent["to_capture_s"])
+    assumed_s = estimate(rig, script).set_ups_s
+    if "set_ups_s" in spent and assumed_s > 0.0:
+        # both in the proportion that is assumed of them
+        share = spent["set_ups_s"] / assumed_s
+        learnt |= {name: ASSUMED[name] * share for name in ("set-up", "placing")}
     return learnt
-
-
-def _set_ups(rig: LoadedRig, script: LoadedScript, to_capture_s: float) -> dict[str, float]:
-    """Set-ups and placings both, in the proportion that is assumed of them: the record doesn't tell
-    one from the other.
-    """
-    assumed, count = estimate(rig, script), len(script.planned)
-    moving_s = max(0.0, assumed.moves_s - (ASSUMED["homing"] if rig.rig.stage else 0.0)) / count
-    left_s = max(0.0, to_capture_s - rig.rig.cameras.settle_s - moving_s)
-    if assumed.set_ups_s <= 0.0:
-        return {}
-    share = left_s * count / assumed.set_ups_s
-    return {name: ASSUMED[name] * share for name in ("set-up", "placing")}
 
 
 def read_learnt(folder: Path, rig: LoadedRig) -> dict[str, float]:

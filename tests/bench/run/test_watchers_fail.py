@@ -15,10 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from bench.cli.main import main
 from bench.record.reader import read_run
 from bench.run.engine import Ending
-from bench.run.events import Events, SafeProgress, event_lines
-from tests.bench.killed_runs import Silent, only_run, start
+from bench.run.events import EVENTS_FILE, Events, SafeProgress, event_lines, read_events
+from bench.run.trial import TrialRun
+from tests.bench.killed_runs import Silent, killed_while, only_run, resume, start
 from tests.bench.operated_runs import files
 from tests.conftest import ROOT
 
@@ -203,3 +205,42 @@ def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
     (trip,) = [line for line in told if line.get("kind") == "trip"]
     assert trip["text"].startswith("interlock controller alarm")
     assert trip["text"] in [event["text"] for event in read_run(only_run(tmp_path, "runs")).events]
+
+
+def lines_of(run: Path) -> list[dict[str, object]]:
+    return list(read_events(run))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills a process as POSIX does")
+def test_the_run_keeps_its_events_and_a_killed_one_goes_on_with_their_numbers(
+    tmp_path: Path,
+) -> None:
+    files(tmp_path)
+    assert killed_while("'002-place-2-1'", "_store_trial", TrialRun, lambda: start(tmp_path))
+    run = only_run(tmp_path, "runs")
+    before = lines_of(run)
+    assert [line["number"] for line in before] == list(range(1, len(before) + 1))
+    with (run / EVENTS_FILE).open("ab") as torn:
+        torn.write(b'{"number": 999, "what": "do')  # of a machine that lost its power
+    assert resume(tmp_path, "runs")[1] is Ending.FINISHED
+    lines = lines_of(run)
+    assert lines[: len(before)] == before
+    assert [line["number"] for line in lines] == list(range(1, len(lines) + 1))
+    names = [line["name"] for line in lines if line["what"] == "trial"]
+    assert names == ["place-1", "place-2", "place-2", "place-3", ""], (
+        "what is gone through again is not said again"
+    )
+    record = [event["text"] for event in read_run(run).events]
+    assert [line["text"] for line in lines if line["what"] == "event"] == record
+    assert main(["store", "check", str(run)]) == 0, "it is no part of the checked record"
+
+
+def test_a_folder_that_takes_no_events_is_named_once_and_ends_no_run(tmp_path: Path) -> None:
+    files(tmp_path)
+    screen, run = Silent(), tmp_path / "run"
+    run.mkdir()
+    (run / EVENTS_FILE).mkdir()
+    events = Events(screen)
+    with events.kept_in(run):
+        events.state("capturing")
+    assert [text.split(": ")[0] for text in screen.warned] == [EVENTS_FILE]
