@@ -36,19 +36,14 @@ class Policy:
     check: str
 
 
+HOMES = "keep your hands off it, it will home."
 POLICIES: Mapping[tuple[str, str], Policy] = MappingProxyType(
     {
         ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
         ("arm", GARBLED): Policy(3, "Check the arm's cable and plugs, and what disturbs it."),
-        ("stage", GONE): Policy(
-            3, "Check the stage's power and its cable; keep your hands off it, it will home."
-        ),
-        ("stage", GARBLED): Policy(
-            3, "Check the stage's cable and what disturbs it; keep your hands off it, it will home."
-        ),
-        ("stage", REFUSES): Policy(
-            1, "Look whether something is in the stage's way; keep your hands off it, it will home."
-        ),
+        ("stage", GONE): Policy(3, f"Check the stage's power and its cable; {HOMES}"),
+        ("stage", GARBLED): Policy(3, f"Check the stage's cable and what disturbs it; {HOMES}"),
+        ("stage", REFUSES): Policy(1, f"Look whether something is in the stage's way; {HOMES}"),
         ("bath", GONE): Policy(3, "Check the bath's power and its cable."),
         ("bath", GARBLED): Policy(3, "Check the bath's cable, its address and what disturbs it."),
         ("cameras", GONE): Policy(3, "Check the cameras' power and cables."),
@@ -79,26 +74,6 @@ def policy_for(fault: InstrumentError) -> Policy | None:
     """What to do about ``fault``; None to end the run."""
     instrument, kind = instrument_of(fault), kind_of(fault)
     return POLICIES.get((instrument, kind)) if instrument and kind else None
-
-
-def table_text() -> str:
-    """The table in Markdown."""
-    means = {
-        GONE: "doesn't answer, link broken",
-        GARBLED: "answers nonsense",
-        REFUSES: "says no, or gives nothing usable",
-    }
-    rows = [
-        f"| {who} | {means[kind]} | {policy.times} | {policy.check} |"
-        for (who, kind), policy in POLICIES.items()
-    ]
-    return "\n".join(
-        [
-            "| instrument | fault | tries in a trial | what the operator is told |",
-            "|---|---|---|---|",
-            *rows,
-        ]
-    )
 
 
 EVERY_S = 2.0  # between attempts to reach it
