@@ -31,14 +31,8 @@ from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import fixed_key
 from instruments.world.plant import Plant
 
-PREPARING, SETTLING, MOVES, SET_UPS, CAPTURES, TOUCHES = (
-    "preparing",
-    "settling",
-    "moves",
-    "set-ups",
-    "captures",
-    "touches",
-)
+PREPARING, SETTLING, MOVES = "preparing", "settling", "moves"
+SET_UPS, CAPTURES, TOUCHES = "set-ups", "captures", "touches"
 WAITING, SAFING = "waiting for instruments", "going to safe"
 KINDS = (PREPARING, SETTLING, MOVES, SET_UPS, CAPTURES, TOUCHES, WAITING, SAFING)
 STATES: Mapping[str, str] = MappingProxyType(
