@@ -22,7 +22,6 @@ from instruments.operators.operator import (
     Homing,
     OperatorAbort,
     OperatorRepeat,
-    OperatorSkip,
     Request,
     Touch,
     no_check,
@@ -128,37 +127,13 @@ def test_what_is_typed_can_be_taken_back() -> None:
         assert done.result(PATIENCE_S).visible == (True, False, True, True)
 
 
-@pytest.mark.parametrize(
-    ("keys", "wish"),
-    [
-        ("a\n", OperatorAbort),
-        ("Q\n", OperatorAbort),
-        ("r\n", OperatorRepeat),
-        ("\x04", OperatorAbort),
-    ],
-)
-def test_wishes(keys: str, wish: type[Exception]) -> None:
-    """The last one is Ctrl-D: nobody will type any more."""
+def test_nobody_will_type_any_more_after_ctrl_d() -> None:
     with desk() as here:
         done = here.asked(TOUCH)
         here.expect(KEYS)
-        here.type(keys)
-        with pytest.raises(wish):
+        here.type("\x04")
+        with pytest.raises(OperatorAbort):
             done.result(PATIENCE_S)
-
-
-def test_a_skip_with_its_reason_and_one_without() -> None:
-    with desk() as here:
-        done = here.asked(TOUCH)
-        here.expect(KEYS)
-        here.type("s\n")
-        here.expect("Why? (a few words for the record; Enter alone: don't skip): ")
-        here.type("\n")
-        here.expect(f"Enter to go on {KEYS}")
-        here.type("s the teat came off\n")
-        with pytest.raises(OperatorSkip) as skip:
-            done.result(PATIENCE_S)
-        assert skip.value.reason == "the teat came off"
 
 
 def test_enter_pressed_twice_answers_one_question() -> None:
