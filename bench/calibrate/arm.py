@@ -42,6 +42,7 @@ from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.errors import ArmMovesError
 from instruments.microscribe.stream import Reading
 from instruments.operators.console import Console
+from instruments.operators.operator import Task
 
 PEG = "Put the arm's stylus on its peg"
 HOMED = (
@@ -104,18 +105,18 @@ class ArmSession:
         if not homed:
             if not sys.stdin.isatty():
                 raise ConfigError.plain(NO_TERMINAL)
-            self.console.ask(HOMED)
+            self.console.ask(Task(HOMED))
         self.arm.confirm_homed()
 
     def ask(self, text: str) -> None:
         """Something to be done."""
-        self.console.ask(text)
+        self.console.ask(Task(text))
 
     def touch(self, step: Step) -> None:
         """Something to be touched; the emulated hand goes there first."""
         if self.trying:
             self.trying.go(step)
-        self.console.ask_touch(step.text)
+        self.console.ask(Task(step.text, pedal=True))
 
     def say(self, text: str) -> None:
         """Something to be shown."""

@@ -75,7 +75,7 @@ def gather(
         text = _instruction(wanted, missing)
         asked = BoardAsked(pattern, text, number, wanted.cameras, wanted.heated)
         try:
-            operator.hold_board(asked)
+            operator.ask(asked)
         except OperatorEnough as enough:
             tell(f"Enough: {enough}. Still missing: {'; '.join(missing) or 'nothing'}.")
             return number - 1

@@ -22,7 +22,7 @@ from bench.truth.touching import Toucher
 from bench.truth.uncertainty import end_u_mm
 from instruments.captures.capture import NO_CAPTURE, Captures
 from instruments.errors import InstrumentError
-from instruments.operators.operator import Arrangement
+from instruments.operators.operator import Arrangement, Homing
 from instruments.world.phantom import PlatePose
 
 PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
@@ -80,7 +80,7 @@ def calibrate_stage(
         try:
             arm.sign_on()
             tip.refuse_other_arm()
-            operator.confirm_homing(PEG)
+            operator.ask(Homing(PEG))
             arm.confirm_homed()
             stage.connect()
             stage.home()
@@ -88,9 +88,9 @@ def calibrate_stage(
                 f"Put the phantom on the stage, its teats as in layout {wanted.layout}, and fix it:"
                 " it must not shift on its plate."
             )
-            operator.set_up(Arrangement("stage_registration", phantom, (), text))
+            operator.ask(Arrangement("stage_registration", phantom, (), text))
             toucher = Toucher(
-                operator, tip, rig.rig.arm, devices.clock, lambda: None, wanted.readings
+                operator.ask, tip, rig.rig.arm, devices.clock, lambda: None, wanted.readings
             )
             return register(
                 stage,

@@ -24,7 +24,7 @@ from instruments.camera.frame import Grey
 from instruments.errors import DeviceError
 from instruments.microscribe.errors import ArmMovesError
 from instruments.microscribe.stream import Reading
-from instruments.operators.operator import BoardAsked, Operator
+from instruments.operators.operator import BoardAsked, BoardTouch, Operator, Release
 
 POSITIONS = 2
 TRIES = 4  # of one position, or of one point, before it is given up
@@ -93,7 +93,7 @@ def _at_position(
     readings: list[Reading] = []
     for at in range(len(seen.corners)):
         readings.append(_touched(asking, board, seen, at, readings))
-    asking.operator.release()
+    asking.operator.ask(Release())
     points = under_ball(
         [reading.tip_mm for reading in readings],
         [reading.axis for reading in readings],
@@ -112,7 +112,7 @@ def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> Seen:
             " see all of it and the arm reaches all of it, so that a touch can't move it. Take"
             " hands and arm out of the pictures."
         )
-        asking.operator.hold_board(BoardAsked(pattern_of(board), text, position, fixed=True))
+        asking.operator.ask(BoardAsked(pattern_of(board), text, position, fixed=True))
         pictures = asking.look()
         try:
             seen = _looked(pictures, board)
@@ -162,7 +162,7 @@ def _touched(asking: Asking, board: Board, seen: Seen, at: int, before: list[Rea
     )
     again = ""
     for _ in range(TRIES):
-        asking.operator.touch_board(seen.corners[at], text, again=again)
+        asking.operator.ask(BoardTouch(seen.corners[at], text, again))
         try:
             reading = asking.tip.read()
         except ArmMovesError as moves:

@@ -119,7 +119,7 @@ def home(given: argparse.Namespace) -> int:
         )
     with _opened(given) as session:
         if not given.on_peg:
-            session.console.ask(
+            session.ask(
                 f"{PEG} and let go of it. Anywhere else, homing makes every position wrong."
             )
         session.arm.home()

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from bench.calibrate.cameras import Delivered
     from bench.calibrate.views import BoardViews
     from bench.rig.cameras_alone import Look
+    from bench.rig.devices import Devices
     from detector.calibration.diagnosis import Finding
     from instruments.camera.frame import Grey
     from reports.page import Page
@@ -319,13 +320,14 @@ def _gather_views(
     Raises ConfigError, InstrumentError, OperatorAbort.
     """
     from bench.calibrate.capture import ViewsRequest, free_folder, gather
+    from instruments.operators.operator import Finish
 
     request = ViewsRequest(**wanted)
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
     with _opened(given, known, arm=False) as (parts, rig):
         kept = gather(_look(parts, rig), parts.operator, board, request, folder, tell)
-        parts.operator.finish()
+        parts.operator.ask(Finish())
         identity = dict(parts.cameras.identity)
     tell(f"{kept} views in {folder}")
     given.frames = [folder]
@@ -339,6 +341,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
     from bench.calibrate.capture import free_folder
     from bench.calibrate.touch_board import POINTS_FILE, Asking, gather_points
     from bench.truth.arm_tip import TipReader
+    from instruments.operators.operator import Finish, Homing
 
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
@@ -350,12 +353,12 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
             arm.sign_on()
             tip = TipReader(arm, rig.rig.arm, rig.frame)
             tip.refuse_other_arm()
-            parts.operator.confirm_homing(PEG)
+            parts.operator.ask(Homing(PEG))
             arm.confirm_homed()
             radius_mm = rig.rig.arm.tip_radius_mm
             asking = Asking(_look(parts, rig), parts.operator, tip, radius_mm, tell)
             gather_points(asking, board, folder)
-            parts.operator.finish()
+            parts.operator.ask(Finish())
         finally:
             arm.safe()
     return folder / POINTS_FILE

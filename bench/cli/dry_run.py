@@ -135,11 +135,6 @@ def _print_rehearsal(rehearsal: Rehearsal, beyond: int) -> None:
         print(f"met and got over: {what} ({times} times)")
     if left := planned - rehearsal.trials:
         print(f"not gone through: {left} trials, for what is said above")
-    if rehearsal.on_clock < 1.0:
-        print(
-            f"of the operator's time {100 * rehearsal.on_clock:.0f} % passed on the clock; the rest"
-            " was added up"
-        )
 
 
 def _print_needs(

@@ -19,7 +19,7 @@ from bench.config import ConfigError
 from bench.record.reader import RunRecord, read_run
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.urls import CONSOLE
-from bench.run.progress import FAILURES, SafeProgress, WatchedProgress, event_lines
+from bench.run.events import FAILURES, Events, SafeProgress, event_lines
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
 from instruments.operators.console import keyboard_of
@@ -48,16 +48,12 @@ def run(given: argparse.Namespace) -> int:
         from bench.cli.dry_run import look_ahead
 
         return look_ahead(rig, script, given.out, given.detector, given.seed)
-    from bench.run.start import run_script
+    from bench.run.start import RunOptions, run_script
 
     console = Terminal()
     with event_lines(given.events) as lines, TerminalProgress(console) as shown:
-        progress = WatchedProgress(shown, lines)
-        folder, _ = run_script(
-            rig,
-            script,
-            given.out,
-            progress,
+        progress = Events(shown, lines)
+        how = RunOptions(
             typed=typed_lines(rig.rig.operator.url),
             seed=given.seed,
             detectors=given.detector,
@@ -66,6 +62,7 @@ def run(given: argparse.Namespace) -> int:
             capture=given.capture,
             begun=shown.say,
         )
+        folder, _ = run_script(rig, script, given.out, progress, how)
         progress.state("writing the report")
         code, show = _reported(folder)
     show(console)
@@ -95,7 +92,7 @@ def resume(given: argparse.Namespace) -> int:
     with undamaged([given.run], given) as damage:
         operator = files_of(read_run(given.run))[0].rig.operator.url
         with event_lines(given.events) as lines, TerminalProgress(console) as shown:
-            progress = WatchedProgress(shown, lines)
+            progress = Events(shown, lines)
             typed = typed_lines(operator)
             resume_run(
                 given.run,

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.segment import Segment
 from rich.text import Text
 
-from bench.run.progress import FAILURES
+from bench.run.events import FAILURES
 from reports.sanitize import sanitized, unfiltered
 
 

@@ -1,10 +1,4 @@
-"""How far inside each camera's picture a round thing lies, by the calibration alone: what a dry run
-asks before anything is moved.
-
-May not know of frames, scenes or instruments. Pixel centres at whole numbers from 0; the thermal
-picture is the un-mirrored one.
-
-What would go wrong with a script on a rig, found without moving anything: reach, limits, views,
+"""What would go wrong with a script on a rig, found without moving anything: reach, limits, views,
 collisions.
 
 Each pose is looked at once, however often it is repeated. Pure: the stage's travel comes as an
@@ -112,7 +106,13 @@ def dry_run(
     distinct = list({(one.name, one.side): one for one in script.planned}.values())
     poses = list({one.name: one for one in distinct}.values())
     views = views_of(rig.calibration)
-    findings = [finding for one in distinct for finding in _limits(rig, one, travel)]
+    findings = [
+        found
+        for one in distinct
+        for pose in (one.approach, one.pose)
+        if pose is not None
+        for found in _beyond(rig, one.name, pose, travel)
+    ]
     findings += [
         found
         for pose in registered_at(rig, script)
@@ -164,14 +164,6 @@ def _unchecked(rig: LoadedRig, views: Sequence[View], why_no_travel: str | None)
         yield "the thermal picture: the calibration has no lens or place of the thermal camera"
     if rig.arm_unit is None and rig.rig.arm.url != EMULATED:
         yield "this very arm's reach: that of an arm of the usual size was taken"
-
-
-def _limits(
-    rig: LoadedRig, one: PlannedTrial, travel: Mapping[str, AxisLimits] | None
-) -> Iterator[Finding]:
-    for pose in (one.approach, one.pose):
-        if pose is not None:
-            yield from _beyond(rig, one.name, pose, travel)
 
 
 def _beyond(
@@ -249,10 +241,17 @@ def _out_of_reach(rig: LoadedRig, phantoms: Iterable[tuple[str, Phantom]]) -> It
     """Teat ends that the arm can't reach where it has to."""
     unit = rig.arm_unit or shipped_unit(USUAL_ARM)
     upright_only = rig.rig.operator.url == EMULATED
-    arm_from_world = _world_from_arm(rig).inverse()
+    placed = rig.rig.emulation.arm_placed
+    world_from_arm = (
+        rig.frame.world_from_arm
+        if rig.frame is not None
+        else Motion.from_vectors(placed.om, placed.T)
+    )
+    arm_from_world = world_from_arm.inverse()
     for name, phantom in phantoms:
         for teat, end in enumerate(arm_from_world.apply(phantom.ends_mm)):
-            if not reaches(unit, end, arm_from_world.R @ STYLUS_UP, upright_only=upright_only):
+            up = arm_from_world.R @ STYLUS_UP
+            if way_to(unit, end, up, upright_only=upright_only) is None:
                 where = np.round(phantom.ends_mm[teat]).astype(int).tolist()
                 yield Finding(
                     name,
@@ -261,28 +260,20 @@ def _out_of_reach(rig: LoadedRig, phantoms: Iterable[tuple[str, Phantom]]) -> It
                 )
 
 
-def _world_from_arm(rig: LoadedRig) -> Motion:
-    if rig.frame is not None:
-        return rig.frame.world_from_arm
-    placed = rig.rig.emulation.arm_placed
-    return Motion.from_vectors(placed.om, placed.T)
-
-
-def reaches(unit: ArmIdentity, point_mm: Floats, stylus: Floats, *, upright_only: bool) -> bool:
-    """Whether the arm can hold its tip at ``point_mm`` (3,), arm's frame, upright or, unless
-    ``upright_only``, in any way.
+def way_to(
+    unit: ArmIdentity, point_mm: Floats, stylus: Floats, *, upright_only: bool
+) -> Floats | None:
+    """The stylus's direction (3,) in which the arm can hold its tip at ``point_mm`` (3,), arm's
+    frame: ``stylus``, or any other unless ``upright_only``; None where it can't get there.
     """
-    geometry, home = unit.geometry(), unit.home
-    try:
-        inverse(geometry, point_mm, stylus, start=home)
-    except OutOfReachError:
-        if upright_only:
-            return False
+    geometry = unit.geometry()
+    for direction in (stylus,) if upright_only else (stylus, None):
         try:
-            inverse(geometry, point_mm, None, start=home)
+            counts = inverse(geometry, point_mm, direction, start=unit.home)
         except OutOfReachError:
-            return False
-    return True
+            continue
+        return stylus if direction is not None else np.asarray(geometry.forward(counts)[1][0])
+    return None
 
 
 def name_of(phantom: Phantom, teat: int) -> str:

@@ -1,42 +1,68 @@
-"""Goes through a script on the twin of a rig: every trial is set up, moved to, settled, touched and
-stored, by the bench's own engine.
+"""Goes through a script on the twin of a rig, in a temporary run folder, by the bench's own engine:
+every trial is set up, moved to, settled, touched and stored. Then the record and the events are
+read back, as of any run: what was done, what went wrong where, and what the time went to.
 
-It stops where the run would stop. Not gone through are most frames (`stand_in_cameras`), and all
-detections but one a detector.
+It stops where the run would stop. Not gone through are most frames, and all detections but one a
+detector.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
-from bench.dry_run.cameras import StandInCameras, lenient, to_render
-from bench.dry_run.findings import Course, RehearsalStore
-from bench.dry_run.operator import Person, ReachingHands, TimedOperator
 from bench.dry_run.pose_checks import Finding
-from bench.dry_run.twin import twin_of
+from bench.dry_run.twin import (
+    CountedAnswers,
+    ReachingHands,
+    StandInCameras,
+    lenient,
+    to_render,
+    twin_of,
+)
+from bench.files import Picture
+from bench.record.reader import read_run
 from bench.record.schema import SCRIPT as SCRIPT_FILE
+from bench.record.schema import Row
 from bench.record.writer import Store
-from bench.rig.devices import Cameras
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import open_instruments
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import CONSOLE, SCRIPT
+from bench.run.context import RunContext
 from bench.run.engine import Engine
-from bench.run.estimate import ASSUMED, SETTLING, TimeSpent, needs
+from bench.run.estimate import ASSUMED, PREPARING, SET_UPS, SETTLING, TOUCHES, needs, spent_of
+from bench.run.events import Events, read_events
 from bench.script.model import LoadedScript
+from bench.script.planned_trials import PlannedTrial
 from detector.protocol import Detector
 from instruments.clock import VirtualClock
-from instruments.operators.operator import Operator
-from instruments.operators.prompted import PromptedOperator
 from instruments.stage.settings import StageSettings
 
-# of prompts; where they take longer, the rest of each passes beside the clock
-ON_CLOCK_S = 6 * 3600.0
+BEFORE, AFTER = "before the trials", "after the trials"
+INTERRUPTED = "the run was interrupted"
+OPERATOR_SKIPPED = "the operator skipped it"
+# kinds of events that no run should have, and what the finding is
+FINDINGS = {
+    "trip": "interlock",
+    "fault": "fault",
+    "invalid": "truth",
+    "reach": "reach",
+    "frames": "frames",
+    "detector": "detector",
+}
+GOT_OVER = {
+    "dropped out": "an instrument dropped out and came back",
+    "suspended": "the bath left its band, and settled again",
+    "repeated": "a trial was repeated",
+    "registration": "the stage's registration is in doubt",
+}
 
 
 class NoTwinError(Exception):
@@ -46,11 +72,10 @@ class NoTwinError(Exception):
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
     """What going through came to. ``trials`` were done of ``planned``; ``spent`` is the bench's
-    time in s by `time_spent.KINDS`.
+    time in s by `estimate.KINDS`.
 
     ``prompts``: how often the operator was asked. ``disk_mb`` is for the run's record and frames.
-    ``rendered``: frame sets that were. ``on_clock`` is the share of the operator's time that the
-    clock saw; ``got_over`` counts what the run got over by itself.
+    ``rendered``: frame sets that were; ``recovered`` counts what the run got over by itself.
     """
 
     planned: int
@@ -61,7 +86,6 @@ class Rehearsal:
     prompts: int
     disk_mb: float
     rendered: int
-    on_clock: float
 
     @property
     def total_s(self) -> float:
@@ -69,16 +93,43 @@ class Rehearsal:
         return sum(self.spent.values())
 
 
-@dataclass(frozen=True, slots=True)
-class Pace:
-    """How long the operator takes: a person ``seconds`` by what it is, emulated hands ``prompt_s``;
-    ``on_clock`` is the clock's share.
+class PicturelessStore(Store):
+    """A record that keeps no pictures."""
+
+    def frames(
+        self,
+        trial: str,  # noqa: ARG002
+        images: Mapping[str, Picture],  # noqa: ARG002
+        exposed_s: Mapping[str, float | None],  # noqa: ARG002
+    ) -> list[Row]:
+        return []
+
+
+class Course:
+    """The screen of a rehearsal: tells ``cameras`` which trial is now, and ``shown`` how many were
+    begun, of how many.
     """
 
-    seconds: Mapping[str, float]
-    prompt_s: float
-    on_clock: float
-    in_person: bool
+    def __init__(self, planned: Sequence[PlannedTrial], shown: Callable[[int, int], None]) -> None:
+        self._ids = {one.number: one.id for one in planned}
+        self._begun = 0
+        self._shown = shown
+        self.cameras: StandInCameras | None = None
+
+    def state(self, text: str) -> None:
+        """Nobody reads along."""
+
+    def trial(self, done: int, total: int, name: str) -> None:  # noqa: ARG002
+        if self.cameras:
+            self.cameras.trial = self._ids[done + 1] if name else ""
+        self._shown(self._begun, len(self._ids))
+        self._begun += 1
+
+    def warn(self, text: str) -> None:
+        """An event says the same."""
+
+    def aside(self) -> AbstractContextManager[None]:
+        return nullcontext()
 
 
 def rehearse(
@@ -98,100 +149,95 @@ def rehearse(
     where somebody ended it.
     """
     figures = {**ASSUMED, **(learnt or {})}
-    pace = _pace(rig, script, figures)
-    clock = VirtualClock()
-    spent = TimeSpent(clock.now)
-    course = Course(script.planned, spent, shown)
-    person = _person(rig, clock, pace, spent)
-    twin_rig = _slowed(twin_of(rig, script, stage), pace)
-    with TemporaryDirectory(prefix="teatbench-dry-run-") as folder:
-        run = Path(folder) / "run"
-        with (
-            closing(
-                RehearsalStore.begun(run, {"rig.toml": rig.text, SCRIPT_FILE: script.text})
-            ) as store,
-            _twin(
-                twin_rig,
-                clock,
-                rig.rig.seed if seed is None else seed,
-                by_hand=not rig.rig.emulated,
-            ) as twin,
-        ):
-            store.heard = course.heard
-            cameras = StandInCameras(
-                twin.cameras, twin_rig, course, to_render(script.planned), detectors, clock
-            )
-            cameras.takes_s = 0.0 if rig.rig.emulated else figures["capture"]
-            hands = ReachingHands(
-                twin, twin_rig.rig.emulation.arm_placed, course.met, leans=pace.in_person
-            )
-            operator = TimedOperator(PromptedOperator(person, hands), person, spent, pace.seconds)
-            _go_through(lenient(twin_rig), script, twin, store, cameras, operator, course)
-        if course.interrupted:
-            raise KeyboardInterrupt
-        disk_mb = (_written(run) + cameras.bytes_of(len(script.planned))) / 1e6
-    return Rehearsal(
-        planned=len(script.planned),
-        trials=store.trials,
-        findings=tuple(course.findings),
-        recovered=dict(course.recovered),
-        spent=_as_learnt(spent, rig, script, learnt or {}),
-        prompts=person.asked,
-        disk_mb=disk_mb,
-        rendered=cameras.rendered,
-        on_clock=pace.on_clock,
-    )
-
-
-def _go_through(
-    rig: LoadedRig,
-    script: LoadedScript,
-    twin: EmulatedRig,
-    store: Store,
-    cameras: Cameras,
-    operator: Operator,
-    course: Course,
-) -> None:
-    """As a run, without detectors. What an instrument's fault or an abort ends is in the record,
-    and heard by ``course``.
-    """
-    clock = twin.world.clock
-    with open_instruments(rig, ("arm", "bath", "stage"), clock, twin=twin) as opened:
-        devices = replace(opened, cameras=cameras, operator=operator)
-        Engine(rig, script, devices, store, (), course, exact_ends=twin.world.ends_mm).run()
-
-
-def _pace(rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float]) -> Pace:
-    """A person takes his time, emulated hands the rig file's, and a script of answers none."""
-    in_person = rig.rig.operator.url == CONSOLE
-    seconds = {name: figures[name] if in_person else 0.0 for name in ("set-up", "placing", "touch")}
-    prompt_s = rig.rig.emulation.prompt_s if rig.rig.emulated else 0.0
-    wanted = needs(rig, script, figures)
-    busy_s = wanted.prompts * (seconds["touch"] + prompt_s) + (
-        wanted.time.set_ups_s if in_person else 0.0
-    )
-    return Pace(seconds, prompt_s, min(1.0, ON_CLOCK_S / busy_s) if busy_s else 1.0, in_person)
-
-
-def _slowed(twin: LoadedRig, pace: Pace) -> LoadedRig:
-    """The twin whose hands take their share of the clock."""
-    emulation = twin.rig.emulation.model_copy(update={"prompt_s": pace.prompt_s * pace.on_clock})
-    return replace(twin, rig=twin.rig.model_copy(update={"emulation": emulation}))
-
-
-def _person(rig: LoadedRig, clock: VirtualClock, pace: Pace, spent: TimeSpent) -> Person:
-    url = rig.rig.operator.url
+    in_person, url = rig.rig.operator.url == CONSOLE, rig.rig.operator.url
     answers = (
         load_answers(rig.path.parent / url.removeprefix(SCRIPT)) if url.startswith(SCRIPT) else None
     )
-    return Person(
-        clock,
-        pace.seconds,
-        spent,
-        pace.on_clock,
-        beside_s=pace.prompt_s * (1.0 - pace.on_clock),
-        answers=answers,
+    operator, clock = CountedAnswers(answers), VirtualClock()
+    twin_rig = twin_of(rig, script, stage)
+    course = Course(script.planned, shown)
+    events = Events(course)
+    with TemporaryDirectory(prefix="teatbench-dry-run-") as folder:
+        run = Path(folder) / "run"
+        files = {"rig.toml": rig.text, SCRIPT_FILE: script.text}
+        used_seed = rig.rig.seed if seed is None else seed
+        with (
+            closing(PicturelessStore.create(run, files)) as store,
+            events.kept_in(run),
+            _twin(twin_rig, clock, used_seed, by_hand=not rig.rig.emulated) as twin,
+        ):
+            store.fact("detectors", [])
+            takes_s = 0.0 if rig.rig.emulated else figures["capture"]
+            due = to_render(script.planned)
+            cameras = course.cameras = StandInCameras(
+                twin, twin_rig, events.event, due, detectors, takes_s
+            )
+            operator.hands = ReachingHands(
+                twin, twin_rig.rig.emulation.arm_placed, events.event, leans=in_person
+            )
+            tested = lenient(twin_rig)
+            with open_instruments(tested, ("arm", "bath", "stage"), clock, twin=twin) as opened:
+                devices = replace(opened, cameras=cameras, operator=operator)
+                ctx = RunContext(tested, script, devices, store, events)
+                Engine(ctx, (), exact_ends=twin.world.ends_mm).run()
+        lines = list(read_events(run))
+        if any(e.get("kind") == "aborted" and e["text"].startswith(INTERRUPTED) for e in lines):
+            raise KeyboardInterrupt
+        trials = len(read_run(run).trials)
+        written = sum(path.stat().st_size for path in run.rglob("*") if path.is_file())
+    findings, recovered = _findings(lines)
+    spent = spent_of(lines)
+    wanted = needs(rig, script, figures if in_person else learnt).time
+    if in_person:  # on the twin a prompt takes no time
+        spent[PREPARING] += operator.asked["homing"] * figures["placing"]
+        spent[SET_UPS] += wanted.set_ups_s
+        touches = operator.asked["touch"] + operator.asked["check point"]
+        spent[TOUCHES] += touches * figures["touch"]
+    if learnt and "heating" in learnt and not rig.rig.emulated:
+        # the time that the real bath takes to heat, where earlier runs told
+        spent[SETTLING] += wanted.settling_s - spent_of(lines, first_settling=True)[SETTLING]
+    return Rehearsal(
+        planned=len(script.planned),
+        trials=trials,
+        findings=findings,
+        recovered=recovered,
+        spent=spent,
+        prompts=operator.asked.total(),
+        disk_mb=(written + cameras.bytes_of(len(script.planned))) / 1e6,
+        rendered=cameras.rendered,
     )
+
+
+def _findings(
+    lines: Sequence[Mapping[str, Any]],
+) -> tuple[tuple[Finding, ...], Mapping[str, int]]:
+    """What would end the run, or leave a trial without a truth, with the trial's name; and what the
+    run gets over by itself, counted.
+    """
+    where = BEFORE
+    found: dict[Finding, None] = {}
+    recovered: Counter[str] = Counter()
+
+    def known(kind: str) -> bool:
+        return any((one.trial, one.kind) == (where, kind) for one in found)
+
+    for line in lines:
+        kind, text = line.get("kind", ""), line.get("text", "")
+        if line["what"] == "trial":
+            where = line["name"] or AFTER
+        elif line["what"] != "event":
+            continue
+        elif kind in FINDINGS:
+            if kind != "fault" or not known("interlock"):  # by which the run ends too
+                found[Finding(where, FINDINGS[kind], text)] = None
+        elif kind in GOT_OVER:
+            recovered[GOT_OVER[kind]] += 1
+        # an arm that doesn't reach skips a trial and ends a run, and was found already
+        elif kind == "skipped" and OPERATOR_SKIPPED in text and not known("reach"):
+            recovered["the operator's script skips a trial"] += 1
+        elif kind in ("skipped", "aborted") and not known("reach"):
+            found[Finding(where, "truth" if kind == "skipped" else kind, text)] = None
+    return tuple(found), recovered
 
 
 @contextmanager
@@ -199,6 +245,9 @@ def _twin(
     rig: LoadedRig, clock: VirtualClock, seed: int, *, by_hand: bool
 ) -> Iterator[EmulatedRig]:
     """``by_hand``: a pump that no instrument turns on is turned on by somebody, as in a lab."""
+    if by_hand:
+        still = rig.rig.emulation.model_copy(update={"prompt_s": 0.0})
+        rig = replace(rig, rig=rig.rig.model_copy(update={"emulation": still}))
     try:
         twin = EmulatedRig(rig, clock, seed)
     # a calibration that nothing can be rendered with, a table that an emulator can't be made of
@@ -208,18 +257,3 @@ def _twin(
         twin.world.plant.pump = "on"
     with twin:
         yield twin
-
-
-def _written(folder: Path) -> int:
-    """Bytes that a run's folder has, of a run that left no pictures."""
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-
-
-def _as_learnt(
-    spent: TimeSpent, rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float]
-) -> dict[str, float]:
-    """The seconds, with the time that the real bath takes to heat where earlier runs told."""
-    seconds, first_s = spent.seconds, spent.first_settling_s
-    if "heating" in learnt and first_s is not None and not rig.rig.emulated:
-        seconds[SETTLING] += needs(rig, script, learnt).time.settling_s - first_s
-    return seconds

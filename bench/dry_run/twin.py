@@ -1,29 +1,61 @@
-"""The emulated twin of a rig: the same tables with emulators at every address, in a world that is
-as far like the lab as anybody knows.
+"""The emulated twin of a rig, and what stands in on it during a rehearsal.
 
-What is known: the stage's settings as its controller tells them, the table frame, how a
+The twin has the same tables with emulators at every address, in a world that is as far like the lab
+as anybody knows: the stage's settings as its controller tells them, the table frame, how a
 registration lies, the room's temperature, the bath's family. A rig that is emulated already is its
-own twin. Pure; opens nothing.
+own twin.
+
+Its cameras render at a few trials only, since rendering is what a rehearsal of a thousand trials
+can't afford. Its hands look whether the arm reaches before they try: an arm that is pulled too far
+hangs up, and the bench would take it for one that has lost its cable. Both say what they met.
 """
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import atan2
 
 import numpy as np
 
-from bench.dry_run.pose_checks import USUAL_ARM, registered_at
+from bench.dry_run.pose_checks import USUAL_ARM, Floats, registered_at, way_to
+from bench.files import png_bytes
+from bench.results.answers import Examiner
+from bench.rig.devices import Cameras as OpenCameras
+from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.emulation_model import EmulatedStage, Emulation, Placed
+from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
-from bench.rig.model import Cameras, FocusTable, Stage
+from bench.rig.model import Cameras, Checks, FocusTable, Stage
 from bench.rig.urls import EMULATED
+from bench.run.rows import stage_pictures
 from bench.script.model import LoadedScript
-from bench.script.planned_trials import shared
+from bench.script.planned_trials import PlannedTrial, shared
+from detector.calibration import Calibration
+from detector.geometry import Motion
+from detector.protocol import Detector, Outcome
+from instruments.camera.frame import FrameSet, Grey
+from instruments.errors import DeviceError
 from instruments.microscribe.unit import ArmIdentity, shipped_unit
+from instruments.operators.operator import (
+    Answer,
+    CheckPoint,
+    OperatorAbort,
+    OperatorSkip,
+    Prompt,
+    Request,
+    Touch,
+    no_check,
+)
+from instruments.operators.prompted import PromptedOperator
 from instruments.stage.emulator.store import DEFAULTS, ROTARY_DEFAULTS
 from instruments.stage.protocol import AXES
 from instruments.stage.settings import StageSettings
+
+MOST_SETS = 12  # rendered; a second or so each on a busy machine
+DARK, LIGHT = 60, 180  # of a picture that passes for one
+Met = Callable[[str, str], None]  # a kind of finding, and its text
 
 ROOM_MM = 10.0  # beyond the furthest place, where nobody knows a stage's travel
 
@@ -101,10 +133,9 @@ def _as_told(told: StageSettings) -> dict[int, float]:
         120: told.accel_mm_s2,
         130: told.travel_mm,
     }
-    settings = {
+    return {
         first + axis: value for first, values in each.items() for axis, value in enumerate(values)
-    }
-    return settings | {
+    } | {
         24: told.homing_feed_mm_min,
         25: told.homing_seek_mm_min,
         27: told.pull_off_mm,
@@ -137,3 +168,183 @@ def _arm(rig: LoadedRig, script: LoadedScript) -> ArmIdentity:
         if made_with
         else unit
     )
+
+
+def lenient(rig: LoadedRig) -> LoadedRig:
+    """``rig`` for pictures that are all alike: nothing is compared, and no edge is measured."""
+    checks = Checks(
+        frozen=False,
+        swapped=False,
+        focus_px=FocusTable(),
+        flat_dn=0,
+        saturated_share=1.0,
+        black_dn=0,
+    )
+    cameras = rig.rig.cameras.model_copy(update={"checks": checks})
+    return replace(rig, rig=rig.rig.model_copy(update={"cameras": cameras}))
+
+
+def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozenset[str]:
+    """Ids of the trials whose frames are rendered: the first of each of the script's tables, and
+    evenly spaced poses; at most ``most``.
+    """
+    tables = list({one.trial.name: one.id for one in reversed(planned)}.values())[::-1][:most]
+    poses = list({one.name: one.id for one in reversed(planned)}.values())[::-1]
+    left = [one for one in poses if one not in tables]
+    room = min(most - len(tables), len(left))
+    return frozenset([*tables, *(left[int((at + 0.5) * len(left) / room)] for at in range(room))])
+
+
+def stand_in(calibration: Calibration) -> FrameSet:
+    """Pictures of the calibration's sizes that rise from dark to light."""
+
+    def ramp(size: tuple[int, int]) -> Grey:
+        width, height = size
+        return np.tile(np.linspace(DARK, LIGHT, width).astype(np.uint8), (height, 1))
+
+    c = calibration
+    return FrameSet(ramp(c.left.image_size), ramp(c.right.image_size), ramp(c.thermal.image_size))
+
+
+class StandInCameras:
+    """``cameras`` render at the trials that are ``due``, and what they give has to pass the checks
+    of ``rig``, as they stand; the first is shown to each detector. Otherwise a picture that nobody
+    looks at is given. ``trial`` is the id of the trial now, ``takes_s`` how long a frame set takes.
+
+    ``rendered`` are the sets that passed.
+    """
+
+    def __init__(
+        self,
+        twin: EmulatedRig,
+        rig: LoadedRig,
+        met: Met,
+        due: frozenset[str],
+        detectors: Sequence[Detector],
+        takes_s: float,
+    ) -> None:
+        clock = twin.world.clock
+        self._cameras: OpenCameras = twin.cameras
+        self._taker = FrameTaker(
+            twin.cameras, rig.rig.cameras, rig.calibration, clock.sleep, lambda _kind, _text: None
+        )
+        self._stand_in = stand_in(rig.calibration)
+        self._met = met
+        self._due = set(due)
+        self._detectors = detectors
+        self._examiner = Examiner(rig.calibration, rig.rig.limits.detection_timeout_s)
+        self._clock = clock
+        self._takes_s = takes_s
+        self._set_bytes = self._stage_bytes = 0
+        self.rendered = 0
+        self.trial = ""
+
+    @property
+    def identity(self) -> Mapping[str, str]:
+        """As the cameras say."""
+        return self._cameras.identity
+
+    def capture(self) -> FrameSet:
+        """At a trial that is due, its frames are rendered first, and looked at."""
+        self._clock.sleep(self._takes_s)
+        if self.trial in self._due:
+            self._due.remove(self.trial)
+            self._look()
+        return self._stand_in
+
+    def close(self) -> None:
+        self._cameras.close()
+
+    def bytes_of(self, trials: int) -> float:
+        """What the pictures of so many trials take on the disk, by those that were rendered, and
+        what detectors leave with each.
+        """
+        each = self._set_bytes / self.rendered + self._stage_bytes if self.rendered else 0.0
+        return trials * each
+
+    def _look(self) -> None:
+        try:
+            frames = self._taker.take()
+        except DeviceError as fault:
+            self._met("frames", str(fault))
+            return
+        pictures = (frames.left, frames.right, frames.thermal, frames.thermal_ck)
+        self._set_bytes += sum(
+            len(png_bytes(picture)) for picture in pictures if picture is not None
+        )
+        self.rendered += 1
+        for detector in self._detectors if self.rendered == 1 else ():
+            answer = self._examiner.ask(detector, frames)
+            if answer.outcome is not Outcome.ANSWERED:
+                self._met("detector", f"{detector.name}: {answer.detection.reason}")
+            left = stage_pictures(answer).values()
+            self._stage_bytes += sum(len(png_bytes(picture)) for picture in left)
+
+
+class ReachingHands:
+    """The operator of ``twin``, whose arm stands at ``placed``. ``met`` gets what is out of reach;
+    ``leans`` where a person touches, who may lean the stylus.
+    """
+
+    def __init__(self, twin: EmulatedRig, placed: Placed, met: Met, *, leans: bool) -> None:
+        self._twin = twin
+        self._arm_from_world = Motion.from_vectors(placed.om, placed.T).inverse()
+        self._met = met
+        self._leans = leans
+        # to within a millimetre, how the stylus was held: nobody solves the same pose twice
+        self._reached: dict[bytes, Floats] = {}
+
+    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+        """Raises OperatorAbort where the arm doesn't reach the check point, OperatorSkip where it
+        doesn't reach a teat's end.
+        """
+        answer = self._twin.operator.ask(request, check)
+        if isinstance(request, CheckPoint) and (why := self._out_of_reach("the check point")):
+            raise OperatorAbort(why)
+        if isinstance(request, Touch):
+            name = self._twin.world.phantom().teats[request.teat - 1].name or request.teat
+            if why := self._out_of_reach(f"the end of teat {name}"):
+                raise OperatorSkip(why)
+        return answer
+
+    def _out_of_reach(self, what: str) -> str:
+        """Empty where the arm gets there, leaning if need be; else the tip is let go of, and why is
+        met and given back.
+        """
+        world, held = self._twin.world, self._twin.world.arm_target()
+        if held is None:
+            return ""
+        point, axis = held
+        key = np.round(point).tobytes() + axis.tobytes()
+        if key not in self._reached:
+            there, R = self._arm_from_world.apply(point), self._arm_from_world.R
+            way = way_to(self._twin.arm.unit, there, R @ axis, upright_only=not self._leans)
+            if way is None:
+                world.hold(None)
+                why = f"the arm doesn't reach {what} at {np.round(point).astype(int).tolist()} mm"
+                self._met("reach", why)
+                return why
+            self._reached[key] = np.asarray(R.T @ way)
+        world.hold(point, self._reached[key])
+        return ""
+
+
+class CountedAnswers(PromptedOperator):
+    """Says "go on" to each prompt, or what ``answers`` say; ``asked`` counts prompts by kind."""
+
+    def __init__(self, answers: PromptedOperator | None) -> None:
+        self._answers = answers
+        self.asked: Counter[str] = Counter()
+
+    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+        check()
+        self.asked[prompt.kind] += 1
+        return self._answers.answer(prompt, check) if self._answers else frozenset()
+
+    def say(self, text: str) -> None:
+        if self._answers:
+            self._answers.say(text)
+
+    def finish(self) -> None:
+        if self._answers:
+            self._answers.finish()

@@ -15,7 +15,7 @@ from bench.report.tables import covariance_of
 from bench.report.wording import key_values, listed, number, spanned, table, xyz
 from bench.results.verdicts import VERIFICATION_FACT, age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
-from bench.run.metadata import FRAME_FACT
+from bench.run.rows import FRAME_FACT
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
 from bench.truth.carrying import counted, resumed
 from bench.truth.registration import Registration

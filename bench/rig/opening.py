@@ -33,7 +33,7 @@ from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.stream import Debouncer
 from instruments.operators.console import Console
-from instruments.operators.prompted import Answerer, PromptedOperator
+from instruments.operators.prompted import PromptedOperator
 from instruments.operators.remote import RemoteOperator
 from instruments.stage.driver import Stage
 from reports.sanitize import sanitized
@@ -108,7 +108,9 @@ def open_instruments(
             answerer.watch_pedals(lambda: pedal_watch(opened["arm"], clock))
         hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
         arm, bath, stage, cameras = (opened.get(n) for n in ("arm", "bath", "stage", "cameras"))
-        operator = PromptedOperator(answerer, hands) if answerer else hands
+        if answerer:
+            answerer.hands = hands
+        operator = answerer or hands
         exact_ends = twin.world.ends_mm if twin else None
         yield Devices(clock, arm, bath, stage, cameras, operator, exact_ends)
 
@@ -199,7 +201,7 @@ def _open_cameras(rig: LoadedRig, clock: Clock) -> Cameras:
     )
 
 
-def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> Answerer | None:
+def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> PromptedOperator | None:
     """Who answers prompts; None where an emulated operator acts without being asked. Raises
     ConfigError.
     """

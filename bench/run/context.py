@@ -1,61 +1,87 @@
-"""What every step of a run does beside its work: signs of life for the guardian, looks at the
-interlocks, the record's events.
-
-May not know what the steps are.
+"""What every step of a run is given: the rig and its open instruments, the script, the record, the
+events; with them signs of life for the guardian, looks at the interlocks, and the operator.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from bench.record.writer import Store
 from bench.rig.devices import Devices
-from bench.run.progress import Progress
-from bench.safety.bath_monitor import BathMonitor
+from bench.rig.loading import LoadedRig
+from bench.run.estimate import gate_of
+from bench.run.events import Events
+from bench.run.states import EVENT, RunStates
+from bench.safety.bath_monitor import TripHandler
+from bench.safety.guardian_client import GuardianClient
 from bench.safety.heartbeat import BRIEF_S, Heartbeat
+from bench.script.model import LoadedScript
+from bench.truth.arm_tip import TipReader
 from instruments.clock import stopwatch_s, wall_time
+from instruments.operators.operator import KIND_OF, Answer, Release, Request
 
 LOOK_S = 1.0
 STEPPED_S = 5.0  # time servers nudge a clock by less
 READ_S = 1.0  # both clocks are read within microseconds
 
 
-class Attention:
-    """Time passes through ``wait`` only, so that no wait goes by without a look at the interlocks
-    every second.
+class RunContext:
+    """One run. Time passes through ``wait`` only, so that no wait goes by without a look at the
+    interlocks every second.
+
+    ``check_interrupts`` is called at each look, and raises what somebody wants of the run.
     """
 
     def __init__(
         self,
+        rig: LoadedRig,
+        script: LoadedScript,
         devices: Devices,
         store: Store,
-        progress: Progress,
-        pulse: Heartbeat,
-        watch: BathMonitor,
+        events: Events,
+        pulse: Heartbeat | None = None,
+        guardian_client: GuardianClient | None = None,
     ) -> None:
-        self._clock = devices.clock
-        self._store = store
-        self._pulse = pulse
-        self._heard: Callable[[str, str], None] | None = None
-        self._wall_behind_s: float | None = None
+        self.rig = rig
+        self.script = script
+        self.devices = devices
+        self.store = store
+        self.events = events
+        self.clock = devices.clock
+        self.tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         self.check_interrupts: Callable[[], None] = lambda: None
-        self.progress = progress
-        self.watch = watch
+        self._pulse = pulse or Heartbeat()
+        self._wall_behind_s: float | None = None
+        self.trips = TripHandler(
+            rig, devices, gate_of(script), store, events.warn, self._pulse, guardian_client
+        )
+        self.trips.heard, self.trips.seen = events.event, events.refresh
+        self.watch = self.trips.watch
+        self.states = RunStates(lambda state: self.event(EVENT, state.value), self.clock.now)
+        events.now_s = self.clock.now
 
-    def now_s(self) -> float:
-        """The bench's time."""
-        return self._clock.now()
-
-    def subscribe(self, heard: Callable[[str, str], None]) -> None:
-        """From now on ``heard`` gets each event (its kind and text) once it is in the record."""
-        self._heard = heard
+    def ask(self, request: Request) -> Answer:
+        """Have the operator do it; the interlocks are looked at meanwhile."""
+        kind = KIND_OF.get(type(request))
+        if kind is None:
+            if isinstance(request, Release):
+                self.events.asked("release")
+            return self.devices.operator.ask(request, self.look)
+        self._pulse.sign(f"waiting for the operator: {kind}", math.inf)
+        self.events.asked(kind)
+        try:
+            return self.devices.operator.ask(request, self.look)
+        finally:
+            self.events.asked("")
+            self._pulse.sign("going on")
 
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises InterlockTrip."""
-        end_s = self._clock.now() + seconds
+        end_s = self.clock.now() + seconds
         self.check()
-        while (left_s := end_s - self._clock.now()) > 0.0:
-            self._clock.sleep(min(LOOK_S, left_s))
+        while (left_s := end_s - self.clock.now()) > 0.0:
+            self.clock.sleep(min(LOOK_S, left_s))
             self.check()
 
     def check(self) -> None:
@@ -64,10 +90,8 @@ class Attention:
         self.look()
 
     def look(self) -> None:
-        """Raises InterlockTrip where an interlock has tripped, and what ``heed`` raises: somebody's
-        wish.
-
-        No sign of life: for whoever waits for a person, and has said so.
+        """Raises InterlockTrip where an interlock has tripped, and what ``check_interrupts``
+        raises. No sign of life: for whoever waits for a person, and has said so.
         """
         self.watch.check()
         self.check_interrupts()
@@ -83,18 +107,17 @@ class Attention:
 
     def note(self, text: str) -> None:
         """Tell the operator, and the record."""
-        self.progress.state(text)
+        self.events.state(text)
         self.event("state", text)
 
     def event(self, kind: str, text: str) -> None:
-        """A line in the record, with its time."""
+        """Into the record, with its time, and then into the stream."""
         self._see_steps_of_the_clock()
         self._write(kind, text)
 
     def _write(self, kind: str, text: str) -> None:
-        self._store.event(self._clock.now(), kind, text, wall_time())
-        if self._heard:
-            self._heard(kind, text)
+        self.store.event(self.clock.now(), kind, text, wall_time())
+        self.events.event(kind, text)
 
     def _see_steps_of_the_clock(self) -> None:
         """Somebody may set the computer's clock amid a run. The bench's own time doesn't follow it,

@@ -1,50 +1,48 @@
-"""Runs a script on a rig: prepare, settle, and for each trial set up, capture, touch, detect,
-score, store.
-
-Every way out passes through safe. What the engine may not know: which instruments are emulated, who
-the operator is, and what the report will say.
+"""Runs a script on a rig: prepare, then each trial, then the ends; every way out passes through
+safe.
 """
 
 from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.record.writer import FolderGoneError, Store
-from bench.rig.devices import Devices
-from bench.rig.loading import LoadedRig
-from bench.run.context import Attention
-from bench.run.estimate import TimeEstimate, gate_of
+from bench.record.writer import FolderGoneError
+from bench.run.context import RunContext
+from bench.run.estimate import TimeEstimate
 from bench.run.lock import Reserve
-from bench.run.preparation import Preparation
-from bench.run.progress import Progress, SafeProgress, WatchedProgress
+from bench.run.recordings import Recorder
 from bench.run.recovery import Recovery
-from bench.run.requests import Pause, Requests
+from bench.run.requests import Requests
 from bench.run.resume import RehearsedStore, ResumePoint
-from bench.run.states import EVENT, RunState, RunStates
-from bench.run.trial import Attempts, FrameSink, TrialRun
+from bench.run.rows import write_arm_facts
+from bench.run.states import EVENT, RunState
+from bench.run.trial import Attempts, TrialRun
 from bench.run.truth_source import choose_truth
-from bench.safety.bath_monitor import TripHandler
-from bench.safety.guardian_client import GuardianClient
-from bench.safety.heartbeat import AwaitedOperator, Heartbeat
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.signals import current, undisturbed
-from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial
-from bench.truth.arm_check import AFTER
-from bench.truth.arm_tip import TipReader
+from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, check_arm, told
 from detector.protocol import Detector
+from instruments.bath.sequence import start_bath
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip, time_left
+from instruments.operators.operator import (
+    Finish,
+    Homing,
+    OperatorAbort,
+    OperatorRepeat,
+    OperatorSkip,
+    time_left,
+)
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
+HOMING = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
 
 
 class Ending(StrEnum):
@@ -59,91 +57,57 @@ class Engine:
     """One run. ``exact_ends`` gives the scene's exact truth where there is one; it is kept aside,
     never scored against.
 
-    ``pulse`` gets signs of life, ``lifeline`` is the guardian that looks at them where there is
-    one. ``left`` is what the run's last session left, where it goes on; ``typed`` gives lines that
+    ``left`` is what the run's last session left, where it goes on; ``typed`` gives lines that
     somebody typed, None while there is none; ``expected`` is how long it takes.
     """
 
     def __init__(
         self,
-        rig: LoadedRig,
-        script: LoadedScript,
-        devices: Devices,
-        store: Store,
+        ctx: RunContext,
         detectors: Sequence[Detector],
-        progress: Progress,
         *,
         exact_ends: Callable[[], NDArray[np.float64]] | None = None,
-        sink: FrameSink | None = None,
-        pulse: Heartbeat | None = None,
-        guardian_client: GuardianClient | None = None,
+        recorder: Recorder | None = None,
         left: ResumePoint | None = None,
         typed: Callable[[], str | None] = lambda: None,
         expected: TimeEstimate | None = None,
     ) -> None:
-        pulse = pulse or Heartbeat()
-        self._script = script.script
-        self._planned = script.planned
+        self._ctx = ctx
         self._left = left
-        self._rehearsed = store if isinstance(store, RehearsedStore) else None
-        self._devices = replace(devices, operator=AwaitedOperator(devices.operator, pulse))
-        self._store = store
-        self._progress = SafeProgress(progress, self._not_shown)
-        tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         self._expected = expected
-        self._trip_handler = TripHandler(
-            rig, devices, gate_of(script), store, self._progress.warn, pulse, guardian_client
-        )
-        self._watch = self._trip_handler.watch
-        self._attention = Attention(devices, store, self._progress, pulse, self._watch)
-        if isinstance(progress, WatchedProgress):
-            progress.fed_by(devices.clock.now, self._live, self._not_shown)
-            self._attention.subscribe(progress.event)
-            self._trip_handler.heard, self._trip_handler.seen = progress.event, progress.refresh
-        self.states = RunStates(self._tell_state, devices.clock.now)
-        self.recovery = Recovery(
-            self._devices,
-            self._attention,
-            self.states,
-            rig.rig.limits.away_s,
-            lambda: self._trials.look(),
-        )
-        self._wishes = Requests(store.folder, typed, self._progress.warn)
-        settled = sink.settled if sink else lambda _trials, _good: None
-        before = left.run if left and not self._rehearsed else None
+        store = ctx.store
+        planned = len(ctx.script.planned)
+        self._rehearsed = store if isinstance(store, RehearsedStore) else None
+        goes_on = left is not None and not self._rehearsed
+        self._session = store.session if goes_on else 1
+        self._requests = Requests(store.folder, typed, ctx.events.warn)
         self._truth = choose_truth(
-            rig, script, self._devices, tip, store, self._attention, settled, before=before
+            ctx,
+            recorder.settled if recorder else lambda _trials, _good: None,
+            before=left.run if left and goes_on else None,
         )
         self._trials = TrialRun(
-            rig, script.script, self._devices, store, detectors, self._truth, self._attention,
-            exact_ends=exact_ends, sink=sink, states=self.states,
-        )  # fmt: skip
+            ctx, detectors, self._truth, exact_ends=exact_ends, recorder=recorder
+        )
+        self._recovery = Recovery(ctx, self._trials.look)
         self._attempts = Attempts(
+            ctx,
             self._trials.run,
-            len(self._planned),
-            self._devices.operator,
-            devices.clock,
-            store,
-            self._attention,
-            through=self.recovery.run,
-            away_s=lambda: self.states.away_s,
-            poison=left.poison if left else {},
-            each_s=expected.each_s(len(self._planned)) if expected else None,
+            self._recovery.run,
+            left.poison if left else {},
+            expected.each_s(planned) if expected else None,
         )
-        session = store.session if left and not self._rehearsed else 1
-        self._preparation = Preparation(
-            rig, script.script, self._devices, store, tip, self._attention, self.recovery, session
-        )
-        self._pause = Pause(self._wishes, self.states, self._attention, devices.clock, store.folder)
         self._reserve = Reserve(store.folder)
         self.bath_is_safe = False  # until the run has ended and made it so
+        ctx.events.live, ctx.events.not_shown = self._live, self._not_shown
+        ctx.events.replaying = self._rehearsed is not None
 
     def run(self) -> Ending:
         """Everything, to the end or to safe. Faults of instruments and aborts are in the record,
         not raised.
         """
         exits, ending = current(), Ending.FAULTED
-        exits.at_close = self._trip_handler.heater_off
+        exits.at_close = self._ctx.trips.heater_off
         try:
             self._reserve.keep()
             self._work()
@@ -163,36 +127,100 @@ class Engine:
         return ending
 
     def _work(self) -> None:
-        self._wishes.forget()
-        self._attention.check_interrupts = self._wishes.look_between
-        self.states.to(RunState.PREPARING)
-        self._preparation.run()
-        self.recovery.run("preparing the truth", self._truth.begin)
-        for trial in self._planned:
-            self._progress.trial(trial.number - 1, len(self._planned), trial.name)
+        ctx, planned, again = self._ctx, self._ctx.script.planned, self._recovery.run
+        self._requests.forget()
+        ctx.check_interrupts = self._requests.look_between
+        ctx.states.to(RunState.PREPARING)
+        self._prepare()
+        again("preparing the truth", self._truth.begin)
+        for trial in planned:
+            if self._left and trial.id not in self._left.done:
+                self._go_live()
+            ctx.events.trial(trial.number - 1, len(planned), trial.name)
             self._one(trial)
         self._go_live()  # where all trials had their result, and only the end was missing
-        self._progress.trial(len(self._planned), len(self._planned), "")
-        self.recovery.run("confirming the truth", self._truth.end)
-        self.recovery.run(
-            "the arm check after the trials", lambda: self._preparation.check_arm(AFTER)
-        )
-        self._devices.operator.finish()
+        ctx.events.trial(len(planned), len(planned), "")
+        again("confirming the truth", self._truth.end)
+        again("the arm check after the trials", lambda: self._check_arm(AFTER))
+        ctx.ask(Finish())
+
+    def _prepare(self) -> None:
+        """Arm signed on and homed, arm check, stage homed, bath started; each step again where an
+        instrument drops out. In a session that goes on, all of it is done again.
+        """
+        ctx, again = self._ctx, self._recovery.run
+        set_point_c = ctx.script.script.bath.set_point_c
+        ctx.note("preparing")
+        ctx.watch.start()
+        again("signing on to the arm", self._sign_on)
+        again("the arm check", lambda: self._check_arm(BEFORE))
+        ctx.check()
+        if ctx.devices.stage:
+            again("homing the stage", self._home_stage)
+        self._fact("identities", ctx.devices.identities())
+        self._fact("arm record", ctx.devices.arm.record())
+        ctx.note(f"heating the bath to {set_point_c:g} degC")
+
+        def start() -> None:
+            ctx.long("starting the bath", 60.0)
+            start_bath(ctx.devices.bath, set_point_c, ctx.wait)
+
+        again("starting the bath", start)
+        ctx.watch.heating()
+
+    def _check_arm(self, when: str) -> None:
+        """Touch the rig's check point, where it names one; what was found is a fact for the
+        script's requirement.
+        """
+        ctx, arm = self._ctx, self._ctx.rig.rig.arm
+        if arm.check_point_mm is None:
+            return
+        ctx.events.state(f"checking the arm {when} the trials")
+        found = check_arm(ctx.ask, ctx.tip, arm, ctx.clock, ctx.check)
+        name = CHECK_FACT.format(when)
+        if when == BEFORE:
+            self._fact(name, found)
+        else:
+            ctx.store.fact(name, found)
+        ctx.event("arm", told(found, when))
+
+    def _fact(self, key: str, value: object) -> None:
+        """Under its own name in the first session, apart from it in each later one."""
+        session = "" if self._session == 1 else f", session {self._session}"
+        self._ctx.store.fact(f"{key}{session}", value)
+
+    def _sign_on(self) -> None:
+        arm = self._ctx.devices.arm
+        self._ctx.long("signing on to the arm", 120.0)
+        arm.sign_on()
+        write_arm_facts(self._ctx.store, self._ctx.rig)
+        self._ctx.tip.refuse_other_arm()
+        self._ctx.ask(Homing(HOMING))
+        arm.confirm_homed()
+
+    def _home_stage(self) -> None:
+        stage = self._ctx.devices.stage
+        if stage is None:
+            return
+        self._ctx.long("homing the stage", 600.0)
+        stage.connect()
+        self._ctx.look()  # not check: what was announced goes on
+        stage.home()
+        self._ctx.check()
 
     def _one(self, trial: PlannedTrial) -> None:
         """A trial as it is due: run, gone through again, or passed over since it has its result."""
-        if self._left and trial.id in self._left.done:
+        if self._left:
             if self._rehearsed and trial.id not in self._left.poison:
                 self._trials.rehearsing = True
                 self._attempts.run(trial)
             else:
                 self._attempts.passed()
             return
-        self._go_live()
-        self._pause.if_asked()
-        self._attention.check_interrupts = self._wishes.look
+        self._requests.pause_if_asked(self._ctx)
+        self._ctx.check_interrupts = self._requests.look
         self._attempts.run(trial)
-        self._attention.check_interrupts = self._wishes.look_between
+        self._ctx.check_interrupts = self._requests.look_between
 
     def _go_live(self) -> None:
         """The first trial without a result is next: from here on all is new, and on record."""
@@ -200,70 +228,66 @@ class Engine:
         self._trials.rehearsing = False
         if left is None:
             return
-        told = f"session {self._store.session} goes on after {len(left.done)} trials"
+        text = f"session {self._ctx.store.session} goes on after {len(left.done)} trials"
+        if self._rehearsed:
+            self._end_replay()
+            same, differ = self._rehearsed.same, ", ".join(self._rehearsed.differ)
+            text += f", gone through again on the emulated rig: {len(same)} with the same touches"
+            if differ:
+                self._ctx.events.warn(
+                    "The emulated world is not the one that the run began in: touches differ in"
+                    f" {differ}."
+                )
+                text += (
+                    f", other touches in {differ}: WHAT FOLLOWS IS NOT WHAT AN UNDISTURBED RUN"
+                    " WOULD GIVE"
+                )
+            self._ctx.event(EVENT, self._ctx.states.current.value)
+        self._ctx.event("resumed", text)
+
+    def _end_replay(self) -> None:
         if self._rehearsed:
             self._rehearsed.go_live()
-            seen = self._rehearsed.compared
-            told += (
-                f", gone through again on the emulated rig: {len(seen.same)} with the same touches"
-            )
-            if seen.differ:
-                self._progress.warn(
-                    "The emulated world is not the one that the run began in: touches differ in"
-                    f" {', '.join(seen.differ)}."
-                )
-                told += (
-                    f", other touches in {', '.join(seen.differ)}: WHAT FOLLOWS IS NOT WHAT AN"
-                    " UNDISTURBED RUN WOULD GIVE"
-                )
-            self._attention.event(EVENT, self.states.current.value)
-        self._attention.event("resumed", told)
+        self._ctx.events.replaying = False
 
     def _live(self) -> dict[str, str]:
         """What a line in the terminal says beside what is being done."""
-        bath, left_s = self._watch.last, self._attempts.left_s
+        watch, left_s = self._ctx.watch, self._attempts.left_s
+        live: dict[str, str] = {}
+        if watch.last is not None:
+            live["bath"] = f"bath {watch.last.temp_c:.2f} degC, {watch.state.value}"
         if left_s is not None:
-            left_s += self._watch.stable_in_s(self._expected.settling_s if self._expected else 0.0)
-        told = (
-            {}
-            if bath is None
-            else {"bath": f"bath {bath.temp_c:.2f} degC, {self._watch.state.value}"}
-        )
-        return told | ({} if left_s is None else {"left": time_left(left_s)})
+            settling_s = self._expected.settling_s if self._expected else 0.0
+            live["left"] = time_left(left_s + watch.stable_in_s(settling_s))
+        return live
 
     def _not_shown(self, why: str) -> None:
         """Whoever looks for what the screen had to say finds why it said nothing."""
-        self._kept(lambda: self._attention.event("not shown", why))
-
-    def _tell_state(self, state: RunState) -> None:
-        self._attention.event(EVENT, state.value)
+        self._kept(lambda: self._ctx.event("not shown", why))
 
     def _ended_by(self, why: BaseException) -> Ending:
         """The ending that ``why`` means, written down; raises it again when it is a mistake of the
         bench.
         """
         self._reserve.give_back()
-        if self._rehearsed:
-            self._rehearsed.go_live()
+        self._end_replay()
+        tripped = self._ctx.watch.tripped
         if (
             isinstance(why, KeyboardInterrupt | OperatorAbort | OperatorSkip | OperatorRepeat)
-            and self._watch.tripped is None
+            and tripped is None
         ):
             self._write_down("aborted", str(why) or "the run was interrupted (Ctrl-C)")
             return Ending.ABORTED
         # a braked stage or an impatient operator may have come first
-        cause = self._watch.tripped or why
+        cause = tripped or why
         if isinstance(cause, FolderGoneError):  # there is nothing that a report could be made of
             self._write_down("fault", str(cause))
             raise cause
         if isinstance(cause, RECORD_FAULTS):
-            then = (
-                "Make room or make the folder writable, then: teatbench resume"
-                f" {self._store.folder}"
-            )
             self._write_down(
                 "fault",
-                f"the record could not be written: {type(cause).__name__}: {cause}. {then}",
+                f"the record could not be written: {type(cause).__name__}: {cause}. Make room or"
+                f" make the folder writable, then: teatbench resume {self._ctx.store.folder}",
                 aloud=True,
             )
             return Ending.FAULTED
@@ -275,43 +299,42 @@ class Engine:
 
     def _finish(self, ending: Ending) -> Ending:
         """To safe first, whatever the disk, the terminal and the watch do."""
+        ctx = self._ctx
         self._reserve.give_back()
-        self._attention.check_interrupts = lambda: None
-        self._attention.long("going to safe", 300.0)
-        told: list[str] = []
+        ctx.check_interrupts = lambda: None
+        ctx.long("going to safe", 300.0)
+        said: list[str] = []
         asked = len(current().asked)
-        self._watch.end()
-        unsafe = self._devices.make_safe(told.append, lambda: len(current().asked) > asked)
+        ctx.watch.end()
+        unsafe = ctx.devices.make_safe(said.append, lambda: len(current().asked) > asked)
         self.bath_is_safe = "bath" not in unsafe
-        self._trip_handler.stop()
+        ctx.trips.stop()
         if unsafe:
-            self._progress.warn(
-                f"NOT SAFE: {', '.join(unsafe)}. {' '.join(told)} SWITCH IT OFF BY HAND."
+            ctx.events.warn(
+                f"NOT SAFE: {', '.join(unsafe)}. {' '.join(said)} SWITCH IT OFF BY HAND."
             )
-        for text in told:
+        for text in said:
             self._write_down("safe", text)
         if unsafe and ending is Ending.FINISHED:
             ending = Ending.FAULTED
-        self._end_states(ending)
-        self._write_down("end", ending.value)
-        self._kept(lambda: self._store.fact("retries", dict(self.recovery.counts)))
-        self._kept(lambda: self._store.fact("ending", ending.value))
-        self._kept(
-            lambda: self._store.fact("wall_ended", wall_time().isoformat(timespec="seconds"))
-        )
-        self._kept(self._store.flush)
-        return ending
-
-    def _end_states(self, ending: Ending) -> None:
         for state in (RunState.SAFING, RunState(ending.value)):
-            self._kept(partial(self.states.to, state))
+            self._kept(partial(ctx.states.to, state))
+        self._write_down("end", ending.value)
+        for key, value in {
+            "retries": dict(self._recovery.counts),
+            "ending": ending.value,
+            "wall_ended": wall_time().isoformat(timespec="seconds"),
+        }.items():
+            self._kept(partial(ctx.store.fact, key, value))
+        self._kept(ctx.store.flush)
+        return ending
 
     def _write_down(self, kind: str, text: str, *, aloud: bool = False) -> None:
         """An event, of which the run's end doesn't depend on whether it can be written."""
-        if not self._kept(lambda: self._attention.event(kind, text)) or aloud:
-            self._progress.warn(text)
+        if not self._kept(lambda: self._ctx.event(kind, text)) or aloud:
+            self._ctx.events.warn(text)
 
-    def _kept(self, write: Callable[[], None]) -> bool:
+    def _kept(self, write: Callable[[], object]) -> bool:
         try:
             write()
         except RECORD_FAULTS:

@@ -1,36 +1,29 @@
-"""What the time of a rehearsal goes to, by kind of step: told by the run's state and by what is
-being asked of the operator.
+"""How long a script takes and what it needs, by the files alone; what the time of a run went to, by
+its events; and what runs really took, kept in their folders, so that the next estimate is better
+than what is assumed.
 
-Every second is one kind's, so the kinds add up to the whole. May not know trials.
-
-How long a script takes: settling, moves, set-ups, captures, touches. An estimate from the files
-alone; it opens nothing.
-
-What a rig file doesn't say is assumed, and told with the figure. A person is slower than an
-emulated one; time is the bench's own, so an emulated run is over much sooner.
-
-What runs really took, kept in their folders, so that the next estimate is better than what is
-assumed; and what a run will need.
-
-A figure is a running mean over the last runs on the same rig; the newest count most. May not open
-an instrument.
+What a rig file doesn't say is assumed, and told with the figure; a figure learnt is a running mean
+over the last runs on the same rig, the newest counting most. A person is slower than an emulated
+one; time is the bench's own, so an emulated run is over much sooner.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from bench.files import write_synced
 from bench.record.reader import RunRecord
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage
 from bench.rig.urls import CONSOLE
+from bench.run.events import read_events
 from bench.run.states import RunState
 from bench.safety.stability import StabilityGate, State
 from bench.script.model import LoadedScript
@@ -38,14 +31,8 @@ from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import fixed_key
 from instruments.world.plant import Plant
 
-PREPARING, SETTLING, MOVES, SET_UPS, CAPTURES, TOUCHES = (
-    "preparing",
-    "settling",
-    "moves",
-    "set-ups",
-    "captures",
-    "touches",
-)
+PREPARING, SETTLING, MOVES = "preparing", "settling", "moves"
+SET_UPS, CAPTURES, TOUCHES = "set-ups", "captures", "touches"
 WAITING, SAFING = "waiting for instruments", "going to safe"
 KINDS = (PREPARING, SETTLING, MOVES, SET_UPS, CAPTURES, TOUCHES, WAITING, SAFING)
 STATES: Mapping[str, str] = MappingProxyType(
@@ -58,53 +45,49 @@ STATES: Mapping[str, str] = MappingProxyType(
 )
 
 
-class TimeSpent:
-    """Begins with preparing. ``now_s`` is the time."""
+def spent_of(
+    events: Sequence[Mapping[str, Any]], *, first_settling: bool = False
+) -> dict[str, float]:
+    """What the time of a run went to, in s by kind, by its stream of `bench.run.events`; with
+    ``first_settling``, up to the end of that only.
 
-    def __init__(self, now_s: Callable[[], float]) -> None:
-        self._now_s = now_s
-        self._since_s = now_s()
-        self._base = self._kind = PREPARING
-        self._before = PREPARING
-        self._spent = dict.fromkeys(KINDS, 0.0)
-        self.first_settling_s: float | None = None
-
-    def state(self, state: str) -> None:
-        """The run is in ``state`` now; back at the trials, what was under way goes on."""
-        kind = STATES.get(state)
-        if kind is not None:
-            self._before, self._base = self._kind, kind
-            self._to(kind)
-        elif state == RunState.RUNNING:
-            settled, self._base = self._kind == SETTLING, MOVES
-            self._to(self._before if self._before in (CAPTURES, TOUCHES) else MOVES)
-            if settled and self.first_settling_s is None:
-                self.first_settling_s = self._spent[SETTLING]
-
-    def work(self, kind: str) -> None:
-        """The bench does something of ``kind`` now; before the trials all that it does is
-        preparing.
-        """
-        self._to(kind if self._base == MOVES else self._base)
-
-    def asking(self, kind: str) -> None:
-        """The operator is busy with something of ``kind`` now."""
-        self._to(kind)
-
-    def book(self, seconds: float) -> None:
-        """``seconds`` more for what is under way, which didn't pass on the clock."""
-        self._spent[self._kind] += seconds
-
-    @property
-    def seconds(self) -> dict[str, float]:
-        """By kind, up to now."""
-        self._to(self._kind)
-        return dict(self._spent)
-
-    def _to(self, kind: str) -> None:
-        now_s = self._now_s()
-        self._spent[self._kind] += now_s - self._since_s
-        self._since_s, self._kind = now_s, kind
+    Every second is one kind's, so the kinds add up to the whole.
+    """
+    spent = dict.fromkeys(KINDS, 0.0)
+    base = kind = before = PREPARING
+    since_s, asked = 0.0, ""
+    for event in events:
+        t_s = since_s if event["t_s"] is None else float(event["t_s"])
+        spent[kind] += t_s - since_s
+        since_s = t_s
+        work = MOVES  # what the bench does next, unless it prepares, settles, waits
+        match event["what"], event.get("kind"):
+            case "event", "run state":
+                state = event["text"]
+                if state in STATES:
+                    before, base = kind, STATES[state]
+                    kind = base
+                elif state == RunState.RUNNING:
+                    if kind == SETTLING and first_settling:
+                        break
+                    # what was under way goes on
+                    kind = before if before in (CAPTURES, TOUCHES) else MOVES
+                    base = MOVES
+                continue
+            case "asked", "touch" | "check point":
+                kind, asked = TOUCHES, "touch"
+                continue
+            case "asked", "set up":
+                kind, asked = SET_UPS, "set up"
+                continue
+            case "asked", "" if asked == "set up":
+                work, asked = CAPTURES, ""
+            case ("trial", _) | ("asked", "release"):
+                asked = ""
+            case _:
+                continue
+        kind = work if base == MOVES else base
+    return spent
 
 
 ASSUMED = {
@@ -304,33 +287,23 @@ def _prompts(rig: LoadedRig, script: LoadedScript) -> int:
 
 
 def took(run: RunRecord) -> dict[str, float]:
-    """The seconds that a run took, by the same parts; what it doesn't tell is left out."""
+    """The seconds that a run took: settling at first, set-ups, a touch, all; what it doesn't tell
+    is left out.
+    """
     found: dict[str, float] = {}
-    heating = next(
-        (
-            e["t_s"]
-            for e in run.events
-            if e["kind"] == "state" and e["text"].startswith("heating the bath")
-        ),
-        None,
-    )
-    stable = next((e["t_s"] for e in run.events if e["kind"] == "stable"), None)
-    if heating is not None and stable is not None:
-        found["settling_s"] = stable - heating
-    timed = [
-        trial.head
-        for trial in run.trials
-        if trial.head["started_s"] is not None and trial.head["note"] is None
-    ]
-    if timed[1:]:
-        found["to_capture_s"] = sum(
-            head["captured_s"] - head["started_s"] for head in timed[1:]
-        ) / len(timed[1:])
-    touches = sum(len(trial.touches) for trial in run.trials)
-    if touches:
-        found["touch_s"] = sum(head["ended_s"] - head["captured_s"] for head in timed) / touches
     if run.events and run.events[-1]["t_s"] is not None:
         found["total_s"] = float(run.events[-1]["t_s"])
+    try:
+        events = list(read_events(run.folder))
+    except (OSError, ValueError):
+        return found
+    spent = spent_of(events)
+    if settling_s := spent_of(events, first_settling=True)[SETTLING]:
+        found["settling_s"] = settling_s
+    if spent[SET_UPS]:
+        found["set_ups_s"] = spent[SET_UPS]
+    if touches := sum(event.get("kind") in ("touch", "check point") for event in events):
+        found["touch_s"] = spent[TOUCHES] / touches
     return found
 
 
@@ -346,22 +319,12 @@ def figures(
         learnt["heating"] = 60.0 * rise_k / heating_s
     if "touch_s" in spent:
         learnt["touch"] = spent["touch_s"]
-    if "to_capture_s" in spent:
-        learnt |= _set_ups(rig, script, spent["to_capture_s"])
+    assumed_s = estimate(rig, script).set_ups_s
+    if "set_ups_s" in spent and assumed_s > 0.0:
+        # both in the proportion that is assumed of them
+        share = spent["set_ups_s"] / assumed_s
+        learnt |= {name: ASSUMED[name] * share for name in ("set-up", "placing")}
     return learnt
-
-
-def _set_ups(rig: LoadedRig, script: LoadedScript, to_capture_s: float) -> dict[str, float]:
-    """Set-ups and placings both, in the proportion that is assumed of them: the record doesn't tell
-    one from the other.
-    """
-    assumed, count = estimate(rig, script), len(script.planned)
-    moving_s = max(0.0, assumed.moves_s - (ASSUMED["homing"] if rig.rig.stage else 0.0)) / count
-    left_s = max(0.0, to_capture_s - rig.rig.cameras.settle_s - moving_s)
-    if assumed.set_ups_s <= 0.0:
-        return {}
-    share = left_s * count / assumed.set_ups_s
-    return {name: ASSUMED[name] * share for name in ("set-up", "placing")}
 
 
 def read_learnt(folder: Path, rig: LoadedRig) -> dict[str, float]:

@@ -1,22 +1,168 @@
-"""Detections only: what each detector finds in the frames of a recording, as lines for people and
-for programs.
+"""Recordings: written while a run goes on (frames, calibration and touched truth that `teatbench
+score` reads to the same scores), and looked at by detectors alone.
+
+Where a recording can't be written any more, that is warned of once, and the run goes on without. A
+resumed run first puts in what its folder has and the recording lacks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from bench.config import read_calibration
+from bench.config import ConfigError, read_calibration, read_text
+from bench.record.reader import RunRecord, TrialRecord
 from bench.results.answers import Answer, Examiner, close_detectors, one_line
 from bench.script.detectors import make_detectors
+from bench.truth.carrying import resumed
+from bench.truth.uncertainty import How
 from detector.protocol import Detection, Detector, Outcome
-from instruments.camera.recording import Recording, RecordingError
+from instruments.camera.frame import FrameSet
+from instruments.camera.recording import Recording, RecordingError, RecordingWriter, TruthRow
 
+RECORDED = "recorded to"  # fact: the recording's folder
 SHOWN_LINES = 5
+
+
+class Recorder:
+    """A recording in ``folder``, which must be empty or not there, or be what ``before``, a run
+    that goes on, has recorded.
+
+    ``warn`` hears where it can't be written any more. Raises ConfigError where it can't be begun.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        calibration: Path,
+        warn: Callable[[str], None],
+        before: RunRecord | None = None,
+    ) -> None:
+        self._folder = folder
+        self._warn = warn
+        self._broken = False
+        self._open: dict[str, Sequence[TruthRow]] = {}
+        try:
+            _refuse_others(folder, before)
+            for unfinished in folder.glob("making *"):
+                shutil.rmtree(unfinished)
+            self._writer = RecordingWriter(folder)
+            self._writer.add_calibration(read_text(calibration))
+            if before:
+                self._catch_up(before)
+        except (OSError, RecordingError) as error:
+            raise ConfigError.plain(f"--record {folder}: {error}.") from error
+
+    def trial(
+        self,
+        trial_id: str,
+        frames: FrameSet,
+        truth: Sequence[TruthRow],
+        *,
+        confirmed: bool,
+    ) -> None:
+        """Add a trial's frame set with its truth; truth that isn't confirmed waits for `settled`,
+        the frames stay without until then.
+        """
+        if self._broken:  # a recording with holes would be taken for a whole one
+            return
+        with self._watched():
+            self._writer.add(trial_id, frames)
+            if confirmed:
+                self._writer.add_truth(trial_id, truth)
+            else:
+                self._open[trial_id] = truth
+
+    def settled(self, trials: Sequence[str], good: bool) -> None:
+        """The truth of these trials holds, or it doesn't and is dropped."""
+        rows = {trial: self._open.pop(trial) for trial in trials if trial in self._open}
+        with self._watched():
+            for trial in rows if good and not self._broken else ():
+                self._writer.add_truth(trial, rows[trial])
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, RecordingError) as error:
+            self._broken = True
+            self._warn(
+                f"the recording in {self._folder} ends here: {error}. The run goes on, and its own"
+                " folder has all"
+            )
+
+    def _catch_up(self, run: RunRecord) -> None:
+        """Put in what the bench had written down but not yet recorded when it died, and remember
+        whose truth is still open.
+        """
+        has_frames, has_truth = _has(self._folder)
+        carried = resumed(run)
+        for trial in run.trials:
+            if trial.id not in has_frames:
+                self._writer.add(trial.id, Recording(run.folder).load(trial.id))
+            if (
+                trial.id in has_truth
+                or trial.invalid is not None
+                or trial.id in carried.unconfirmed
+            ):
+                continue
+            if trial.how == How.CARRIED and trial.id in carried.since:
+                self._open[trial.id] = _truth(trial)
+            else:
+                self._writer.add_truth(trial.id, _truth(trial))
+
+
+def recorder_again(
+    run: RunRecord, calibration: Path, warn: Callable[[str], None]
+) -> Recorder | None:
+    """The recording of a run that goes on; None where it had none, or where it can't be gone on
+    with, which is told.
+    """
+    where = run.facts.get(RECORDED)
+    if where is None:
+        return None
+    try:
+        return Recorder(Path(where), calibration, warn, run)
+    except ConfigError as error:
+        warn(f"{error} The run goes on without a recording.")
+        return None
+
+
+def _refuse_others(folder: Path, before: RunRecord | None) -> None:
+    there = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
+    if not there:
+        return
+    if before is None:
+        raise ConfigError.plain(f"--record {folder}: the folder is not empty. Name a new one.")
+    others = sorted(_has(folder)[0] - {trial.id for trial in before.trials})
+    if others:
+        raise ConfigError.plain(
+            f"--record {folder}: has frames of another run, {others[0]} for one."
+        )
+
+
+def _has(folder: Path) -> tuple[set[str], set[str]]:
+    """Trials with frames, and with truth, in a recording that may just have been begun."""
+    frames = {path.name for path in (folder / "frames").glob("*")}
+    return frames, set(Recording(folder).truth) if frames else set()
+
+
+def _truth(trial: TrialRecord) -> list[TruthRow]:
+    return [
+        TruthRow(
+            str(trial.head["situation"]),
+            row["teat"],
+            (row["x_mm"], row["y_mm"], row["z_mm"]),
+            bool(row["visible"]),
+            row["u_mm"],
+        )
+        for row in trial.truth
+    ]
 
 
 def detect_lines(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], str]]:

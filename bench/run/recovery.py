@@ -1,17 +1,11 @@
-"""What the bench does about each kind of fault of an instrument: how often it tries again, and what
-a person has to check.
+"""What the bench does about each kind of fault of an instrument: how often it tries again, what a
+person has to check, and how the instrument is brought back.
 
-A table and a lookup, nothing else. What isn't in it ends the run at once: limits that were refused
-before anything was sent, a bath that says no, whatever is no instrument's. May not know how an
-instrument is brought back.
-
-An instrument that drops out pauses the run; the operator hears what to check; it goes on when the
-instrument is back.
-
-What was under way is done again whole by whoever asked: nothing half done is kept. How often, and
-for what, is `retries`' table; how long is waited is the rig's. Interlocks go on being looked at
-meanwhile, and may end the wait; so may somebody who gives up what waits: then what comes next waits
-on. May not know trials.
+What is not in the table ends the run at once: limits that were refused before anything was sent, a
+bath that says no, whatever is no instrument's. An instrument that drops out pauses the run; what
+was under way is done again whole when it is back: nothing half done is kept. Interlocks go on being
+looked at meanwhile, and may end the wait; so may somebody who gives up what waits: then what comes
+next waits on.
 """
 
 from __future__ import annotations
@@ -21,12 +15,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from bench.rig.devices import Devices
-from bench.run.context import Attention
-from bench.run.states import RunState, RunStates
+from bench.run.context import RunContext
+from bench.run.states import RunState
 from instruments.camera.cameras import CameraSet
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from instruments.microscribe.errors import AnotherArmError, UnusableArmError
+from instruments.operators.operator import Homing, Release
 
 INSTRUMENTS = ("arm", "stage", "bath", "cameras")
 GONE, GARBLED, REFUSES = "gone", "garbled", "refuses"
@@ -42,19 +36,14 @@ class Policy:
     check: str
 
 
+HOMES = "keep your hands off it, it will home."
 POLICIES: Mapping[tuple[str, str], Policy] = MappingProxyType(
     {
         ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
         ("arm", GARBLED): Policy(3, "Check the arm's cable and plugs, and what disturbs it."),
-        ("stage", GONE): Policy(
-            3, "Check the stage's power and its cable; keep your hands off it, it will home."
-        ),
-        ("stage", GARBLED): Policy(
-            3, "Check the stage's cable and what disturbs it; keep your hands off it, it will home."
-        ),
-        ("stage", REFUSES): Policy(
-            1, "Look whether something is in the stage's way; keep your hands off it, it will home."
-        ),
+        ("stage", GONE): Policy(3, f"Check the stage's power and its cable; {HOMES}"),
+        ("stage", GARBLED): Policy(3, f"Check the stage's cable and what disturbs it; {HOMES}"),
+        ("stage", REFUSES): Policy(1, f"Look whether something is in the stage's way; {HOMES}"),
         ("bath", GONE): Policy(3, "Check the bath's power and its cable."),
         ("bath", GARBLED): Policy(3, "Check the bath's cable, its address and what disturbs it."),
         ("cameras", GONE): Policy(3, "Check the cameras' power and cables."),
@@ -87,26 +76,6 @@ def policy_for(fault: InstrumentError) -> Policy | None:
     return POLICIES.get((instrument, kind)) if instrument and kind else None
 
 
-def table_text() -> str:
-    """The table in Markdown."""
-    means = {
-        GONE: "doesn't answer, link broken",
-        GARBLED: "answers nonsense",
-        REFUSES: "says no, or gives nothing usable",
-    }
-    rows = [
-        f"| {who} | {means[kind]} | {policy.times} | {policy.check} |"
-        for (who, kind), policy in POLICIES.items()
-    ]
-    return "\n".join(
-        [
-            "| instrument | fault | tries in a trial | what the operator is told |",
-            "|---|---|---|---|",
-            *rows,
-        ]
-    )
-
-
 EVERY_S = 2.0  # between attempts to reach it
 HOMING = (
     "The arm was lost: put its stylus on its peg, see that it is switched on, and leave the stylus"
@@ -116,25 +85,14 @@ SETTLED_S = 1.0
 
 
 class Recovery:
-    """Runs work that instruments may interrupt. ``patience_s`` is how long one that has dropped out
-    is waited for.
-
-    ``look`` raises while the cameras give nothing usable.
+    """Runs work that instruments may interrupt; one that has dropped out is waited for as long as
+    the rig says. ``look`` raises while the cameras give nothing usable.
     """
 
-    def __init__(
-        self,
-        devices: Devices,
-        attention: Attention,
-        states: RunStates,
-        patience_s: float,
-        look: Callable[[], None],
-    ) -> None:
+    def __init__(self, ctx: RunContext, look: Callable[[], None]) -> None:
+        self._ctx = ctx
         self._look = look
-        self._devices = devices
-        self._attention = attention
-        self._states = states
-        self._patience_s = patience_s
+        self._patience_s = ctx.rig.rig.limits.away_s
         self._missing: tuple[InstrumentError, Policy] | None = None
         self.counts: Counter[str] = Counter()
 
@@ -148,12 +106,12 @@ class Recovery:
         if self._missing:
             self._pause(what, *self._missing, "still away")
         while True:
-            self._attention.check()
+            self._ctx.check()
             try:
                 return work()
             except InstrumentError as fault:
                 # a stage that a trip has braked is not to be homed again
-                self._attention.watch.check()
+                self._ctx.watch.check()
                 policy = policy_for(fault)
                 kind = f"{instrument_of(fault)} {kind_of(fault)}"
                 tried[kind] += 1
@@ -164,39 +122,44 @@ class Recovery:
 
     def _pause(self, what: str, fault: InstrumentError, policy: Policy, count: str) -> None:
         """Until the instrument is back; then as before. Raises ``fault`` where it stays away."""
-        name = str(instrument_of(fault))
+        ctx, name = self._ctx, str(instrument_of(fault))
         are = "are" if name == "cameras" else "is"
         self._missing = (fault, policy)
-        started_s = self._attention.now_s()
+        started_s = ctx.clock.now()
         if name == "arm":
-            self._devices.operator.release()
-        with self._states.during(RunState.PAUSED):
-            self._attention.event("dropped out", f"{what}: {fault} ({count})")
-            self._attention.progress.warn(
+            ctx.ask(Release())
+        with ctx.states.during(RunState.PAUSED):
+            ctx.event("dropped out", f"{what}: {fault} ({count})")
+            ctx.events.warn(
                 f"{fault}\nThe run is paused. {policy.check} It goes on by itself when the {name}"
                 f" {are} back."
             )
             while not self._back(name):
-                if self._attention.now_s() - started_s >= self._patience_s:
-                    self._attention.event(
+                if ctx.clock.now() - started_s >= self._patience_s:
+                    ctx.event(
                         "given up", f"the {name} did not come back within {self._patience_s:g} s"
                     )
                     raise fault
-                self._attention.wait(EVERY_S)
-            self._attention.check()
-            away_s = self._attention.now_s() - started_s
-            self._attention.event(
+                ctx.wait(EVERY_S)
+            ctx.check()
+            ctx.event(
                 "back",
-                f"the {name} {are} back after {away_s:.1f} s; done again from its start: {what}",
+                f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s; done again from"
+                f" its start: {what}",
             )
         self._missing = None
 
     def _back(self, name: str) -> bool:
-        self._attention.progress.state(f"waiting for the {name}")
+        self._ctx.events.state(f"waiting for the {name}")
+        bath = self._ctx.devices.bath  # its driver connects again by itself
+        back: dict[str, Callable[[], object]] = {
+            "arm": self._arm,
+            "stage": self._stage,
+            "bath": bath.read,
+            "cameras": self._cameras,
+        }
         try:
-            {"arm": self._arm, "stage": self._stage, "bath": self._bath, "cameras": self._cameras}[
-                name
-            ]()
+            back[name]()
         except InstrumentError:
             return False
         return True
@@ -205,32 +168,28 @@ class Recovery:
         """Signed on again, and its home counts loaded on its peg: nobody can tell whether it kept
         its power, and where it stood then.
         """
-        arm = self._devices.arm
-        self._attention.long("looking for the arm", 120.0)
+        arm = self._ctx.devices.arm
+        self._ctx.long("looking for the arm", 120.0)
         arm.recover(EVERY_S)
-        self._devices.operator.confirm_homing(HOMING)
+        self._ctx.ask(Homing(HOMING))
         arm.home()
 
     def _stage(self) -> None:
         """Restarted and homed: where it stands nobody knows."""
-        stage = self._devices.stage
+        stage = self._ctx.devices.stage
         if stage is None:
             raise DeviceError("stage", "this rig has none")
-        self._attention.long("homing the stage again", 600.0)
+        self._ctx.long("homing the stage again", 600.0)
         stage.reconnect()
         # that took its time, and a stage that a trip has braked meanwhile is not to move
-        self._attention.look()
+        self._ctx.look()
         stage.home()
-
-    def _bath(self) -> None:
-        """The driver connects again by itself."""
-        self._devices.bath.read()
 
     def _cameras(self) -> None:
         """Opened again where that is how they are; back is what gives a usable frame set."""
-        self._attention.wait(SETTLED_S)
-        self._attention.long("opening the cameras again", 60.0, silent=True)
-        cameras = self._devices.cameras
+        self._ctx.wait(SETTLED_S)
+        self._ctx.long("opening the cameras again", 60.0, silent=True)
+        cameras = self._ctx.devices.cameras
         if isinstance(cameras, CameraSet):
             cameras.reopen()
         self._look()

@@ -7,9 +7,6 @@ Looked at wherever the bench looks at its interlocks. A pause takes effect befor
 for a trial that stood around is none; the others at once, and the trial in flight leaves no trace.
 Each wish is answered in a line, for whoever sits at the run's terminal may not be the one who has
 it.
-
-A pause that somebody asked for: between two trials, until somebody says to go on. The bath is
-watched meanwhile, and may end it.
 """
 
 from __future__ import annotations
@@ -19,13 +16,15 @@ from pathlib import Path
 
 from bench.config import ConfigError
 from bench.files import write_synced
-from bench.run.context import Attention
-from bench.run.states import RunState, RunStates
+from bench.run.context import RunContext
+from bench.run.states import RunState
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
 
 FILE, TAKEN = "wish.txt", "wish-taken.txt"
 REQUEST_POLL_S = 0.1
+PAUSE_POLL_S = 1.0
+REAL_S = 0.02  # of real time, for a second of virtual time
 PAUSE, GO_ON, SKIP, REPEAT, ABORT = "pause", "go on", "skip", "repeat", "abort"
 SHORT = {"p": PAUSE, "g": GO_ON, "go": GO_ON, "go-on": GO_ON, "s": SKIP, "r": REPEAT, "a": ABORT}
 HELP = "pause, go on, skip REASON, repeat REASON, abort"
@@ -105,6 +104,26 @@ class Requests:
         """
         self._look(amid=False)
 
+    def pause_if_asked(self, ctx: RunContext) -> None:
+        """Between two trials, until nobody wants a pause; the bath is watched meanwhile. Raises
+        OperatorAbort, and what an interlock raises.
+        """
+        self.look_between()
+        if not self.paused:
+            return
+        with ctx.states.during(RunState.PAUSED):
+            ctx.events.warn(
+                "Paused, as asked. To go on: "
+                f"teatbench control {ctx.store.folder} go on (or type: go on)"
+            )
+            while self.paused:
+                ctx.events.state("paused, as asked")
+                if isinstance(ctx.clock, VirtualClock):
+                    # whoever pauses lives in real time, and the bath need not race through days
+                    # meanwhile
+                    RealClock().sleep(REAL_S)
+                ctx.wait(PAUSE_POLL_S)
+
     def _look(self, *, amid: bool) -> None:
         for words in (self._left(), self._typed()):
             if words and words.strip():
@@ -118,19 +137,15 @@ class Requests:
             return
         if wish == ABORT:
             raise OperatorAbort("somebody told the run to end")
-        if wish in (SKIP, REPEAT):
-            self._about_a_trial(wish, reason, amid=amid)
-            return
-        if wish == PAUSE and not self.paused:
-            self._tell("The run pauses before its next trial.")
-        self.paused = wish == PAUSE
-
-    def _about_a_trial(self, wish: str, reason: str, *, amid: bool) -> None:
-        if not amid:
+        if wish in (PAUSE, GO_ON):
+            if wish == PAUSE and not self.paused:
+                self._tell("The run pauses before its next trial.")
+            self.paused = wish == PAUSE
+        elif amid:
+            self._tell(f"As told: {wish} {reason}")
+            raise OperatorSkip(reason) if wish == SKIP else OperatorRepeat(reason)
+        else:
             self._tell(f"No trial is in flight just now, so nothing is done about: {wish} {reason}")
-            return
-        self._tell(f"As told: {wish} {reason}")
-        raise OperatorSkip(reason) if wish == SKIP else OperatorRepeat(reason)
 
     def _left(self) -> str | None:
         """Taken away first, then read: a wish that is left meanwhile is the next look's."""
@@ -143,41 +158,3 @@ class Requests:
         except OSError:
             return None
         return words
-
-
-PAUSE_POLL_S = 1.0
-REAL_S = 0.02  # of real time, for a second of virtual time
-
-
-class Pause:
-    """Pauses as ``wishes`` say; ``folder`` is the run's, as whoever asked for it has to name it to
-    go on.
-    """
-
-    def __init__(
-        self, wishes: Requests, states: RunStates, attention: Attention, clock: Clock, folder: Path
-    ) -> None:
-        self._wishes = wishes
-        self._states = states
-        self._attention = attention
-        self._virtual = isinstance(clock, VirtualClock)
-        self._real = RealClock()
-        self._folder = folder
-
-    def if_asked(self) -> None:
-        """Returns once nobody wants a pause. Raises OperatorAbort, and what an interlock raises."""
-        self._wishes.look_between()
-        if not self._wishes.paused:
-            return
-        with self._states.during(RunState.PAUSED):
-            self._attention.progress.warn(
-                "Paused, as asked. To go on: "
-                f"teatbench control {self._folder} go on (or type: go on)"
-            )
-            while self._wishes.paused:
-                self._attention.progress.state("paused, as asked")
-                if self._virtual:
-                    # whoever pauses lives in real time, and the bath need not race through days
-                    # meanwhile
-                    self._real.sleep(REAL_S)
-                self._attention.wait(PAUSE_POLL_S)

@@ -11,7 +11,7 @@ in real time needs no such thing, for its world went on. May not know instrument
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -92,8 +92,13 @@ def files_of(run: RunRecord) -> tuple[LoadedRig, LoadedScript]:
     script = load_script(
         _there(run.folder, Path(asked["script"]), SCRIPT), rig.rig.limits.set_point_c
     )
-    _refuse_changed(run.folder, rig.path, rig.text, "rig.toml")
-    _refuse_changed(run.folder, script.path, script.text, SCRIPT)
+    # the script of a Python file is what the file gives
+    for path, text, name in ((rig.path, rig.text, "rig.toml"), (script.path, script.text, SCRIPT)):
+        if text != read_text(run.folder / name):
+            raise ConfigError.plain(
+                f"{path} has changed since the run in {run.folder} began. Put back"
+                f" {run.folder / name}, or start a new run."
+            )
     if read_text(rig.calibration_path) != read_text(run.folder / "calibration.toml"):
         raise ConfigError.plain(
             f"{rig.calibration_path} has changed since the run in {run.folder} began. Start a new"
@@ -111,40 +116,10 @@ def _there(folder: Path, path: Path, name: str) -> Path:
     return path
 
 
-def _refuse_changed(folder: Path, path: Path, text: str, name: str) -> None:
-    """The script of a Python file is what the file gives."""
-    if text != read_text(folder / name):
-        raise ConfigError.plain(
-            f"{path} has changed since the run in {folder} began. Put back {folder / name}, or"
-            " start a new run."
-        )
-
-
-@dataclass(slots=True)
-class Compared:
-    """Touches gone through again beside those on record: ``differ`` are the trials where they
-    aren't the same.
-    """
-
-    record: Mapping[str, Sequence[Row]]
-    same: list[str] = field(default_factory=list)
-    differ: list[str] = field(default_factory=list)
-
-    def take(self, done: TrialRecord) -> None:
-        """One trial."""
-        trial = done.id
-        kept = self.record.get(trial)
-        if kept is not None:
-            (
-                self.same
-                if [row["counts"] for row in kept] == [row["counts"] for row in done.touches]
-                else self.differ
-            ).append(trial)
-
-
 class RehearsedStore(Store):
     """The store of a run whose finished trials are gone through again: it takes nothing that it
-    has, until ``go_live``.
+    has, until ``go_live``, and compares touches with those on record: ``differ`` are the trials
+    where they aren't the ``same``.
 
     Bath readings that the dead bench had not yet written are taken; whatever else it does is known.
     A check of the carried truth comes just before the trial that is new, so that the dead bench may
@@ -159,7 +134,11 @@ class RehearsedStore(Store):
         self._silent = True
         self._checks = {int(row["number"]) for row in left.run.checks}
         self._invalid = {trial.id for trial in left.run.trials if trial.invalid is not None}
-        self.compared = Compared({trial.id: trial.touches for trial in left.run.trials})
+        self._known = {
+            trial.id: [row["counts"] for row in trial.touches] for trial in left.run.trials
+        }
+        self.same: list[str] = []
+        self.differ: list[str] = []
 
     def go_live(self) -> None:
         """From now on everything is new."""
@@ -178,10 +157,13 @@ class RehearsedStore(Store):
             super().bath(reading)
 
     def finished(self, done: TrialRecord) -> None:
-        if self._silent:
-            self.compared.take(done)
-        else:
+        if not self._silent:
             super().finished(done)
+            return
+        trial = str(done.id)
+        if trial in self._known:
+            same = self._known[trial] == [row["counts"] for row in done.touches]
+            (self.same if same else self.differ).append(trial)
 
     def skipped(self, row: Row) -> None:
         if not self._silent:
@@ -203,16 +185,16 @@ def open_store(left: ResumePoint, *, rehearsed: bool) -> Store:
     """The run's store, open again for a further session; its folder says from now on that it is
     under way.
     """
-    folder = left.run.folder
-    store = RehearsedStore(left) if rehearsed else Store(folder)
-    if not rehearsed:
-        note_deaths(store, left)
+    if rehearsed:
+        return RehearsedStore(left)
+    store = Store(left.run.folder)
+    note_deaths(store, left)
     return store
 
 
 def note_deaths(store: Store, left: ResumePoint) -> None:
-    """Before anything else: what the last session died of, and that
-    the run has no ending any more.
+    """Before anything else: what the last session died of, and that the run has no ending any
+    more.
     """
     with store.step():
         store.fact(DEATHS, left.deaths)

@@ -17,14 +17,14 @@ from bench.record.writer import Store, new_run_folder
 from bench.results.answers import Examiner, close_detectors
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
+from bench.run.context import RunContext
 from bench.run.engine import Ending, Engine
 from bench.run.estimate import needs, read_learnt
+from bench.run.events import Events, Progress
 from bench.run.lock import lock_path, locked, run_lock
-from bench.run.metadata import write_facts
-from bench.run.progress import Progress
-from bench.run.recorder import RECORDED, Recorder, recorder_again
+from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
-from bench.run.rows import frame_rows, judged, truth_row
+from bench.run.rows import frame_rows, judged, truth_row, write_facts
 from bench.run.truth_source import refuse_carry
 from bench.safety.guardian_client import GuardianTarget, guarded
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
@@ -52,13 +52,14 @@ SAME_POSE_MM = 1.5
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What a command line says of how a run is run. ``typed`` gives lines that somebody typed, None
-    while there is none.
+    """What a command line says of how a run is run: ``seed`` and ``detectors`` instead of the rig's
+    and the script's; ``typed`` gives lines that somebody typed, None while there is none.
 
     ``begun`` gets a line for the person at the terminal: where the run is kept, and how long it
     takes.
     """
 
+    seed: int | None = None
     detectors: Sequence[str] = ()
     record: Path | None = None
     realtime: bool = False
@@ -72,36 +73,23 @@ def run_script(
     script: LoadedScript,
     out: Path,
     progress: Progress,
-    *,
-    seed: int | None = None,
-    detectors: Sequence[str] = (),
-    record: Path | None = None,
-    realtime: bool = False,
-    capture: Captures = NO_CAPTURE,
-    typed: Callable[[], str | None] = lambda: None,
-    begun: Callable[[str], None] = lambda _: None,
+    how: RunOptions | None = None,
 ) -> tuple[Path, Ending]:
-    """Run ``script`` on ``rig``; gives back the run's folder and how it ended.
+    """Run ``script`` on ``rig``, shown on ``progress`` (which may be the stream itself, `Events`);
+    gives back the run's folder and how it ended.
 
     Raises ConfigError before anything is opened, LatchedError where an interlock's trip has not
     been acknowledged, and RigInUseError.
     """
-    refuse_latched(rig)
+    how, events = how or RunOptions(), _stream(progress)
     refuse_carry(rig, script)
-    refuse_old_calibration(rig, script, wall_time().date())
-    refuse_untested_cut_out(rig, wall_time().date())
-    how = RunOptions(detectors, record, realtime, capture, typed, begun)
-    under_test = (
-        make_detectors(detectors)
-        if detectors
-        else make_detectors(script.script.detectors, script.path.parent)
-    )
-    used_seed = rig.rig.seed if seed is None else seed
-    with locked(lock_path(rig), str(out.resolve()), progress.warn):
-        recorder = Recorder(record, rig.calibration_path, progress.warn) if record else None
-        store = _begun(rig, script, out, under_test, used_seed, how)
-        with locked(run_lock(store.folder), "itself", progress.warn, "run"):
-            return _run(rig, script, store, under_test, progress, used_seed, how, recorder)
+    under_test = _allowed(rig, script, how.detectors)
+    how = replace(how, seed=rig.rig.seed if how.seed is None else how.seed)
+    with locked(lock_path(rig), str(out.resolve()), events.warn):
+        recorder = Recorder(how.record, rig.calibration_path, events.warn) if how.record else None
+        store = _begun(rig, script, out, under_test, how)
+        with locked(run_lock(store.folder), "itself", events.warn, "run"):
+            return _run(rig, script, store, under_test, events, how, recorder)
 
 
 def resume_run(
@@ -112,35 +100,48 @@ def resume_run(
 
     Seed, detectors, kind of time and where it is recorded are the run's own.
     """
-    how = how or RunOptions()
+    how, events = how or RunOptions(), _stream(progress)
     rig, script = files_of(run := read_run(folder))
     if rig.rig.cameras.url.startswith("recording:"):
         raise ConfigError.plain(
             f"{folder} can't be resumed: its cameras play a recording, which would begin anew."
             " Start a new run."
         )
-    refuse_latched(rig)
-    refuse_old_calibration(rig, script, wall_time().date())
-    refuse_untested_cut_out(rig, wall_time().date())
     asked = run.facts[ASKED]
-    names = tuple(asked["detectors"])
-    under_test = (
-        make_detectors(names)
-        if names
-        else make_detectors(script.script.detectors, script.path.parent)
+    how = replace(
+        how,
+        seed=int(run.facts["seed"]),
+        detectors=tuple(asked["detectors"]),
+        record=None,
+        realtime=bool(asked["realtime"]),
     )
-    how = replace(how, detectors=names, record=None, realtime=bool(asked["realtime"]))
+    under_test = _allowed(rig, script, how.detectors)
     here = str(folder.resolve())
     with (
-        locked(lock_path(rig), here, progress.warn),
+        locked(lock_path(rig), here, events.warn),
         locked(run_lock(folder), here, lambda _: None, "run"),
     ):
         left = what_is_left(folder, [trial.id for trial in script.planned])
-        recorder = recorder_again(left.run, rig.calibration_path, progress.warn)
+        recorder = recorder_again(left.run, rig.calibration_path, events.warn)
         store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
-        return _run(
-            rig, script, store, under_test, progress, int(run.facts["seed"]), how, recorder, left
-        )
+        return _run(rig, script, store, under_test, events, how, recorder, left)
+
+
+def _stream(progress: Progress) -> Events:
+    return progress if isinstance(progress, Events) else Events(progress)
+
+
+def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list[Detector]:
+    """The detectors under test, once nothing stands against a run. Raises LatchedError,
+    ConfigError.
+    """
+    today = wall_time().date()
+    refuse_latched(rig)
+    refuse_old_calibration(rig, script, today)
+    refuse_untested_cut_out(rig, today)
+    if names:
+        return make_detectors(names)
+    return make_detectors(script.script.detectors, script.path.parent)
 
 
 def _begun(
@@ -148,7 +149,6 @@ def _begun(
     script: LoadedScript,
     out: Path,
     under_test: Sequence[Detector],
-    seed: int,
     how: RunOptions,
 ) -> Store:
     """A new run folder that says what the run is."""
@@ -158,41 +158,38 @@ def _begun(
         **script.layout_files,
         **script.truth_files,
         **script.source_files,
+        "rig.toml": rig.text,
+        SCRIPT: script.text,
     }
-    files |= {"rig.toml": rig.text, SCRIPT: script.text}
-    kind = (
-        "emulated"
-        if rig.rig.all_emulated
-        else "recorded"
-        if rig.rig.cameras.url.startswith("recording:")
-        else "real"
-    )
+    recorded = rig.rig.cameras.url.startswith("recording:")
+    kind = "emulated" if rig.rig.all_emulated else "recorded" if recorded else "real"
     facts = {
         "kind": kind,
         "title": script.script.title,
         "about": script.script.about,
-        "seed": seed,
+        "seed": how.seed,
         "rig": rig.rig.name,
-    }
-    facts |= {
         "script": script.name,
         "set_point_c": script.script.bath.set_point_c,
         "planned": len(script.planned),
+        CALIBRATION_FACT: calibration_fact(
+            rig.calibration, wall_time().date(), emulated=kind == "emulated"
+        ),
+        "pose set": pose_set(
+            script.script.trials, script.planned, seed=script.script.seed, order=script.script.order
+        ),
+        **({RECORDED: str(how.record.resolve())} if how.record else {}),
+        ASKED: {
+            "rig": str(rig.path.resolve()),
+            "script": str(script.path.resolve()),
+            "detectors": list(how.detectors),
+            "realtime": how.realtime,
+        },
     }
-    facts[CALIBRATION_FACT] = calibration_fact(
-        rig.calibration, wall_time().date(), emulated=kind == "emulated"
-    )
-    facts["pose set"] = pose_set(
-        script.script.trials, script.planned, seed=script.script.seed, order=script.script.order
-    )
-    paths = {"rig": str(rig.path.resolve()), "script": str(script.path.resolve())}
-    asked = {**paths, "detectors": list(how.detectors), "realtime": how.realtime}
-    if how.record:
-        facts[RECORDED] = str(how.record.resolve())
     with undisturbed():  # a run that is there at all says what it is, and how it ended
         store = _new_store(out, script.name, files, rig.calibration_path)
         try:
-            write_facts(store, facts | {ASKED: asked}, under_test, rig.calibration_path)
+            write_facts(store, facts, under_test, rig.calibration_path)
         except BaseException:
             store.close()
             raise
@@ -204,8 +201,7 @@ def _run(
     script: LoadedScript,
     store: Store,
     under_test: Sequence[Detector],
-    progress: Progress,
-    seed: int,
+    events: Events,
     how: RunOptions,
     recorder: Recorder | None,
     left: ResumePoint | None = None,
@@ -214,47 +210,40 @@ def _run(
     try:
         try:
             current().check_interrupts()
-            start_s = left.last_s + BETWEEN_S if left else 0.0
-            expected, trials = (
-                needs(rig, script, read_learnt(store.folder.parent, rig)).time,
-                len(script.planned),
-            )
+            expected = needs(rig, script, read_learnt(store.folder.parent, rig)).time
+            trials = len(script.planned)
             to_do = trials - len(left.done) if left else trials
             left_s = expected.settling_s + to_do * expected.each_s(trials)
             how.begun(
                 f"{to_do} trials, {time_left(left_s)} of the bench's time. Run folder:"
                 f" {store.folder}"
             )
-            opened = open_instruments(
-                rig,
-                seed=seed,
-                realtime=how.realtime,
-                capture=how.capture,
-                screen=progress.aside,
-                start_s=start_s,
-            )
-            with opened as devices:
+            with (
+                events.kept_in(store.folder),
+                open_instruments(
+                    rig,
+                    seed=how.seed or 0,
+                    realtime=how.realtime,
+                    capture=how.capture,
+                    screen=events.aside,
+                    start_s=left.last_s + BETWEEN_S if left else 0.0,
+                ) as devices,
+            ):
                 refuse_other_cameras(rig.calibration.record, devices.cameras.identity)
-                bath, clock = devices.bath, devices.clock
                 charge = GuardianTarget(
-                    bath.url,
+                    devices.bath.url,
                     rig.profile_source,
-                    bath.pump_url,
+                    devices.bath.pump_url,
                     rig.relay_source,
                     rig.rig.bath.allow_inferred,
                 )
-                with guarded(charge, store.folder, clock) as (pulse, guardian_client):
+                with guarded(charge, store.folder, devices.clock) as (pulse, guardian_client):
+                    ctx = RunContext(rig, script, devices, store, events, pulse, guardian_client)
                     engine = Engine(
-                        rig,
-                        script,
-                        devices,
-                        store,
+                        ctx,
                         under_test,
-                        progress,
                         exact_ends=devices.exact_ends,
-                        sink=recorder,
-                        pulse=pulse,
-                        guardian_client=guardian_client,
+                        recorder=recorder,
                         left=left,
                         typed=how.typed,
                         expected=expected,
@@ -266,7 +255,11 @@ def _run(
                             guardian_client.done()
         # before the engine had the instruments: nothing was switched on
         except (InstrumentError, KeyboardInterrupt) as error:
-            return store.folder, _never_started(store, error)
+            if isinstance(store, RehearsedStore):
+                store.go_live()
+            if isinstance(error, KeyboardInterrupt):
+                return store.folder, _end(store, Ending.ABORTED, "interrupted (Ctrl-C)")
+            return store.folder, _end(store, Ending.FAULTED, str(error))
     finally:
         close_detectors(under_test)
         store.close()
@@ -312,8 +305,7 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
         _end(store, Ending.FINISHED)
         ended = True
     except KeyboardInterrupt:
-        store.event(None, "aborted", "interrupted (Ctrl-C)", wall_time())
-        _end(store, Ending.ABORTED)
+        _end(store, Ending.ABORTED, "interrupted (Ctrl-C)")
         ended = True
     finally:
         close_detectors(under_test)
@@ -367,20 +359,10 @@ def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -
         ) from error
 
 
-def _never_started(store: Store, error: BaseException) -> Ending:
-    aborted = isinstance(error, KeyboardInterrupt)
-    if isinstance(store, RehearsedStore):
-        store.go_live()
-    store.event(
-        None,
-        "aborted" if aborted else "fault",
-        "interrupted (Ctrl-C)" if aborted else str(error),
-        wall_time(),
-    )
-    return _end(store, Ending.ABORTED if aborted else Ending.FAULTED)
-
-
-def _end(store: Store, ending: Ending) -> Ending:
+def _end(store: Store, ending: Ending, why: str = "") -> Ending:
+    if why:
+        kind = "aborted" if ending is Ending.ABORTED else "fault"
+        store.event(None, kind, why, wall_time())
     store.event(None, "end", ending.value, wall_time())
     store.fact("ending", ending.value)
     store.fact("wall_ended", wall_time().isoformat(timespec="seconds"))

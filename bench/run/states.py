@@ -1,8 +1,8 @@
 """The states of a run and which may follow which: one table, which a test walks pair by pair and
-docs/runs.md draws.
+docs/runs.md draws and explains.
 
 Time spent away from the work (paused, or settling once more) is counted here, so that no figure of
-speed has it. May not know what is done in a state.
+speed has it.
 """
 
 from __future__ import annotations
@@ -41,19 +41,6 @@ TABLE: Mapping[RunState, frozenset[RunState]] = MappingProxyType(
         _S.FINISHED: frozenset(),
         _S.ABORTED: frozenset(),
         _S.FAULTED: frozenset(),
-    }
-)
-WHY: Mapping[RunState, str] = MappingProxyType(
-    {
-        _S.PLANNED: "files are read, the run's folder is there, nothing is switched on",
-        _S.PREPARING: "arm signed on and homed, arm check, stage homed, bath started",
-        _S.SETTLING: "waiting for the bath's stability gate, at first or once more",
-        _S.RUNNING: "trials",
-        _S.PAUSED: "somebody asked for it, or an instrument dropped out and is waited for",
-        _S.SAFING: "on the way to safe, whatever the reason",
-        _S.FINISHED: "all trials are in the record, or left out for a reason",
-        _S.ABORTED: "somebody ended it",
-        _S.FAULTED: "an instrument, an interlock, the disk or a mistake of the bench ended it",
     }
 )
 ENDS = frozenset(state for state, following in TABLE.items() if not following)
@@ -99,26 +86,3 @@ class RunStates:
     def away_s(self) -> float:
         """Seconds spent paused or settling so far."""
         return self._away_s + (self._now_s() - self._since_s if self.current in AWAY else 0.0)
-
-
-def drawing() -> str:
-    """The table as a Mermaid state diagram."""
-    lines = ["stateDiagram-v2", "    [*] --> planned"]
-    lines += [
-        f"    {state} --> {after}"
-        for state in RunState
-        for after in RunState
-        if after in TABLE[state]
-    ]
-    lines += [f"    {state} --> [*]" for state in RunState if state in ENDS]
-    return "\n".join(lines)
-
-
-def table_text() -> str:
-    """The table in Markdown: each state, what it means, and what may follow."""
-    rows = [
-        f"| {state} | {WHY[state]} |"
-        f" {', '.join(after for after in RunState if after in TABLE[state]) or '-'} |"
-        for state in RunState
-    ]
-    return "\n".join(["| state | what goes on | may be followed by |", "|---|---|---|", *rows])

@@ -1,7 +1,5 @@
-"""Builds the truth source that a script asks for, from the rig's settings and the open instruments.
-
-The one module of this package that knows the bench's other parts; what a source does then is its
-own business.
+"""Builds the truth source that a script asks for, from the rig's settings and the open instruments;
+what a source does then is in `bench.truth`.
 """
 
 from __future__ import annotations
@@ -11,14 +9,11 @@ from math import hypot
 
 from bench.config import ConfigError
 from bench.record.reader import RunRecord
-from bench.record.writer import Store
-from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
-from bench.run.context import Attention
+from bench.run.context import RunContext
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
-from bench.truth.arm_tip import TipReader
 from bench.truth.carrying import CarriedTruth, fixed_key, resumed
 from bench.truth.registration import Registration, RegistrationError
 from bench.truth.registration_file import as_facts, registration_from_facts, write_registration
@@ -32,6 +27,7 @@ from instruments.world.phantom import PlatePose
 
 REGISTRATION_FILE = "stage-registration.toml"  # in the run's folder, where it was made at its start
 URGENT = ("invalid", "registration")  # what the operator has to see, not only the record
+Settled = Callable[[Sequence[str], bool], None]
 
 
 def refuse_carry(rig: LoadedRig, script: LoadedScript) -> None:
@@ -56,15 +52,7 @@ def shown(trial: PlannedTrial, axes: str) -> ExpectedScene:
 
 
 def choose_truth(
-    rig: LoadedRig,
-    script: LoadedScript,
-    devices: Devices,
-    tip: TipReader,
-    store: Store,
-    attention: Attention,
-    settled: Callable[[Sequence[str], bool], None],
-    *,
-    before: RunRecord | None = None,
+    ctx: RunContext, settled: Settled, *, before: RunRecord | None = None
 ) -> TouchedTruth:
     """The source for a run. ``settled`` is told which carried trials a check has confirmed (True)
     or invalidated.
@@ -72,124 +60,94 @@ def choose_truth(
     ``before`` is what a stopped run left, where it is to go on: its registration and its reference
     are used further.
     """
-    table, stage, arm = script.script.truth, devices.stage, rig.rig.arm
-    toucher = Toucher(devices.operator, tip, arm, devices.clock, attention.check, table.readings)
+    table, stage, settings = ctx.script.script.truth, ctx.devices.stage, ctx.rig.rig.stage
+    toucher = Toucher(ctx.ask, ctx.tip, ctx.rig.rig.arm, ctx.clock, ctx.check, table.readings)
     if table.mode == "touch":
         return TouchedTruth(toucher, lambda: None if stage is None else stands_at(stage))
-    if stage is None or rig.rig.stage is None:
+    if stage is None or settings is None:
         raise ValueError("a truth can't be carried without a stage; refuse_carry says so before")
-    maker = _Maker(rig, script, devices, stage, rig.rig.stage, toucher, store, attention)
     known = registration_from_facts(before.facts) if before else None
-    registration = maker.registration if known is None else lambda: known
+
+    def tell(kind: str, text: str) -> None:
+        ctx.event(kind, text)
+        (ctx.events.warn if kind in URGENT else ctx.events.state)(text)
+
     return CarriedTruth(
         toucher,
-        registration,
+        lambda: known or _registration(ctx, stage, settings, toucher),
         lambda: stands_at(stage),
-        store,
+        ctx.store,
         settled,
-        _telling(attention),
-        devices.clock.now,
+        tell,
+        ctx.clock.now,
         every=table.check_every,
         limit_mm=table.check_limit_mm,
         state=resumed(before) if before else None,
     )
 
 
-def _telling(attention: Attention) -> Callable[[str, str], None]:
-    def tell(kind: str, text: str) -> None:
-        attention.event(kind, text)
-        (attention.progress.warn if kind in URGENT else attention.progress.state)(text)
+def _registration(
+    ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Toucher
+) -> Registration:
+    """The one that the script asks for: its file's, or one made now; either is a fact of the run.
 
-    return tell
-
-
-class _Maker:
-    """Gives the registration that the script asks for: its file's, or one made now; either is a
-    fact of the run.
+    Raises LimitError where the file's doesn't hold any more, DeviceError where the touches give
+    none, and as the instruments do.
     """
-
-    def __init__(
-        self,
-        rig: LoadedRig,
-        script: LoadedScript,
-        devices: Devices,
-        stage: Stage,
-        settings: StageSettings,
-        toucher: Toucher,
-        store: Store,
-        attention: Attention,
-    ) -> None:
-        self._rig = rig
-        self._script = script
-        self._devices = devices
-        self._stage = stage
-        self._settings = settings
-        self._toucher = toucher
-        self._store = store
-        self._attention = attention
-
-    def registration(self) -> Registration:
-        """Raises LimitError where the file's doesn't hold any more, DeviceError where the touches
-        give none, and as the instruments do.
-        """
-        found = self._script.registration
-        if found is None:
-            found = self._made()
-        else:
-            self._refuse_outdated(found)
-        for key, value in as_facts(found).items():
-            self._store.fact(key, value)
-        return found
-
-    def _refuse_outdated(self, found: Registration) -> None:
-        """The world that it was made in has to be the one that the arm gives now."""
-        frame = self._rig.frame
-        why = found.outdated(
-            self._devices.arm.identity.serial_number, frame.made if frame else None
-        )
-        if why:
-            name = self._script.script.truth.file
+    found = ctx.script.registration
+    if found is None:
+        found = _made(ctx, stage, settings, toucher)
+    else:
+        # the world that it was made in has to be the one that the arm gives now
+        made = ctx.rig.frame.made if ctx.rig.frame else None
+        if why := found.outdated(ctx.devices.arm.identity.serial_number, made):
             raise LimitError(
                 "stage",
-                f"its registration {name} {why}",
+                f"its registration {ctx.script.script.truth.file} {why}",
                 hint="Make it anew: 'teatbench calibrate stage'",
             )
+    for key, value in as_facts(found).items():
+        ctx.store.fact(key, value)
+    return found
 
-    def _made(self) -> Registration:
-        first, arm, table = self._script.planned[0], self._rig.rig.arm, self._script.script.truth
-        if table.registration_teat > len(first.phantom.teats):
-            what = (
-                f"registration_teat = {table.registration_teat}, but the first trial's phantom has"
-                f" {len(first.phantom.teats)} teats"
-            )
-            raise DeviceError("truth", what, hint="Name one of them in the script's [truth].")
-        self._devices.operator.set_up(first.arrangement(self._settings.axes))
-        try:
-            made = register(
-                self._stage,
-                self._settings,
-                self._toucher,
-                first.phantom,
-                self._poses(),
-                teat=table.registration_teat,
-                u_mm=hypot(end_u_mm(arm, self._toucher.readings), self._settings.repeatability_mm),
-                made=wall_time().replace(microsecond=0),
-                serial_number=self._devices.arm.identity.serial_number,
-                tell=self._tell,
-            )
-        except RegistrationError as error:
-            raise DeviceError(
-                "stage", str(error), hint="Name other places in the script's registration_at_mm."
-            ) from error
-        write_registration(self._store.folder / REGISTRATION_FILE, made)
-        return made
 
-    def _poses(self) -> tuple[PlatePose, ...]:
-        named = self._script.script.truth.registration_at_mm
-        if named:
-            return tuple(PlatePose(x, y) for x, y in named)
-        return around(shared(trial.pose, self._settings.axes)[0] for trial in self._script.planned)
+def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Toucher) -> Registration:
+    planned, table = ctx.script.planned, ctx.script.script.truth
+    phantom, teat = planned[0].phantom, table.registration_teat
+    if teat > len(phantom.teats):
+        what = (
+            f"registration_teat = {teat}, but the first trial's phantom has"
+            f" {len(phantom.teats)} teats"
+        )
+        raise DeviceError("truth", what, hint="Name one of them in the script's [truth].")
+    ctx.ask(planned[0].arrangement(settings.axes))
+    at_mm = table.registration_at_mm
+    poses = (
+        tuple(PlatePose(x, y) for x, y in at_mm)
+        if at_mm
+        else around(shared(trial.pose, settings.axes)[0] for trial in planned)
+    )
 
-    def _tell(self, text: str) -> None:
-        self._attention.note(text)
-        self._attention.long("moving the stage", 600.0)
+    def tell(text: str) -> None:
+        ctx.note(text)
+        ctx.long("moving the stage", 600.0)
+
+    try:
+        made = register(
+            stage,
+            settings,
+            toucher,
+            phantom,
+            poses,
+            teat=teat,
+            u_mm=hypot(end_u_mm(ctx.rig.rig.arm, toucher.readings), settings.repeatability_mm),
+            made=wall_time().replace(microsecond=0),
+            serial_number=ctx.devices.arm.identity.serial_number,
+            tell=tell,
+        )
+    except RegistrationError as error:
+        raise DeviceError(
+            "stage", str(error), hint="Name other places in the script's registration_at_mm."
+        ) from error
+    write_registration(ctx.store.folder / REGISTRATION_FILE, made)
+    return made

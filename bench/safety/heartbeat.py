@@ -9,14 +9,10 @@ not know who looks.
 
 from __future__ import annotations
 
-import math
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 from instruments.clock import stopwatch_s
-from instruments.operators.operator import Arrangement, BoardAsked, Operator, Placed
 
 BRIEF_S = 10.0  # what needs no word of its own is over by then
 
@@ -86,57 +82,3 @@ class Heartbeat:
                         f"{who} hangs: {doing.what}, and no sign of life for {doing.silence_s:g} s"
                     )
         return None
-
-
-class AwaitedOperator:
-    """An operator who may take his time: the thread that waits for him doesn't hang."""
-
-    def __init__(self, operator: Operator, pulse: Heartbeat) -> None:
-        self._operator = operator
-        self._pulse = pulse
-
-    def check_interrupts(self, check: Callable[[], None]) -> None:
-        self._operator.check_interrupts(check)
-
-    def next_trial(self, number: int, of: int, left_s: float | None) -> None:
-        self._operator.next_trial(number, of, left_s)
-
-    def confirm_homing(self, instruction: str) -> None:
-        with self._waiting("the arm to be put on its peg"):
-            self._operator.confirm_homing(instruction)
-
-    def touch_check_point(self, touch: int, of: int) -> None:
-        with self._waiting("the check point to be touched"):
-            self._operator.touch_check_point(touch, of)
-
-    def set_up(self, arrangement: Arrangement) -> Placed:
-        with self._waiting("the scene to be set up"):
-            return self._operator.set_up(arrangement)
-
-    def touch(
-        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
-    ) -> None:
-        with self._waiting(f"teat {teat} to be touched"):
-            self._operator.touch(teat, of, number=number, numbers=numbers, again=again)
-
-    def hold_board(self, asked: BoardAsked) -> None:
-        with self._waiting("a calibration board to be held"):
-            self._operator.hold_board(asked)
-
-    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
-        with self._waiting(f"point {corner} of the board to be touched"):
-            self._operator.touch_board(corner, instruction, again=again)
-
-    def release(self) -> None:
-        self._operator.release()
-
-    def finish(self) -> None:
-        self._operator.finish()
-
-    @contextmanager
-    def _waiting(self, what: str) -> Iterator[None]:
-        self._pulse.sign(f"waiting for {what}", math.inf)
-        try:
-            yield
-        finally:
-            self._pulse.sign("going on")

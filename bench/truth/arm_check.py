@@ -9,7 +9,7 @@ and the script's requirement decides.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -17,28 +17,26 @@ from bench.rig.arm_files import LocationTest
 from bench.rig.model import Arm
 from bench.truth.arm_tip import TipReader
 from instruments.clock import Clock
+from instruments.operators.operator import CheckPoint, Release, Request
 
 BEFORE, AFTER = "before", "after"
 CHECK_FACT = "arm check {}"  # before, after
 
 
-class CheckingOperator(Protocol):
-    """Whoever brings the tip into the divot."""
-
-    def touch_check_point(self, touch: int, of: int) -> None: ...
-    def release(self) -> None: ...
-
-
 def check_arm(
-    operator: CheckingOperator, tip: TipReader, arm: Arm, clock: Clock, check: Callable[[], None]
+    ask: Callable[[Request], object],
+    tip: TipReader,
+    arm: Arm,
+    clock: Clock,
+    check: Callable[[], None],
 ) -> dict[str, Any]:
-    """Touch the rig's check point; gives back the fact to store. ``check`` is called before each
-    touch, and may raise.
+    """Have the operator touch the rig's check point; gives back the fact to store. ``check`` is
+    called before each touch, and may raise.
     """
     touches = []
     for touch in range(1, arm.check_touches + 1):
         check()
-        operator.touch_check_point(touch, arm.check_touches)
+        ask(CheckPoint(touch, arm.check_touches))
         seen = tip.read()
         touches.append(
             {
@@ -49,7 +47,7 @@ def check_arm(
                 "counts": [int(count) for count in seen.counts],
             }
         )
-    operator.release()
+    ask(Release())
     return {"check_point_mm": arm.check_point_mm, "touches": touches}
 
 

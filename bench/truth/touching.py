@@ -19,7 +19,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from bench.truth.uncertainty import Floats, How, Triple, TruthPoint, reading_u_m
 from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError
 from instruments.microscribe.errors import ArmMovesError
+from instruments.operators.operator import Release, Request, Touch
 from instruments.teat_end import end_under_ball_mm
 
 SPARE = 4  # touches of one end beyond those that are asked for, before it is given up
@@ -45,15 +46,6 @@ class NoTruthError(DeviceError):
     """A teat end could not be touched well: the touches asked for again were refused too. The trial
     has no truth.
     """
-
-
-class TouchingOperator(Protocol):
-    """Whoever brings the tip to the ends."""
-
-    def touch(
-        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
-    ) -> None: ...
-    def release(self) -> None: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,20 +63,20 @@ class Ends:
 
 
 class Toucher:
-    """Touches with ``arm``'s settings, ``readings`` an end. ``check`` is called before each touch,
-    and may raise.
+    """Has the operator touch by ``ask``, with ``arm``'s settings, ``readings`` an end. ``check`` is
+    called before each touch, and may raise.
     """
 
     def __init__(
         self,
-        operator: TouchingOperator,
+        ask: Callable[[Request], object],
         tip: TipReader,
         arm: Arm,
         clock: Clock,
         check: Callable[[], None],
         readings: int | None = None,
     ) -> None:
-        self._operator = operator
+        self._ask = ask
         self._arm = arm
         self._clock = clock
         self._check = check
@@ -101,13 +93,13 @@ class Toucher:
             places = {other: np.array(point.point_mm) for other, point in done.items()}
             done[teat], touches = self._touch_end(teat, ends, places)
             rows += touches
-        self._operator.release()
+        self._ask(Release())
         return list(done.values()), rows
 
     def touch_one(self, teat: int, ends: Ends) -> tuple[TruthPoint, list[Row]]:
         """The same for one end alone."""
         point, rows = self._touch_end(teat, ends, {})
-        self._operator.release()
+        self._ask(Release())
         return point, rows
 
     def _touch_end(
@@ -123,7 +115,7 @@ class Toucher:
             self._check()
             number = self.readings - missing + 1
             of = len(ends.expected_mm)
-            self._operator.touch(teat, of, number=number, numbers=self.readings, again=again)
+            self._ask(Touch(teat, of, number, self.readings, again))
             try:
                 end, row = self._read(teat, len(taken) + 1, ends.axes[teat - 1])
             except ArmMovesError as error:

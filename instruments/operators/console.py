@@ -28,6 +28,7 @@ from instruments.operators.operator import (
     Prompt,
     understood,
 )
+from instruments.operators.prompted import PromptedOperator
 
 CTRL_C, CTRL_Z, BACKSPACE, FUNCTION_KEYS = "\x03", "\x1a", "\b", "\x00\xe0"
 CHUNK = 1024
@@ -157,11 +158,7 @@ WISHES = (OperatorAbort, OperatorSkip, OperatorRepeat, OperatorEnough)
 Pedal = Callable[[float], bool]
 
 
-def _no_check() -> None:
-    """For prompts outside of runs: nothing watches."""
-
-
-class Console:
+class Console(PromptedOperator):
     """Prompts on ``out``, answers from ``answers``, whose end is an abort.
 
     ``watch`` is called for each touch and gives a function that waits for a pedal; only for a
@@ -197,31 +194,25 @@ class Console:
         with self._screen():
             self._write(text + "\n")
 
-    def finish(self) -> None:
-        """A person's answers are never left over."""
-
-    def ask(self, prompt: Prompt | str, check: Callable[[], None] = _no_check) -> frozenset[int]:
-        """The numbers of hidden teat ends in the answer; none where not asked for. Raises
-        OperatorAbort, OperatorSkip, OperatorRepeat, and what ``check`` and the pedals raise.
-        """
-        asked = Prompt("task", prompt) if isinstance(prompt, str) else prompt
+    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+        """As the base, and what the pedals raise."""
         with self._screen():
             # Enter pressed twice must not answer the next question, but no abort is lost
             for line in self._keyboard.typed_ahead():
                 if line.strip().lower() in ABORT:
                     raise OperatorAbort("the operator aborted the run")
-            self._write(
-                f"\n[{asked.progress}] {asked.text}\n" if asked.progress else f"\n{asked.text}\n"
-            )
+            progress = f"[{prompt.progress}] " if prompt.progress else ""
+            self._write(f"\n{progress}{prompt.text}\n")
             try:
-                return self._answer(asked, check)
+                return self._answer(prompt, check)
             except (Exception, KeyboardInterrupt) as why:
-                self._withdraw(why)
+                # ended without an answer: say why, unless that is what was answered
+                if not isinstance(why, WISHES):
+                    with contextlib.suppress(OperatorAbort):
+                        self._write(
+                            f"\nNo answer is needed any more: {str(why) or 'interrupted'}\n"
+                        )
                 raise
-
-    def ask_touch(self, text: str) -> None:
-        """As ``ask``, and a pedal is as good as Enter."""
-        self.ask(Prompt("task", text, pedal=True))
 
     def _answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
         """Ask until the answer is understood."""
@@ -271,12 +262,6 @@ class Console:
         if not line:
             raise OperatorAbort(GONE)
         return line
-
-    def _withdraw(self, why: BaseException) -> None:
-        """The prompt ended without an answer: say why, unless that is what was answered."""
-        with contextlib.suppress(OperatorAbort):
-            if not isinstance(why, WISHES):
-                self._write(f"\nNo answer is needed any more: {str(why) or 'interrupted'}\n")
 
     def _write(self, text: str) -> None:
         try:

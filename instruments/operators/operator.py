@@ -1,8 +1,9 @@
 """What the bench asks of whoever places the phantom and touches the teat ends, and what answers
 mean.
 
-A person at a terminal, a script of answers and the emulated operator share this protocol. Each
-method returns once it is done, or raises what the operator wants instead.
+One method, `Operator.ask`, and four who answer it: a person at a terminal, a file of answers, the
+emulated hands, and those of another process. `ask` returns once what was asked is done, or raises
+what the operator wants instead.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ class OperatorAbort(Exception):  # noqa: N818 - a wish, not a fault
 
 
 class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
-    """This trial can't be done, for the ``reason``. Raised by ``set_up`` and ``touch`` only."""
+    """This trial can't be done, for the ``reason``. Answers an `Arrangement` and a `Touch` only."""
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
@@ -29,8 +30,8 @@ class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
 
 
 class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
-    """Repeat this trial from its set-up; ``reason`` may be empty. Raised by ``set_up`` and
-    ``touch`` only.
+    """Repeat this trial from its set-up; ``reason`` may be empty. Answers an `Arrangement` and a
+    `Touch` only.
     """
 
     def __init__(self, reason: str = "") -> None:
@@ -39,29 +40,30 @@ class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
 
 
 class OperatorEnough(Exception):  # noqa: N818 - a wish, not a fault
-    """No more boards. Raised by ``hold_board`` only, where the board need not be ``fixed``."""
+    """No more boards. Answers a `BoardAsked` only, where the board need not be ``fixed``."""
 
 
 @dataclass(frozen=True, slots=True)
-class BoardAsked:
-    """A calibration board for the ``number``-th time (from 1); ``instruction`` is for a person.
+class Homing:
+    """The arm's stylus is to be put on its peg, as ``instruction`` says."""
 
-    ``pattern``: what is printed; ``cameras``: those that shall see all of it; ``heated``: its dark
-    parts are to be warmer; ``fixed``: it stays, for the arm to touch. The phantom is out of the
-    way.
+    instruction: str
+
+
+@dataclass(frozen=True, slots=True)
+class CheckPoint:
+    """The tip is to be held in the check point's divot, for the ``touch``-th time (from 1) of
+    ``of``. The stylus leans differently each time, so that wrist and elbow swing.
     """
 
-    pattern: Pattern
-    instruction: str
-    number: int
-    cameras: tuple[str, ...] = ("left", "right")
-    heated: bool = False
-    fixed: bool = False
+    touch: int
+    of: int
 
 
 @dataclass(frozen=True, slots=True)
 class Arrangement:
     """How the phantom stands and what else is in the scene; ``instruction`` says it to a person.
+    The answer says which ends are visible.
 
     ``phantom``: teats on their plate; ``objects``: keyword tables of other things; ``pose``: of the
     plate relative to its reference, zero where a stage moves it; ``unattended``: nothing was
@@ -84,69 +86,117 @@ class Arrangement:
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
-    """What was set up. ``visible[i]`` is False for a teat end that some camera can't see."""
+class Touch:
+    """The tip is to be held still on the end of teat ``teat`` (from 1) of ``of``.
 
-    visible: tuple[bool, ...]
+    Touch ``number`` of ``numbers`` of that end; ``again`` says why it is repeated.
+    """
+
+    teat: int
+    of: int
+    number: int = 1
+    numbers: int = 1
+    again: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BoardAsked:
+    """A calibration board for the ``number``-th time (from 1); ``instruction`` is for a person.
+
+    ``pattern``: what is printed; ``cameras``: those that shall see all of it; ``heated``: its dark
+    parts are to be warmer; ``fixed``: it stays, for the arm to touch. The phantom is out of the
+    way.
+    """
+
+    pattern: Pattern
+    instruction: str
+    number: int
+    cameras: tuple[str, ...] = ("left", "right")
+    heated: bool = False
+    fixed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class BoardTouch:
+    """The tip is to be held on point ``corner`` (from 0, of the pattern's `corners_mm`) of the
+    fixed board. ``instruction`` names it, ``again`` says why it is repeated.
+    """
+
+    corner: int
+    instruction: str
+    again: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Anything else that a person is to do, as ``text`` says; ``pedal``: as good as Enter."""
+
+    text: str
+    pedal: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class NextTrial:
+    """Trial ``number`` (from 1) of ``of`` is next; ``left_s`` of the run (None: unknown)."""
+
+    number: int
+    of: int
+    left_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """The readings are taken; the arm may be put away from the scene."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """Nothing more will be asked. Raises ProtocolError where answers are left over."""
+
+
+Awaited = Homing | CheckPoint | Arrangement | Touch | BoardAsked | BoardTouch | Task
+Notice = NextTrial | Release | Finish  # nobody waits for an answer to these
+Request = Awaited | Notice
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """To an `Arrangement`: ``visible[i]`` is False for a teat end that some camera can't see. Empty
+    for all others.
+    """
+
+    visible: tuple[bool, ...] = ()
+
+
+DONE = Answer()
+
+
+def no_check() -> None:
+    """For requests outside of runs: nothing watches."""
 
 
 class Operator(Protocol):
     """Asked in this order: homing, check point, set-up and touches of each trial, check point."""
 
-    def check_interrupts(self, check: Callable[[], None]) -> None:
-        """Call ``check`` repeatedly while a prompt waits; what it raises ends the prompt."""
-        ...
+    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+        """Return once ``request`` is done. ``check`` is called repeatedly while it waits; what it
+        raises ends the wait; a `Notice` waits for nothing and checks nothing.
 
-    def next_trial(self, number: int, of: int, left_s: float | None) -> None:
-        """Trial ``number`` (from 1) of ``of`` is next; ``left_s`` of the run (None: unknown)."""
-        ...
-
-    def confirm_homing(self, instruction: str) -> None:
-        """Return once the arm's stylus is on its peg. Raises OperatorAbort."""
-        ...
-
-    def touch_check_point(self, touch: int, of: int) -> None:
-        """Return once the tip is still in the check point's divot, for the ``touch``-th time (from
-        1). The stylus leans differently each time, so that wrist and elbow swing. Raises
-        OperatorAbort.
+        Raises OperatorAbort, OperatorSkip, OperatorRepeat, OperatorEnough, InstrumentError.
         """
-        ...
-
-    def set_up(self, arrangement: Arrangement) -> Placed:
-        """Return once the scene is set up. Raises OperatorAbort, OperatorSkip, OperatorRepeat."""
-        ...
-
-    def touch(
-        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
-    ) -> None:
-        """Return once the tip is still on the end of teat ``teat`` (from 1) of ``of``.
-
-        Touch ``number`` of ``numbers`` of that end; ``again`` says why it is repeated. Raises
-        OperatorAbort, OperatorSkip, OperatorRepeat.
-        """
-        ...
-
-    def hold_board(self, asked: BoardAsked) -> None:
-        """Return once a board is held still as asked. Raises OperatorAbort, OperatorEnough."""
-        ...
-
-    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
-        """Return once the tip is on point ``corner`` (from 0, of the pattern's `corners_mm`) of the
-        fixed board. ``instruction`` names it, ``again`` says why it is repeated. Raises
-        OperatorAbort.
-        """
-        ...
-
-    def release(self) -> None:
-        """The reading is taken; the arm may be put away from the scene."""
-        ...
-
-    def finish(self) -> None:
-        """The run is over. Raises ProtocolError where answers are left over."""
         ...
 
 
 Kind = Literal["homing", "check point", "set up", "touch", "board", "corner", "task"]
+KIND_OF: Mapping[type, Kind] = {
+    Homing: "homing",
+    CheckPoint: "check point",
+    Arrangement: "set up",
+    Touch: "touch",
+    BoardAsked: "board",
+    BoardTouch: "corner",
+    Task: "task",
+}
 IN_TRIALS: tuple[Kind, ...] = ("set up", "touch")  # what may be skipped or repeated
 
 GO = ("go",)

@@ -1,23 +1,33 @@
-"""An operator who is asked in words, with the run's progress.
-
-Who answers (terminal or script) is an argument; so are the emulated hands that follow each "go on"
-on an emulated rig.
+"""An operator who is asked in words, with the run's progress; the terminal and the file of answers
+are two of them.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
 
 from instruments.operators.operator import (
+    DONE,
+    Answer,
     Arrangement,
+    Awaited,
     BoardAsked,
+    BoardTouch,
+    CheckPoint,
+    Finish,
+    Homing,
+    NextTrial,
     Operator,
     OperatorRepeat,
     OperatorSkip,
-    Placed,
     Prompt,
+    Release,
+    Request,
+    Task,
+    Touch,
+    no_check,
     time_left,
 )
 
@@ -30,134 +40,111 @@ LEANS = (
 )
 
 
-class Answerer(Protocol):
-    """Who answers prompts."""
+class PromptedOperator(ABC):
+    """``hands``, if given, do what was agreed: emulated ones, that follow each "go on"."""
 
-    def ask(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+    hands: Operator | None = None
+    _trial: NextTrial | None = None
+    _stands: tuple[Arrangement, frozenset[int]] | None = None
+
+    @abstractmethod
+    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
         """The numbers of hidden teat ends in the answer; ``check`` is called while it waits. Raises
         OperatorAbort, OperatorSkip, OperatorRepeat, what ``check`` raises, and ProtocolError.
         """
-        ...
 
+    @abstractmethod
     def say(self, text: str) -> None:
         """Show ``text``."""
-        ...
 
-    def finish(self) -> None:
+    def finish(self) -> None:  # noqa: B027 - a person's answers are never left over
         """Nothing more will be asked. Raises ProtocolError where answers are left over."""
-        ...
 
+    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+        hidden: frozenset[int] = frozenset()
+        if isinstance(request, Finish):
+            self.finish()
+        elif isinstance(request, NextTrial):
+            self._trial = request
+        elif isinstance(request, Release):
+            self.say("Readings taken; the arm may be put away.")
+        elif isinstance(request, Arrangement):
+            hidden = self._set_up(request, check)
+        else:
+            self._asked(request, check)
+        seen = DONE if self.hands is None else self.hands.ask(request, check)
+        if not isinstance(request, Arrangement) or (seen.visible and not hidden):
+            return seen
+        return Answer(tuple(teat not in hidden for teat in range(1, request.teats + 1)))
 
-class PromptedOperator:
-    """An `Operator` that asks ``answerer``; ``hands``, if given, do what was agreed."""
-
-    def __init__(self, answerer: Answerer, hands: Operator | None = None) -> None:
-        self._answerer = answerer
-        self._hands = hands
-        self._check: Callable[[], None] = lambda: None
-        self._trial: tuple[int, int, float | None] | None = None
-        self._names: tuple[str, ...] = ()
-        self._stands: tuple[Arrangement, frozenset[int]] | None = None
-
-    def check_interrupts(self, check: Callable[[], None]) -> None:
-        self._check = check
-        if self._hands:
-            self._hands.check_interrupts(check)
-
-    def next_trial(self, number: int, of: int, left_s: float | None) -> None:
-        self._trial = (number, of, left_s)
-        if self._hands:
-            self._hands.next_trial(number, of, left_s)
-
-    def confirm_homing(self, instruction: str) -> None:
-        self._ask(Prompt("homing", instruction))
-        if self._hands:
-            self._hands.confirm_homing(instruction)
-
-    def touch_check_point(self, touch: int, of: int) -> None:
-        lean = LEANS[(touch - 1) % len(LEANS)]
-        text = (
-            f"Arm check: put the tip into the divot of the check point, the stylus {lean}, and hold"
-            " it still."
-        )
-        self._ask(Prompt("check point", text, progress=f"touch {touch} of {of}", pedal=True))
-        if self._hands:
-            self._hands.touch_check_point(touch, of)
-
-    def set_up(self, arrangement: Arrangement) -> Placed:
-        self._names = tuple(teat.name for teat in arrangement.phantom.teats)
-        text = (
-            f"Situation {arrangement.situation}, layout"
-            f" {arrangement.phantom.name}:\n{arrangement.instruction}"
-        )
-        attended = replace(arrangement, unattended=False)
-        if arrangement.unattended and self._stands and self._stands[0] == attended:
+    def _set_up(self, request: Arrangement, check: Callable[[], None]) -> frozenset[int]:
+        attended = replace(request, unattended=False)
+        if request.unattended and self._stands and self._stands[0] == attended:
             hidden = self._stands[1]
         else:
-            hidden = self._ask(
-                Prompt("set up", text, progress=self._progress(), hidden_to=arrangement.teats)
-            )
+            hidden = self._asked(request, check)
         self._stands = attended, hidden
-        if self._hands:
-            seen = self._hands.set_up(arrangement)
-            if not hidden:
-                return seen
-        return Placed(tuple(teat not in hidden for teat in range(1, arrangement.teats + 1)))
+        return hidden
 
-    def touch(
-        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
-    ) -> None:
-        if again:
-            self._answerer.say(again)
-        name = self._names[teat - 1] if teat <= len(self._names) else ""
-        which = f"{teat} ({name})" if name else f"{teat}"
-        text = (
-            f"{'Once more: touch' if again else 'Touch'} the end of teat {which} of {of} with the"
-            " tip and hold it still."
-        )
-        progress = self._progress(
-            f"teat {teat} of {of}", *([f"touch {number} of {numbers}"] if numbers > 1 else [])
-        )
-        self._ask(Prompt("touch", text, progress=progress, pedal=True))
-        if self._hands:
-            self._hands.touch(teat, of, number=number, numbers=numbers, again=again)
-
-    def hold_board(self, asked: BoardAsked) -> None:
-        progress = f"{'position' if asked.fixed else 'view'} {asked.number}"
-        self._ask(
-            Prompt(
-                "board", asked.instruction, progress=progress, pedal=True, enough=not asked.fixed
-            )
-        )
-        if self._hands:
-            self._hands.hold_board(asked)
-
-    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
-        if again:
-            self._answerer.say(again)
-        self._ask(Prompt("corner", instruction, pedal=True))
-        if self._hands:
-            self._hands.touch_board(corner, instruction, again=again)
-
-    def release(self) -> None:
-        self._answerer.say("Readings taken; the arm may be put away.")
-        if self._hands:
-            self._hands.release()
-
-    def finish(self) -> None:
-        self._answerer.finish()
-
-    def _ask(self, prompt: Prompt) -> frozenset[int]:
+    def _asked(self, request: Awaited, check: Callable[[], None]) -> frozenset[int]:
+        if isinstance(request, Touch | BoardTouch) and request.again:
+            self.say(request.again)
         try:
-            return self._answerer.ask(prompt, self._check)
+            return self.answer(self.prompt(request), check)
         except (OperatorSkip, OperatorRepeat):
-            if self._hands:
-                self._hands.release()
+            if self.hands:
+                self.hands.ask(Release())
             raise
+
+    def prompt(self, request: Awaited) -> Prompt:
+        """``request`` in words."""
+        match request:
+            case Homing(instruction):
+                return Prompt("homing", instruction)
+            case CheckPoint(touch, of):
+                lean = LEANS[(touch - 1) % len(LEANS)]
+                text = (
+                    "Arm check: put the tip into the divot of the check point, the stylus"
+                    f" {lean}, and hold it still."
+                )
+                return Prompt("check point", text, progress=f"touch {touch} of {of}", pedal=True)
+            case Arrangement():
+                text = (
+                    f"Situation {request.situation}, layout"
+                    f" {request.phantom.name}:\n{request.instruction}"
+                )
+                return Prompt("set up", text, progress=self._progress(), hidden_to=request.teats)
+            case Touch():
+                return self._touch(request)
+            case BoardAsked():
+                progress = f"{'position' if request.fixed else 'view'} {request.number}"
+                return Prompt(
+                    "board",
+                    request.instruction,
+                    progress=progress,
+                    pedal=True,
+                    enough=not request.fixed,
+                )
+            case BoardTouch():
+                return Prompt("corner", request.instruction, pedal=True)
+            case Task(text, pedal):
+                return Prompt("task", text, pedal=pedal)
+
+    def _touch(self, request: Touch) -> Prompt:
+        teats = self._stands[0].phantom.teats if self._stands else ()
+        teat, of = request.teat, request.of
+        name = teats[teat - 1].name if teat <= len(teats) else ""
+        text = (
+            f"{'Once more: touch' if request.again else 'Touch'} the end of teat"
+            f" {f'{teat} ({name})' if name else teat} of {of} with the tip and hold it still."
+        )
+        each = [f"touch {request.number} of {request.numbers}"] if request.numbers > 1 else []
+        progress = self._progress(f"teat {teat} of {of}", *each)
+        return Prompt("touch", text, progress=progress, pedal=True)
 
     def _progress(self, *further: str) -> str:
         if self._trial is None:
             return ", ".join(further)
-        number, of, left_s = self._trial
-        said = ", ".join([f"trial {number} of {of}", *further])
+        said = ", ".join([f"trial {self._trial.number} of {self._trial.of}", *further])
+        left_s = self._trial.left_s
         return said if left_s is None else f"{said}; {time_left(left_s)}"

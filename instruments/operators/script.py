@@ -21,6 +21,7 @@ from instruments.operators.operator import (
     Prompt,
     understood,
 )
+from instruments.operators.prompted import PromptedOperator
 
 # in an answer that names hidden ends; how many there are is known only when it is given
 MOST_TEATS = 99
@@ -73,8 +74,8 @@ def check_answer(to: Kind, answer: str) -> None:
         return
 
 
-class ScriptedAnswers:
-    """Answers a `PromptedOperator`. ``source`` is for errors, ``show`` gets prompts and answers."""
+class ScriptedAnswers(PromptedOperator):
+    """Answers from a list. ``source`` is for errors, ``show`` gets prompts and answers."""
 
     def __init__(
         self,
@@ -95,20 +96,19 @@ class ScriptedAnswers:
     def say(self, text: str) -> None:
         self._show(text)
 
-    def ask(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
         check()
         answer = self._next(prompt)
-        self._show(
-            f"[{prompt.progress}] {prompt.text} > {answer}"
-            if prompt.progress
-            else f"{prompt.text} > {answer}"
-        )
+        self._show(f"{_words(prompt)} > {answer}")
         try:
             return understood(answer, prompt)
         except NotUnderstoodError as error:
             what = f"{error} There are {prompt.hidden_to} teats here"
             raise ProtocolError(
-                "operator", what, asked=_short(prompt), hint=f"Correct {self._source}."
+                "operator",
+                what,
+                asked=f"{prompt.kind}: {_words(prompt)}",
+                hint=f"Correct {self._source}.",
             ) from error
 
     def finish(self) -> None:
@@ -138,18 +138,14 @@ class ScriptedAnswers:
         raise ProtocolError(
             "operator",
             f"{self._source} has no answer to this prompt",
-            asked=_short(prompt),
+            asked=f"{prompt.kind}: {_words(prompt)}",
             seen=seen,
             hint=hint,
         )
 
 
-def _short(prompt: Prompt) -> str:
-    return (
-        f"{prompt.kind}: [{prompt.progress}] {prompt.text}"
-        if prompt.progress
-        else f"{prompt.kind}: {prompt.text}"
-    )
+def _words(prompt: Prompt) -> str:
+    return f"[{prompt.progress}] {prompt.text}" if prompt.progress else prompt.text
 
 
 def _told(answer: ScriptedAnswer) -> str:

@@ -21,8 +21,8 @@ from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.emulation_model import EmulatedFault, fault_names
 from bench.rig.loading import load_rig
-from bench.run.progress import WatchedProgress
-from bench.run.start import run_script
+from bench.run.events import Events
+from bench.run.start import RunOptions, run_script
 from bench.run.states import EVENT
 from bench.script.model import load_script
 from tests.bench.killed_runs import Silent
@@ -88,14 +88,14 @@ def what_happens(instrument: str, name: str, state: str, folder: Path) -> RunRec
     rig = load_rig(folder / "rig.toml")
     bringer = Bringer(state, EmulatedFault(instrument=instrument, name=name, for_s=FOR_S))
     with known_to(bringer):
-        progress = WatchedProgress(bringer, None)
+        progress = Events(bringer)
         with patch.object(progress, "event", bringer.event):
             run, _ = run_script(
                 rig,
                 load_script(folder / "script.toml"),
                 folder / "runs",
                 progress,
-                typed=bringer.typed,
+                RunOptions(typed=bringer.typed),
             )
     return read_run(run)
 

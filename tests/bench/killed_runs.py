@@ -17,6 +17,7 @@ from unittest.mock import patch
 from bench.record.schema import DATABASE
 from bench.rig.loading import load_rig
 from bench.run.engine import Ending
+from bench.run.events import Progress
 from bench.run.start import resume_run, run_script
 from bench.script.model import load_script
 from instruments.clock import VirtualClock
@@ -53,7 +54,7 @@ class Silent:
         return nullcontext()
 
 
-def start(folder: Path, out: str = "runs", progress: Silent | None = None) -> tuple[Path, Ending]:
+def start(folder: Path, out: str = "runs", progress: Progress | None = None) -> tuple[Path, Ending]:
     """The script in ``folder`` on the rig there, from the beginning."""
     rig = load_rig(folder / "rig.toml")
     return run_script(

@@ -111,3 +111,8 @@ def run_of(folder: Path) -> RunRecord:
 def run(arguments: list[str], folder: Path) -> tuple[int, RunRecord]:
     """The command's exit code, and what it left."""
     return main(arguments), run_of(folder)
+
+
+def texts(record: RunRecord, kind: str) -> list[str]:
+    """Of the events of this kind, in their order."""
+    return [event["text"] for event in record.events if event["kind"] == kind]

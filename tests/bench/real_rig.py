@@ -23,7 +23,7 @@ from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
 from bench.script.phantom import shipped_phantom
 from instruments.camera.recording import RecordingWriter
 from instruments.clock import RealClock
-from instruments.operators.operator import Arrangement
+from instruments.operators.operator import Arrangement, Touch
 from tests.conftest import ROOT
 
 SCRIPT = """
@@ -179,7 +179,7 @@ def at_set_point(folder: Path, start_c: float, profile: str, *, pump: bool) -> L
 def record_one(folder: Path, frames: int = 3) -> Path:
     """A recording of the emulated scene, for cameras that play it."""
     with EmulatedRig(load_rig(find_rig(None)), clock := RealClock(), 3) as twin:
-        twin.operator.set_up(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
+        twin.operator.ask(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
         writer = RecordingWriter(folder)
         for number in range(frames):
             writer.add(f"{number:03d}", twin.cameras.capture())
@@ -235,7 +235,7 @@ def touch_as_asked(
         if len(asked) > answered:
             teat = asked[answered]["teat"]
             if teat:
-                rig.twin.operator.touch(int(teat), 4)
+                rig.twin.operator.ask(Touch(int(teat), 4))
             answered += 1
             enter()
         if text.count(READ) > read:

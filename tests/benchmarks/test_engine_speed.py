@@ -40,7 +40,7 @@ def empty_trials(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
     def run(trials: Any, trial: PlannedTrial) -> None:
         began.append(perf_counter())
-        trials._attention.check()
+        trials._ctx.check()
         trials._settle()
         trials._settle_again(trial.id)
         head = {
@@ -50,7 +50,7 @@ def empty_trials(monkeypatch: pytest.MonkeyPatch) -> list[float]:
             "situation": trial.situation,
             "repeat": trial.repeat,
         }
-        trials._store.finished(TrialRecord({**head, "wall_time": ""}))
+        trials._ctx.store.finished(TrialRecord({**head, "wall_time": ""}))
 
     monkeypatch.setattr("bench.run.trial.TrialRun.run", run)
     return began

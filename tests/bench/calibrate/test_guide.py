@@ -4,7 +4,7 @@ picture, and is content when nothing is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import cv2
@@ -17,7 +17,14 @@ from bench.calibrate.views import find_pictures
 from bench.config import ConfigError
 from detector.calibration.boards import Board
 from detector.geometry import Camera, Motion
-from instruments.operators.operator import BoardAsked, OperatorEnough
+from instruments.operators.operator import (
+    DONE,
+    Answer,
+    BoardAsked,
+    OperatorEnough,
+    Request,
+    no_check,
+)
 from instruments.world.boards import Pattern
 from tests.bench.calibrate.board_pictures import picture
 
@@ -55,10 +62,12 @@ class Room:
         self.told: list[str] = []
         self._empty, self._enough_at, self._shown = empty, enough_at, 0
 
-    def hold_board(self, asked: BoardAsked) -> None:
+    def ask(self, asked: Request, check: Callable[[], None] = no_check) -> Answer:
+        assert isinstance(asked, BoardAsked)
         self.asked.append(asked)
         if asked.number == self._enough_at:
             raise OperatorEnough("his arms are tired")
+        return DONE
 
     def look(self) -> Mapping[str, NDArray[np.uint8]]:
         if self.asked[-1].number in self._empty:
@@ -75,7 +84,7 @@ class Room:
         }
 
     def gather(self, folder: Path, wanted: ViewsRequest = LEFT_ALONE) -> int:
-        return gather(self.look, self, SMALL, wanted, folder, self.told.append)  # type: ignore[arg-type]
+        return gather(self.look, self, SMALL, wanted, folder, self.told.append)
 
 
 def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Path) -> None:

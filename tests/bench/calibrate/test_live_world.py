@@ -4,7 +4,7 @@ with a ball tip.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from instruments.errors import DeviceError
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.errors import ArmMovesError
 from instruments.microscribe.stream import Reading
-from instruments.operators.operator import BoardAsked
+from instruments.operators.operator import DONE, Answer, BoardAsked, BoardTouch, Request, no_check
 from tests.bench.calibrate.board_pictures import BOARD, LEFT, RIGHT, RIGHT_FROM_LEFT, picture, poses
 
 Grey = NDArray[np.uint8]
@@ -52,17 +52,15 @@ class Lab:
         pose = poses(4, 5)[self.looks % 2]
         return {"left": picture(LEFT, pose, 1), "right": picture(RIGHT, RIGHT_FROM_LEFT @ pose, 2)}
 
-    def hold_board(self, asked: BoardAsked) -> None:
-        self.boards.append(asked)
-
-    def touch_board(self, corner: int, instruction: str, *, again: str = "") -> None:
-        self.touches += 1
-        self.again += [again] if again else []
-        at = self.wrong.get(self.touches, corner)
-        self._tip = WORLD_FROM_BOARD.apply(BOARD.points_mm[at]) + RADIUS_MM * NORMAL
-
-    def release(self) -> None:
-        """The arm goes back."""
+    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+        if isinstance(request, BoardAsked):
+            self.boards.append(request)
+        elif isinstance(request, BoardTouch):
+            self.touches += 1
+            self.again += [request.again] if request.again else []
+            at = self.wrong.get(self.touches, request.corner)
+            self._tip = WORLD_FROM_BOARD.apply(BOARD.points_mm[at]) + RADIUS_MM * NORMAL
+        return DONE
 
     @property
     def identity(self) -> Identity:
@@ -75,7 +73,7 @@ class Lab:
 
     def points(self, folder: Path, board: Board = BOARD) -> Array:
         tip = TipReader(self, Arm(url="emulator:"), None)
-        asking = Asking(self.look, self, tip, RADIUS_MM, self.told.append)  # type: ignore[arg-type]
+        asking = Asking(self.look, self, tip, RADIUS_MM, self.told.append)
         return gather_points(asking, board, folder).touched_mm
 
 

@@ -63,12 +63,7 @@ def test_it_takes_as_long_and_asks_as_often_as_the_run(tmp_path: Path, nothing_s
     run = run_of(tmp_path)
     assert rehearsal.total_s == pytest.approx(run.events[-1]["t_s"], abs=1e-6)
     assert rehearsal.findings == ()
-    assert (rehearsal.planned, rehearsal.trials, rehearsal.rendered, rehearsal.on_clock) == (
-        3,
-        3,
-        3,
-        1.0,
-    )
+    assert (rehearsal.planned, rehearsal.trials, rehearsal.rendered) == (3, 3, 3)
     touches = sum(len(trial.touches) for trial in run.trials)
     assert rehearsal.prompts == 1 + 2 * 2 + 3 + touches
     frames = sum(

@@ -22,7 +22,7 @@ from bench.record.check import CHAINED_SINCE, PRINTED, Weight, check_run
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE, SCHEMA_VERSION, tables_of
 from bench.record.writer import Store
-from bench.run.recorder import RECORDED
+from bench.run.recordings import RECORDED
 from instruments.clock import wall_time
 from tests.bench.record.test_record import PLACE, facts, trial
 

@@ -30,9 +30,9 @@ ACTIONS: tuple[tuple[type, str], ...] = (
     (Bath, "start"),
     (Bath, "standby"),
     (Bath, "safe"),
-    (EmulatedOperator, "confirm_homing"),
-    (EmulatedOperator, "set_up"),
-    (EmulatedOperator, "touch"),
+    (EmulatedOperator, "ask"),
+    (EmulatedOperator, "_set_up"),
+    (EmulatedOperator, "_touch"),
 )
 
 
@@ -84,7 +84,7 @@ def test_all_that_was_said_is_durable_before_the_next_physical_action(
         "Stage.move_to",
         "Bath.start",
         "Bath.safe",
-        "EmulatedOperator.set_up",
-        "EmulatedOperator.touch",
+        "EmulatedOperator._set_up",
+        "EmulatedOperator._touch",
     } <= set(spoken.looked)
     assert spoken.looked["Stage.move_to"] >= 3

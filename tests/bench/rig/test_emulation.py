@@ -19,7 +19,7 @@ from instruments.bath.driver import Bath
 from instruments.clock import VirtualClock
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
-from instruments.operators.operator import Arrangement
+from instruments.operators.operator import Arrangement, Release, Touch
 from instruments.stage.driver import Stage
 
 IDEAL = Arrangement("ideal", shipped_phantom("table-5-1"), (), "")
@@ -33,7 +33,7 @@ def rig() -> LoadedRig:
 @pytest.fixture
 def twin(rig: LoadedRig) -> Iterator[EmulatedRig]:
     with EmulatedRig(rig, VirtualClock(), seed=5) as emulated:
-        emulated.operator.set_up(IDEAL)
+        emulated.operator.ask(IDEAL)
         yield emulated
 
 
@@ -44,7 +44,7 @@ def test_a_closed_rig_leaves_no_pictures_to_the_garbage_collector(rig: LoadedRig
     gc.disable()
     try:
         with EmulatedRig(rig, VirtualClock(), seed=5) as emulated:
-            emulated.operator.set_up(IDEAL)
+            emulated.operator.ask(IDEAL)
             emulated.cameras.capture()
             held = weakref.ref(emulated.world.renderer)
             eyes = weakref.ref(emulated.world.renderer.thermal)
@@ -103,9 +103,9 @@ def test_the_arm_reads_where_the_hand_holds_it(rig: LoadedRig, twin: EmulatedRig
     arm.sign_on()
     arm.confirm_homed()
     for teat, end in enumerate(twin.world.ends_mm(), 1):
-        twin.operator.touch(teat, 4)
+        twin.operator.ask(Touch(teat, 4))
         assert np.linalg.norm(arm.read(8).tip_mm - end) < 1.2
-    twin.operator.release()
+    twin.operator.ask(Release())
     arm.close()
 
 
@@ -115,7 +115,7 @@ def test_two_captures_differ_by_noise_and_two_worlds_of_one_seed_by_nothing(
     first, second = twin.cameras.capture(), twin.cameras.capture()
     assert (first.left != second.left).any()
     with EmulatedRig(rig, VirtualClock(), seed=5) as other:
-        other.operator.set_up(IDEAL)
+        other.operator.ask(IDEAL)
         again = other.cameras.capture()
     for camera in ("left", "right", "thermal", "thermal_ck"):
         assert np.array_equal(getattr(first, camera), getattr(again, camera))

@@ -19,7 +19,16 @@ from instruments.errors import DeviceError, InstrumentError, LinkError
 from instruments.link import Link
 from instruments.listener import Listener
 from instruments.operators.emulated import EmulatedOperator
-from instruments.operators.operator import Arrangement, BoardAsked, OperatorEnough
+from instruments.operators.operator import (
+    Arrangement,
+    BoardAsked,
+    BoardTouch,
+    CheckPoint,
+    Homing,
+    OperatorEnough,
+    Release,
+    Touch,
+)
 from instruments.operators.remote import OperatorPort, RemoteOperator
 from instruments.world.boards import Pattern
 from instruments.world.situations import SITUATIONS, situation
@@ -50,7 +59,7 @@ def test_every_situation_arrives_as_it_was_sent(twin: EmulatedRig, port: Listene
             sent = situation(name, 3)
             objects = ({"kind": "cold_teat"},)
             asked = Arrangement(name, sent.phantom, objects, "Set it up.", scene=sent)
-            placed = operator.set_up(asked)
+            placed = operator.ask(asked)
             assert twin.world._phantom == sent.phantom
             assert twin.world._situation == sent
             assert len(twin.world._objects) == 1
@@ -60,28 +69,28 @@ def test_every_situation_arrives_as_it_was_sent(twin: EmulatedRig, port: Listene
 
 def test_the_hand_and_the_boards_do_as_they_are_asked(twin: EmulatedRig, port: Listener) -> None:
     with closing(RealClock()) as clock, closing(RemoteOperator(port.url, clock)) as operator:
-        operator.set_up(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
-        operator.touch(2, 4, number=1, numbers=3, again="That was teat 1.")
+        operator.ask(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
+        operator.ask(Touch(2, 4, number=1, numbers=3, again="That was teat 1."))
         target = twin.world.arm_target()
         assert target is not None
         np.testing.assert_allclose(target[0], twin.world.ends_mm()[1], atol=1.0)
-        operator.touch_check_point(2, 5)
+        operator.ask(CheckPoint(2, 5))
         target = twin.world.arm_target()
         assert target is not None
         np.testing.assert_allclose(target[0], CHECK_POINT_MM)
-        operator.release()
+        operator.ask(Release())
         assert twin.world.arm_target() is None
         board = BoardAsked(Pattern(), "Hold it.", 1, fixed=True)
-        operator.hold_board(board)
+        operator.ask(board)
         assert twin.world._board is not None
-        operator.touch_board(3, "Touch corner 3.")
+        operator.ask(BoardTouch(3, "Touch corner 3."))
         assert twin.world.arm_target() is not None
-        operator.confirm_homing("On the peg.")
+        operator.ask(Homing("On the peg."))
         assert twin.world.arm_target() is None
         for number in range(1, 25):
-            operator.hold_board(BoardAsked(Pattern(), "Hold it.", number))
+            operator.ask(BoardAsked(Pattern(), "Hold it.", number))
         with pytest.raises(OperatorEnough, match="shown the board 24 times"):
-            operator.hold_board(BoardAsked(Pattern(), "Hold it.", 25))
+            operator.ask(BoardAsked(Pattern(), "Hold it.", 25))
 
 
 @pytest.mark.parametrize(
@@ -96,7 +105,7 @@ def test_the_hand_and_the_boards_do_as_they_are_asked(twin: EmulatedRig, port: L
         b'{"do": "touch", "with": {"teat": 99, "of": 4}}',
         b'{"do": "touch", "with": {"teat": "all"}}',
         b'{"do": "touch_check_point", "with": {"touch": 1, "of": 0}}',
-        b'{"do": "set_up", "with": {"arrangement": {"situation": 1}}}',
+        b'{"do": "set_up", "with": {"situation": 1}}',
     ],
 )
 def test_what_is_not_understood_is_refused_and_ends_nothing(port: Listener, line: bytes) -> None:
@@ -106,17 +115,17 @@ def test_what_is_not_understood_is_refused_and_ends_nothing(port: Listener, line
             link.write(line[3:] + b"\n")
             assert link.read_until(b"\n", 60.0).startswith(b'{"refused":')
         with closing(RemoteOperator(port.url, clock)) as operator:
-            operator.confirm_homing("On the peg.")
+            operator.ask(Homing("On the peg."))
 
 
 def test_a_refusal_and_a_lost_operator_are_faults(twin: EmulatedRig) -> None:
     port = listening(EmulatedOperator(twin.world, hand_error_mm=0.1), twin)
     with closing(RealClock()) as clock, closing(RemoteOperator(port.url, clock)) as operator:
         with pytest.raises(DeviceError, match="knows of no check point"):
-            operator.touch_check_point(1, 5)
+            operator.ask(CheckPoint(1, 5))
         port.close()
         with pytest.raises(LinkError, match="operator at socket"):
-            operator.release()
+            operator.ask(Release())
         with pytest.raises(LinkError, match="nothing takes the connection"):
             RemoteOperator(port.url, clock)
 
@@ -134,7 +143,6 @@ def test_interlocks_end_the_wait_for_an_answer(twin: EmulatedRig) -> None:
         closing(listening(slow, twin)) as port,
         closing(RealClock()) as clock,
         closing(RemoteOperator(port.url, clock)) as operator,
+        pytest.raises(InstrumentError, match="too warm"),
     ):
-        operator.check_interrupts(check)
-        with pytest.raises(InstrumentError, match="too warm"):
-            operator.confirm_homing("On the peg.")
+        operator.ask(Homing("On the peg."), check)

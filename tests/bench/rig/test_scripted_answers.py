@@ -12,8 +12,7 @@ from bench.config import ConfigError
 from bench.rig.loading import load_rig
 from bench.rig.scripted_answers import load_answers
 from instruments.errors import ProtocolError
-from instruments.operators.operator import OperatorSkip
-from instruments.operators.prompted import PromptedOperator
+from instruments.operators.operator import CheckPoint, Finish, Homing, OperatorSkip, Touch
 from tests.bench.test_config import rig_with as emulated_rig
 
 TOML = """
@@ -47,17 +46,17 @@ def test_both_forms_say_the_same(name: str, text: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     shown: list[str] = []
-    who = PromptedOperator(load_answers(path, shown.append))
-    who.confirm_homing("On its peg.")
+    who = load_answers(path, shown.append)
+    who.ask(Homing("On its peg."))
     for touch in (1, 2):
-        who.touch_check_point(touch, 2)
+        who.ask(CheckPoint(touch, 2))
     for teat in (1, 2, 1):
-        who.touch(teat, 4)
+        who.ask(Touch(teat, 4))
     with pytest.raises(ProtocolError, match=f"{name} has no answer to this prompt"):
-        who.touch(3, 4)
+        who.ask(Touch(3, 4))
     with pytest.raises(OperatorSkip, match="the teat came off"):
-        who.touch(2, 4)
-    who.finish()
+        who.ask(Touch(2, 4))
+    who.ask(Finish())
     assert shown[0] == "On its peg. > go"
 
 

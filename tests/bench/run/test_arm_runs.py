@@ -29,6 +29,7 @@ from bench.truth.arm_tip import TipReader
 from detector.geometry import Motion
 from instruments.clock import wall_time
 from instruments.operators.emulated import EmulatedOperator
+from instruments.operators.operator import CheckPoint, Request
 from instruments.world.world import World
 from tests.bench.calibrate.arm_rig import Follower, emulated
 
@@ -263,10 +264,9 @@ class Checker:
     def __init__(self, trying: TryingArm) -> None:
         self._trying = trying
 
-    def touch_check_point(self, touch: int, of: int) -> None:
-        self._trying.go(Step("middle", touch - 1, ""))
-
-    def release(self) -> None: ...
+    def ask(self, request: Request) -> None:
+        if isinstance(request, CheckPoint):
+            self._trying.go(Step("middle", request.touch - 1, ""))
 
 
 def checked(spoil: Callable[[TryingArm], None]) -> dict[str, Any]:
@@ -276,7 +276,11 @@ def checked(spoil: Callable[[TryingArm], None]) -> dict[str, Any]:
         arm.sign_on()
         arm.confirm_homed()
         return check_arm(
-            Checker(trying), TipReader(arm, settings, None), settings, trying.clock, lambda: None
+            Checker(trying).ask,
+            TipReader(arm, settings, None),
+            settings,
+            trying.clock,
+            lambda: None,
         )
 
 
@@ -299,4 +303,4 @@ def test_an_operator_who_knows_no_check_point_says_so(monkeypatch: pytest.Monkey
             self.seed = 1
 
     with pytest.raises(ValueError, match="no check point"):
-        EmulatedOperator(NoWorld(), hand_error_mm=0.1).touch_check_point(1, 5)
+        EmulatedOperator(NoWorld(), hand_error_mm=0.1).ask(CheckPoint(1, 5))

@@ -4,116 +4,113 @@ trials took so far.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
 
 from bench.record.writer import Store
-from bench.run.context import Attention
+from bench.run.context import RunContext
 from bench.run.trial import Attempts
 from bench.script.model import find_script, load_script
 from bench.script.planned_trials import PlannedTrial
 from instruments.clock import VirtualClock
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
-from tests.instruments.operators.people import hands, world
+from instruments.operators.operator import (
+    DONE,
+    Answer,
+    NextTrial,
+    OperatorAbort,
+    OperatorRepeat,
+    OperatorSkip,
+    Request,
+)
 
 PLANNED = load_script(find_script(None)).planned[:5]
 
 
-class Told:
-    """Notes what the operator is told."""
+class Context:
+    """What of a run's context is used: notes what the operator is told, and the events."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path) -> None:
+        self.clock = VirtualClock()
+        self.store = Store.create(folder / "run", {})
+        self.script = SimpleNamespace(planned=PLANNED)
+        self.states = SimpleNamespace(away_s=0.0)
         self.trials: list[tuple[int, int, float | None]] = []
         self.events: list[str] = []
 
-    def next_trial(self, number: int, of: int, left_s: float | None) -> None:
-        self.trials.append((number, of, left_s))
+    def ask(self, request: Request) -> Answer:
+        assert isinstance(request, NextTrial)
+        self.trials.append((request.number, request.of, request.left_s))
+        return DONE
 
     def event(self, kind: str, text: str) -> None:
         self.events.append(f"{kind} {text}")
 
 
+@pytest.fixture
+def told(tmp_path: Path) -> Iterator[Context]:
+    context = Context(tmp_path)
+    with closing(context.store):
+        yield context
+
+
 def attempts(
-    once: Callable[[PlannedTrial], None], clock: VirtualClock, folder: Path
-) -> tuple[Attempts, Told, Store]:
-    told = Told()
-    operator = hands(world())
-    operator.next_trial = told.next_trial  # type: ignore[method-assign]
-    store = Store.create(folder / "run", {})
-    return Attempts(once, len(PLANNED), operator, clock, store, cast(Attention, told)), told, store
+    told: Context, once: Callable[[PlannedTrial], None], each_s: float | None = None
+) -> Attempts:
+    return Attempts(cast(RunContext, told), once, each_s=each_s)
 
 
-def test_the_time_left_is_told_from_the_third_trial_on(tmp_path: Path) -> None:
-    """The first waits for the bath to heat up: it says nothing of the others."""
-    clock = VirtualClock()
-    takes_s = iter([3600.0, 60.0, 120.0, 60.0, 60.0])
-    all_of, told, store = attempts(lambda _: clock.sleep(next(takes_s)), clock, tmp_path)
+@pytest.mark.parametrize(
+    ("takes_s", "expected_s", "left_s"),
+    [
+        ([3600.0, 60.0, 120.0, 60.0, 60.0], None, [None, None, 180.0, 180.0, 80.0]),
+        ([60.0] * 5, 100.0, [500.0, 400.0, 180.0, 120.0, 60.0]),
+    ],
+    ids=["the first waits for the bath to heat up", "until then by what was expected"],
+)
+def test_the_time_left_is_told_from_the_third_trial_on(
+    takes_s: list[float], expected_s: float | None, left_s: list[float | None], told: Context
+) -> None:
+    takes = iter(takes_s)
+    all_of = attempts(told, lambda _: told.clock.sleep(next(takes)), expected_s)
     for trial in PLANNED:
         all_of.run(trial)
-    store.close()
-    assert told.trials == [(1, 5, None), (2, 5, None), (3, 5, 180.0), (4, 5, 180.0), (5, 5, 80.0)]
+    assert told.trials == [(number, 5, left) for number, left in enumerate(left_s, 1)]
 
 
-def test_until_then_by_what_was_expected(tmp_path: Path) -> None:
-    clock, told, operator = VirtualClock(), Told(), hands(world())
-    operator.next_trial = told.next_trial  # type: ignore[method-assign]
-    store = Store.create(tmp_path / "run", {})
-    all_of = Attempts(
-        lambda _: clock.sleep(60.0),
-        len(PLANNED),
-        operator,
-        clock,
-        store,
-        cast(Attention, told),
-        each_s=100.0,
-    )
-    for trial in PLANNED:
-        all_of.run(trial)
-    store.close()
-    assert [left_s for _, _, left_s in told.trials] == [500.0, 400.0, 180.0, 120.0, 60.0]
-
-
-def test_time_that_was_no_work_is_kept_out_of_the_time_left(tmp_path: Path) -> None:
+def test_time_that_was_no_work_is_kept_out_of_the_time_left(told: Context) -> None:
     """A pause, or a suspension: it says nothing of the trials to come."""
-    clock, away_s = VirtualClock(), 0.0
 
     def once(_: PlannedTrial) -> None:
-        nonlocal away_s
-        clock.sleep(60.0)
-        clock.sleep(1000.0)
-        away_s += 1000.0
+        told.clock.sleep(60.0)
+        told.clock.sleep(1000.0)
+        told.states.away_s += 1000.0
 
-    store = Store.create(tmp_path / "run", {})
-    told, operator = Told(), hands(world())
-    operator.next_trial = told.next_trial  # type: ignore[method-assign]
-    all_of = Attempts(
-        once, len(PLANNED), operator, clock, store, cast(Attention, told), away_s=lambda: away_s
-    )
+    all_of = attempts(told, once)
     for trial in PLANNED:
         all_of.run(trial)
-    store.close()
     assert [left_s for _, _, left_s in told.trials[2:]] == [180.0, 120.0, 60.0]
 
 
-def test_again_and_again_until_it_is_done(tmp_path: Path) -> None:
+def test_again_and_again_until_it_is_done(told: Context) -> None:
     wishes: list[Exception | None] = [OperatorRepeat(), OperatorRepeat(), None]
 
     def once(_: PlannedTrial) -> None:
         if wish := wishes.pop(0):
             raise wish
 
-    all_of, told, store = attempts(once, VirtualClock(), tmp_path)
+    all_of = attempts(told, once)
     all_of.run(PLANNED[0])
-    store.close()
     assert not wishes
     assert told.trials == [(1, 5, None)]
     assert [event.split()[0] for event in told.events] == ["repeated", "repeated"]
 
 
-def test_a_skip_is_kept_and_an_abort_goes_on_its_way(tmp_path: Path) -> None:
+def test_a_skip_is_kept_and_an_abort_goes_on_its_way(told: Context) -> None:
     wishes: list[Exception] = [
         OperatorRepeat(),
         OperatorSkip("the hose leaks"),
@@ -123,9 +120,8 @@ def test_a_skip_is_kept_and_an_abort_goes_on_its_way(tmp_path: Path) -> None:
     def once(_: PlannedTrial) -> None:
         raise wishes.pop(0)
 
-    all_of, told, store = attempts(once, VirtualClock(), tmp_path)
+    all_of = attempts(told, once)
     all_of.run(PLANNED[0])
     with pytest.raises(OperatorAbort, match="enough"):
         all_of.run(PLANNED[1])
-    store.close()
     assert told.events[-1] == f"skipped {PLANNED[0].id}: the operator skipped it: the hose leaks"

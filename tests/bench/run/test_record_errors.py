@@ -11,6 +11,7 @@ import sqlite3
 import sys
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,10 @@ from bench.record.reader import read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import FolderGoneError, Store
 from bench.run.engine import Ending
-from bench.run.progress import EventLines, WatchedProgress, event_lines
+from bench.run.events import Events, event_lines
 from instruments.clock import stopwatch_s
 from instruments.operators.emulated import EmulatedOperator
-from instruments.operators.operator import Arrangement, Placed
+from instruments.operators.operator import Answer, Arrangement, Request, no_check
 from tests.bench.killed_runs import Silent, only_run, resume, start
 from tests.bench.operated_runs import files
 
@@ -119,7 +120,7 @@ class Tampering(Silent):
         self._now(text)
 
     def _now(self, text: str) -> None:
-        if self._second and text == self._at:
+        if self._second and self._at and self._at in text:
             self._at = ""
             self._what(only_run(self._folder, "runs"))
 
@@ -140,13 +141,16 @@ def test_a_folder_that_is_gone_is_noticed_in_the_trial_in_which_it_went(
 ) -> None:
     """Not at the end: SQLite goes on writing into a file that has no name any more."""
     files(tmp_path)
-    asked, set_up = [], EmulatedOperator.set_up
+    asked, ask = [], EmulatedOperator.ask
 
-    def counted(operator: EmulatedOperator, arrangement: Arrangement) -> Placed:
-        asked.append(arrangement)
-        return set_up(operator, arrangement)
+    def counted(
+        operator: EmulatedOperator, request: Request, check: Callable[[], None] = no_check
+    ) -> Answer:
+        if isinstance(request, Arrangement):
+            asked.append(request)
+        return ask(operator, request, check)
 
-    monkeypatch.setattr(EmulatedOperator, "set_up", counted)
+    monkeypatch.setattr(EmulatedOperator, "ask", counted)
     progress = Tampering(what, tmp_path, at)
     with pytest.raises(
         FolderGoneError, match=r"was deleted, moved or replaced: .* teatbench resume"
@@ -235,7 +239,7 @@ def test_events_as_lines_and_each_is_json(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     assert main([*files(tmp_path), "--events", str(path)]) in (0, 1, 4)
     lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    assert {line["what"] for line in lines} == {"doing", "trial", "event"}
+    assert {line["what"] for line in lines} == {"doing", "trial", "asked", "event"}
     states = [line["text"] for line in lines if line.get("kind") == "run state"]
     assert states == ["preparing", "settling", "running", "safing", "finished"]
     assert [line["name"] for line in lines if line["what"] == "trial"] == [
@@ -264,10 +268,10 @@ class Broken(Silent):
 def test_nothing_that_only_watches_can_end_a_run(tmp_path: Path) -> None:
     files(tmp_path)
     assert start(tmp_path, progress=Broken())[1] is Ending.FINISHED
-    with (tmp_path / "e").open("w", encoding="utf-8") as file:
-        lines = EventLines(file)
+    with FileIO(tmp_path / "e", "a") as closed:
+        pass
     shown = Silent()
-    assert start(tmp_path, "again", WatchedProgress(shown, lines))[1] is Ending.FINISHED  # type: ignore[arg-type]
+    assert start(tmp_path, "again", Events(shown, closed))[1] is Ending.FINISHED
     assert len(shown.warned) == 1, "it is told once"
     assert "--events: no further lines" in shown.warned[0]
 

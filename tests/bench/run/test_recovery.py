@@ -9,22 +9,25 @@ from pathlib import Path
 import pytest
 
 from bench.record.reader import RunRecord, read_run
+from bench.results.latency import latency_of
 from bench.rig.emulation_model import EmulatedFault
+from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import load_rig
-from bench.run.context import Attention
+from bench.run.context import RunContext
 from bench.run.recovery import GARBLED, GONE, POLICIES, REFUSES, instrument_of, policy_for
-from bench.run.start import run_script
+from bench.run.start import RunOptions, run_script
 from bench.run.states import EVENT
 from bench.run.trial import TrialRun
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.touching import ExpectedScene, TouchedTruth
+from instruments.camera.frame import FrameSet
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.microscribe.errors import AnotherArmError, SilentArmError
 from instruments.stage.driver import Stage
 from tests.bench.fault_catalogue import Bringer, known_to
 from tests.bench.killed_runs import Silent, start
-from tests.bench.operated_runs import CHECK_POINT, STAGE, files, run
+from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, run, texts
 
 TRIALS = ["001-place-1-1", "002-place-2-1", "003-place-3-1"]
 
@@ -34,10 +37,6 @@ def faulty(
 ) -> tuple[int, RunRecord]:
     emulation = f"prompt_s = {prompt_s}\n[[emulation.faults]]\n{fault}\n{more}"
     return run(files(folder, stage=STAGE, emulation=emulation), folder)
-
-
-def texts(record: RunRecord, kind: str) -> list[str]:
-    return [event["text"] for event in record.events if event["kind"] == kind]
 
 
 @pytest.mark.parametrize(
@@ -104,7 +103,7 @@ def given(words: str, folder: Path, fault: str) -> RunRecord:
             load_script(folder / "script.toml"),
             folder / "runs",
             progress,
-            typed=progress.typed,
+            RunOptions(typed=progress.typed),
         )[0]
     )
 
@@ -157,29 +156,29 @@ def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
     fault = '[[emulation.faults]]\ninstrument = "stage"\nname = "silent"\nat_s = 45.0\nfor_s = 30.0'
     files(tmp_path, stage=STAGE, emulation=f"prompt_s = 5.0\n{fault}")
     low_level = Bringer("", EmulatedFault(instrument="bath", name="low level", for_s=600.0))
-    reconnect, home, wait, attentions, homings = (
+    reconnect, home, wait, contexts, homings = (
         Stage.reconnect,
         Stage.home,
-        Attention.wait,
-        list[Attention](),
+        RunContext.wait,
+        list[RunContext](),
         list[bool](),
     )
 
-    def noted(attention: Attention, seconds: float) -> None:
-        attentions.append(attention)
-        wait(attention, seconds)
+    def noted(ctx: RunContext, seconds: float) -> None:
+        contexts.append(ctx)
+        wait(ctx, seconds)
 
     def slow(stage: Stage) -> None:
         reconnect(stage)
         low_level.bring()
-        while attentions[-1].watch.tripped is None:
-            attentions[-1].watch._clock.sleep(1.0)
+        while contexts[-1].watch.tripped is None:
+            contexts[-1].clock.sleep(1.0)
 
     def homed(stage: Stage) -> None:
-        homings.append(bool(attentions) and attentions[-1].watch.tripped is not None)
+        homings.append(bool(contexts) and contexts[-1].watch.tripped is not None)
         home(stage)
 
-    monkeypatch.setattr(Attention, "wait", noted)
+    monkeypatch.setattr(RunContext, "wait", noted)
     monkeypatch.setattr(Stage, "reconnect", slow)
     monkeypatch.setattr(Stage, "home", homed)
     with known_to(low_level):
@@ -289,3 +288,71 @@ def test_what_a_fault_is_and_whose() -> None:
     for fault, key in cases:
         assert policy_for(fault) is (None if key is None else POLICIES[key]), fault
     assert instrument_of(LinkError("guardian", "gone")) is None
+
+
+FAULT = """prompt_s = 120.0
+[[emulation.faults]]
+instrument = "bath"
+name = "dead heater"
+at_s = 855.0
+for_s = 105.0"""
+
+
+def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) -> None:
+    script = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean_k = 0.03")
+    code, record = run(files(tmp_path, script=script, emulation=FAULT), tmp_path)
+    assert (code, record.ending, len(record.trials)) == (0, "finished", 3)
+    told = [event for event in record.events if event["kind"] == "suspended"]
+    assert told, [(event["t_s"], event["kind"], event["text"]) for event in record.events]
+    assert "the bath left its band" in told[0]["text"]
+    late = [trial for trial in record.trials if trial.head["note"]]
+    assert [trial.id for trial in late] == [told[0]["text"].split(":")[0]]
+    assert str(late[0].head["note"]).startswith("suspended for ")
+    assert all(trial.head["bath_state"] == "stable" for trial in record.trials), (
+        "nothing was taken while it was out"
+    )
+    states = [event["text"] for event in record.events if event["kind"] == EVENT]
+    assert states[2:5] == ["running", "settling", "running"]
+    assert latency_of(record, "thesis").median_s is not None
+    assert (
+        max(latency_of(record, "thesis").seconds)
+        < 60.0
+        <= late[0].head["ended_s"] - late[0].head["started_s"]
+    )
+
+
+def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was in its band when the cameras were asked: what they gave later is of a bath that
+    wasn't, and no detector's fault.
+    """
+    take, wait, waiting, taken = (
+        FrameTaker.take,
+        RunContext.wait,
+        list[RunContext](),
+        list[FrameSet](),
+    )
+
+    def late(taker: FrameTaker) -> FrameSet:
+        if not taken:
+            wait(waiting[-1], 120.0)
+        taken.append(take(taker))
+        return taken[-1]
+
+    def noted(ctx: RunContext, seconds: float) -> None:
+        waiting.append(ctx)
+        wait(ctx, seconds)
+
+    monkeypatch.setattr(FrameTaker, "take", late)
+    monkeypatch.setattr(RunContext, "wait", noted)
+    script = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean_k = 0.03")
+    fault = FAULT.replace("prompt_s = 120.0", "").replace("at_s = 855.0", "at_s = 100.0")
+    code, record = run(files(tmp_path, script=script, emulation=fault), tmp_path)
+    assert (code, record.ending) == (0, "finished")
+    assert [
+        event["text"].split(":")[0] for event in record.events if event["kind"] == "suspended"
+    ] == ["001-place-1-1"]
+    assert [trial.head["bath_state"] for trial in record.trials] == ["stable"] * 3
+    assert len(taken) == 4, "the first trial's are taken again"
+    assert len(record.trials[0].frames) == len(record.trials[1].frames)

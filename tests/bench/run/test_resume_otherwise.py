@@ -169,7 +169,7 @@ def test_a_run_that_somebody_ended_goes_on_too(tmp_path: Path) -> None:
         load_script(tmp_path / "script.toml"),
         tmp_path / "runs",
         person,
-        typed=person.typed,
+        RunOptions(typed=person.typed),
     )
     assert (ending, len(read_run(folder).trials)) == (Ending.ABORTED, 2)
     assert resume_run(folder, Silent(), RunOptions())[1] is Ending.FINISHED

@@ -15,8 +15,8 @@ import pytest
 from bench.record.reader import read_run
 from bench.rig.loading import load_rig
 from bench.run.engine import Ending
-from bench.run.recorder import RECORDED, Recorder
-from bench.run.start import run_script
+from bench.run.recordings import RECORDED, Recorder
+from bench.run.start import RunOptions, run_script
 from bench.script.model import load_script
 from bench.truth.carrying import CarriedTruth
 from instruments.camera.recording import Recording, RecordingWriter
@@ -43,7 +43,7 @@ def record(folder: Path, out: str, progress: Silent | None = None) -> Ending:
     rig = load_rig(folder / "rig.toml")
     script = load_script(folder / "script.toml", rig.rig.limits.set_point_c)
     return run_script(
-        rig, script, folder / out, progress or Silent(), record=recording(folder, out)
+        rig, script, folder / out, progress or Silent(), RunOptions(record=recording(folder, out))
     )[1]
 
 

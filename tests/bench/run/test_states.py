@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from itertools import product
 
 import pytest
 
-from bench.run.recovery import POLICIES
-from bench.run.recovery import table_text as retries_text
-from bench.run.states import AWAY, ENDS, TABLE, RunState, RunStates, drawing, table_text
+from bench.run.recovery import GARBLED, GONE, POLICIES, REFUSES
+from bench.run.states import AWAY, ENDS, TABLE, RunState, RunStates
 from tests.conftest import ROOT
 
 PAGE = ROOT / "docs" / "runs.md"
@@ -99,8 +99,28 @@ def test_a_pause_goes_back_to_where_it_was_and_stays_where_it_is_given_up() -> N
     assert states.current is S.PAUSED
 
 
-def test_the_page_draws_the_table_as_it_is() -> None:
+def test_the_page_draws_and_lists_the_table_as_it_is() -> None:
     page = PAGE.read_text(encoding="utf-8")
-    for text in (drawing(), table_text(), retries_text()):
-        assert text in page, f"docs/runs.md must have:\n\n{text}"
-    assert len(POLICIES) == page.count("| tries in a trial |") * len(POLICIES)
+    after = {state: [to for to in RunState if to in TABLE[state]] for state in RunState}
+    drawing = ["stateDiagram-v2", "    [*] --> planned"]
+    drawing += [f"    {state} --> {to}" for state in RunState for to in after[state]]
+    drawing += [f"    {state} --> [*]" for state in RunState if state in ENDS]
+    assert "\n".join(drawing) + "\n```" in page
+    listed = re.findall(r"^\| (\w+) \| [^|]+ \| ([^|]+) \|$", page, re.MULTILINE)
+    assert [(str(state), ", ".join(after[state]) or "-") for state in RunState] == listed[1:]
+
+
+def test_the_page_lists_what_is_tried_again() -> None:
+    means = {
+        GONE: "doesn't answer, link broken",
+        GARBLED: "answers nonsense",
+        REFUSES: "says no, or gives nothing usable",
+    }
+    rows = [
+        f"| {who} | {means[kind]} | {policy.times} | {policy.check} |"
+        for (who, kind), policy in POLICIES.items()
+    ]
+    head = (
+        "| instrument | fault | tries in a trial | what the operator is told |\n|---|---|---|---|"
+    )
+    assert "\n".join([head, *rows]) in PAGE.read_text(encoding="utf-8")

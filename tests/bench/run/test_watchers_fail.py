@@ -10,14 +10,17 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import FileIO
 from pathlib import Path
 
 import pytest
 
+from bench.cli.main import main
 from bench.record.reader import read_run
 from bench.run.engine import Ending
-from bench.run.progress import EventLines, SafeProgress, WatchedProgress, event_lines
-from tests.bench.killed_runs import Silent, only_run, start
+from bench.run.events import EVENTS_FILE, Events, SafeProgress, event_lines, read_events
+from bench.run.trial import TrialRun
+from tests.bench.killed_runs import Silent, killed_while, only_run, resume, start
 from tests.bench.operated_runs import files
 from tests.conftest import ROOT
 
@@ -66,7 +69,7 @@ def test_a_screen_that_fails_ends_neither_the_run_nor_the_lines(
     path = tmp_path / "events.jsonl"
     with event_lines(path) as lines:
         screen = Gone(error, after=3)
-        assert start(tmp_path, progress=WatchedProgress(screen, lines))[1] is Ending.FINISHED  # type: ignore[arg-type]
+        assert start(tmp_path, progress=Events(screen, lines))[1] is Ending.FINISHED
     assert screen.tried == 4, "once it has failed it is left alone"
     told = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     assert [line["name"] for line in told if line["what"] == "trial"] == [
@@ -95,11 +98,9 @@ def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
         def state(self, text: str) -> None:
             shown.append(text)
 
-    progress = WatchedProgress(Screen(), None)
+    progress = Events(Screen())
     progress.state("preparing")
-    progress.fed_by(
-        lambda: 0.0, lambda: {"bath": "bath 33.02 degC, stable", "left": "about 12 min left"}
-    )
+    progress.live = lambda: {"bath": "bath 33.02 degC, stable", "left": "about 12 min left"}
     progress.trial(1, 3, "place-2")
     progress.event("state", "no error")
     progress.state("capturing")
@@ -120,7 +121,7 @@ def test_the_line_follows_the_bath_while_one_thing_takes_long(tmp_path: Path) ->
             shown.append(text)
 
     files(tmp_path, emulation="prompt_s = 10.0")
-    assert start(tmp_path, progress=WatchedProgress(Screen(), None))[1] is Ending.FINISHED  # type: ignore[arg-type]
+    assert start(tmp_path, progress=Events(Screen()))[1] is Ending.FINISHED
     touching = [text for text in shown if text.startswith("place-2; taking the truth")]
     assert len(touching) >= 40, "four touches of ten seconds, a look at the bath each second"
     assert len(set(touching)) > 1
@@ -132,8 +133,8 @@ def test_a_line_that_cannot_be_made_is_no_trouble_of_the_baths() -> None:
     def fails() -> dict[str, str]:
         raise RuntimeError("a bug in the line")
 
-    progress = WatchedProgress(Silent(), None)
-    progress.fed_by(lambda: 0.0, fails)
+    progress = Events(Silent())
+    progress.live = fails
     progress.refresh()
     with pytest.raises(RuntimeError, match="a bug in the line"):
         progress.state("capturing")
@@ -141,12 +142,9 @@ def test_a_line_that_cannot_be_made_is_no_trouble_of_the_baths() -> None:
 
 def test_screen_and_lines_may_fail_both(tmp_path: Path) -> None:
     files(tmp_path)
-    with (tmp_path / "e").open("w", encoding="utf-8") as file:
-        closed = EventLines(file)
-    assert (
-        start(tmp_path, progress=WatchedProgress(Gone(BrokenPipeError()), closed))[1]  # type: ignore[arg-type]
-        is Ending.FINISHED
-    )
+    with FileIO(tmp_path / "e", "a") as closed:
+        pass
+    assert start(tmp_path, progress=Events(Gone(BrokenPipeError()), closed))[1] is Ending.FINISHED
     kinds = [event["kind"] for event in read_run(only_run(tmp_path, "runs")).events]
     assert kinds.count("not shown") == 2
 
@@ -202,8 +200,47 @@ def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
     )
     path = tmp_path / "events.jsonl"
     with event_lines(path) as lines:
-        assert start(tmp_path, progress=WatchedProgress(Silent(), lines))[1] is Ending.FAULTED  # type: ignore[arg-type]
+        assert start(tmp_path, progress=Events(Silent(), lines))[1] is Ending.FAULTED
     told = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     (trip,) = [line for line in told if line.get("kind") == "trip"]
     assert trip["text"].startswith("interlock controller alarm")
     assert trip["text"] in [event["text"] for event in read_run(only_run(tmp_path, "runs")).events]
+
+
+def lines_of(run: Path) -> list[dict[str, object]]:
+    return list(read_events(run))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="kills a process as POSIX does")
+def test_the_run_keeps_its_events_and_a_killed_one_goes_on_with_their_numbers(
+    tmp_path: Path,
+) -> None:
+    files(tmp_path)
+    assert killed_while("'002-place-2-1'", "_store_trial", TrialRun, lambda: start(tmp_path))
+    run = only_run(tmp_path, "runs")
+    before = lines_of(run)
+    assert [line["number"] for line in before] == list(range(1, len(before) + 1))
+    with (run / EVENTS_FILE).open("ab") as torn:
+        torn.write(b'{"number": 999, "what": "do')  # of a machine that lost its power
+    assert resume(tmp_path, "runs")[1] is Ending.FINISHED
+    lines = lines_of(run)
+    assert lines[: len(before)] == before
+    assert [line["number"] for line in lines] == list(range(1, len(lines) + 1))
+    names = [line["name"] for line in lines if line["what"] == "trial"]
+    assert names == ["place-1", "place-2", "place-2", "place-3", ""], (
+        "what is gone through again is not said again"
+    )
+    record = [event["text"] for event in read_run(run).events]
+    assert [line["text"] for line in lines if line["what"] == "event"] == record
+    assert main(["store", "check", str(run)]) == 0, "it is no part of the checked record"
+
+
+def test_a_folder_that_takes_no_events_is_named_once_and_ends_no_run(tmp_path: Path) -> None:
+    files(tmp_path)
+    screen, run = Silent(), tmp_path / "run"
+    run.mkdir()
+    (run / EVENTS_FILE).mkdir()
+    events = Events(screen)
+    with events.kept_in(run):
+        events.state("capturing")
+    assert [text.split(": ")[0] for text in screen.warned] == [EVENTS_FILE]

@@ -25,6 +25,7 @@ from bench.report.wording import headline
 from instruments.bath.driver import Bath
 from instruments.bath.profile import load_profile
 from instruments.clock import RealClock, wall_time
+from instruments.operators.operator import CheckPoint, Touch
 from tests.bench.real_rig import RealRig, real_rig
 
 if sys.platform == "win32":
@@ -106,9 +107,9 @@ def go_to(rig: RealRig, running: MarkedBench, step: Step, there: Callable[[], bo
 
 def put_the_hand(rig: RealRig, asked: str) -> None:
     if match := re.search(CHECK, asked):
-        rig.twin.operator.touch_check_point(int(match[1]), int(match[2]))
+        rig.twin.operator.ask(CheckPoint(int(match[1]), int(match[2])))
     elif match := re.search(TOUCH, asked):
-        rig.twin.operator.touch(int(match[1]), int(match[2]))
+        rig.twin.operator.ask(Touch(int(match[1]), int(match[2])))
 
 
 def bring(rig: RealRig, running: MarkedBench, name: str) -> None:

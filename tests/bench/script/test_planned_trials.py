@@ -375,7 +375,7 @@ def test_the_emulated_operator_sets_the_whole_scene_up(tmp_path: Path) -> None:
     (planned,) = of_families(tmp_path, 'family = "low_contrast"\nmember = 3\n').planned
     found = situation("low_contrast", 3)
     with EmulatedRig(load_rig(find_rig(None)), VirtualClock(), seed=5) as twin:
-        placed = twin.operator.set_up(planned.arrangement("XY"))
+        placed = twin.operator.ask(planned.arrangement("XY"))
         seen = twin.world.scene()
     assert (seen.backdrop, seen.lighting, seen.teat_paint) == (
         found.backdrop,

@@ -31,9 +31,8 @@ from bench.truth.registration_file import (
 )
 from bench.truth.touching import NoTruthError
 from bench.truth.uncertainty import CHI2_95
-from instruments.clock import VirtualClock
 from reports.page import Notes
-from tests.bench.run.test_attempts import PLANNED, attempts
+from tests.bench.run.test_attempts import PLANNED, Context, attempts
 from tests.bench.truth.touches import axes_turned, registered, stage_of
 
 HEAD = """title = "Carry"
@@ -360,7 +359,8 @@ def test_a_trial_without_truth_is_left_out_with_its_reason_and_the_run_goes_on(
         if trial is PLANNED[0]:
             raise NoTruthError("truth", "teat 2: 7 of 7 touches could not be used")
 
-    all_of, told, store = attempts(once, VirtualClock(), tmp_path)
+    told = Context(tmp_path)
+    all_of, store = attempts(told, once), told.store
     for trial in PLANNED[:2]:
         all_of.run(trial)
     store.close()

@@ -22,7 +22,7 @@ from instruments.clock import VirtualClock
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.errors import ArmMovesError
 from instruments.microscribe.stream import Reading
-from instruments.operators.operator import OperatorSkip
+from instruments.operators.operator import OperatorSkip, Release, Request, Touch
 from instruments.world.phantom import Phantom
 
 Floats = NDArray[np.float64]
@@ -67,21 +67,22 @@ class Hand:
     _next: Iterator[Floats | None] | None = None
     _at: Floats | None = None
 
-    def touch(
-        self, teat: int, of: int, *, number: int = 1, numbers: int = 1, again: str = ""
-    ) -> None:
-        assert of == len(self.ends)
+    def ask(self, request: Request) -> None:
+        if isinstance(request, Release):
+            self.released += 1
+        elif isinstance(request, Touch):
+            self._touch(request)
+
+    def _touch(self, asked: Touch) -> None:
+        assert asked.of == len(self.ends)
         if self.skips:
             self.skips -= 1
             raise OperatorSkip("tired")
-        self.asked.append((teat, number, numbers))
-        if again:
-            self.again.append(again)
+        self.asked.append((asked.teat, asked.number, asked.numbers))
+        if asked.again:
+            self.again.append(asked.again)
         self._next = iter(self.places) if self._next is None else self._next
-        self._at = next(self._next, self.ends[teat - 1])
-
-    def release(self) -> None:
-        self.released += 1
+        self._at = next(self._next, self.ends[asked.teat - 1])
 
     @property
     def identity(self) -> Identity:
@@ -98,7 +99,7 @@ class Hand:
 def toucher(hand: Hand, *, readings: int | None = None, arm: Arm | None = None) -> Toucher:
     settings = arm or arm_settings()
     return Toucher(
-        hand, TipReader(hand, settings, None), settings, VirtualClock(), lambda: None, readings
+        hand.ask, TipReader(hand, settings, None), settings, VirtualClock(), lambda: None, readings
     )
 
 

@@ -6,22 +6,20 @@ from __future__ import annotations
 
 import io
 import tomllib
+from collections.abc import Callable
 
 from bench.rig.loading import RIGS
-from bench.safety.heartbeat import AwaitedOperator, Heartbeat
 from bench.script.phantom import shipped_phantom
 from instruments.clock import VirtualClock
 from instruments.operators.console import Console
 from instruments.operators.emulated import EmulatedOperator, Mistake
 from instruments.operators.operator import Arrangement, Operator
-from instruments.operators.prompted import PromptedOperator
 from instruments.operators.script import KINDS, ScriptedAnswers
 from instruments.world.optics import cameras_from_calibration
 from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer
 from instruments.world.world import World
 
-KEEPERS = ("console", "script", "emulated", "rehearsal", "awaited")
 CHECK_POINT_MM = (-190.0, 120.0, 15.0)
 
 
@@ -58,23 +56,21 @@ def hands(
     )
 
 
-def person(answers: str, out: io.StringIO | None = None) -> PromptedOperator:
+def person(answers: str, out: io.StringIO | None = None) -> Console:
     """Somebody who types ``answers`` and then leaves."""
-    return PromptedOperator(Console(io.StringIO(answers), out or io.StringIO(), VirtualClock()))
+    return Console(io.StringIO(answers), out or io.StringIO(), VirtualClock())
 
 
-def willing_script() -> ScriptedAnswers:
-    return ScriptedAnswers([], dict.fromkeys(KINDS, "go"), "answers.toml")
+def willing_script(emulated: EmulatedOperator | None = None) -> ScriptedAnswers:
+    """Says go to everything; ``emulated`` hands follow."""
+    script = ScriptedAnswers([], dict.fromkeys(KINDS, "go"), "answers.toml")
+    script.hands = emulated
+    return script
 
 
-def trip_handler(kind: str) -> Operator:
-    """One that does whatever it is asked."""
-    if kind == "console":
-        return person("\n" * 100)
-    if kind == "script":
-        return PromptedOperator(willing_script())
-    if kind == "awaited":
-        return AwaitedOperator(hands(world()), Heartbeat())
-    return (
-        hands(world()) if kind == "emulated" else PromptedOperator(willing_script(), hands(world()))
-    )
+ANSWERERS: dict[str, Callable[[], Operator]] = {
+    "console": lambda: person("\n" * 100),
+    "script": willing_script,
+    "emulated": lambda: hands(world()),
+    "rehearsal": lambda: willing_script(hands(world())),
+}

@@ -10,9 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from instruments.operators.board_hands import SHOWN, BoardHands
-from instruments.operators.operator import BoardAsked, OperatorAbort, OperatorEnough
-from instruments.operators.prompted import PromptedOperator
+from instruments.operators.emulated import SHOWN, BoardHands
+from instruments.operators.operator import (
+    BoardAsked,
+    BoardTouch,
+    Finish,
+    OperatorAbort,
+    OperatorEnough,
+)
 from instruments.operators.script import ScriptedAnswer, ScriptedAnswers
 from instruments.world.boards import Pattern
 from tests.instruments.operators.people import hands, person, world
@@ -25,31 +30,31 @@ FIXED = BoardAsked(PATTERN, "Fix the board.", 1, fixed=True)
 class TestAPerson:
     def test_is_told_what_is_missing_and_how_to_end_it(self) -> None:
         out = io.StringIO()
-        person("\n", out).hold_board(HELD)
+        person("\n", out).ask(HELD)
         assert "[view 3] Hold the board. Missing: left: tilt the board." in out.getvalue()
         assert "e = enough, go on with what there is" in out.getvalue()
 
     @pytest.mark.parametrize("word", ["e", "Enough"])
     def test_may_have_had_enough(self, word: str) -> None:
         with pytest.raises(OperatorEnough, match="has shown enough"):
-            person(f"{word}\n").hold_board(HELD)
+            person(f"{word}\n").ask(HELD)
 
     def test_may_not_have_had_enough_of_a_board_that_is_to_be_touched(self) -> None:
         out = io.StringIO()
-        person("enough\n\n", out).hold_board(FIXED)
+        person("enough\n\n", out).ask(FIXED)
         assert "Not understood: 'enough'." in out.getvalue()
         assert "[position 1] Fix the board." in out.getvalue()
 
     def test_may_abort(self) -> None:
         for asked in (HELD, FIXED):
             with pytest.raises(OperatorAbort):
-                person("a\n").hold_board(asked)
+                person("a\n").ask(asked)
         with pytest.raises(OperatorAbort):
-            person("a\n").touch_board(0, "Touch it.")
+            person("a\n").ask(BoardTouch(0, "Touch it."))
 
     def test_is_told_why_a_point_is_asked_for_again(self) -> None:
         out = io.StringIO()
-        person("\n", out).touch_board(0, "Touch point 1.", again="That was another point.")
+        person("\n", out).ask(BoardTouch(0, "Touch point 1.", again="That was another point."))
         assert out.getvalue().index("That was another point.") < out.getvalue().index(
             "Touch point 1."
         )
@@ -59,11 +64,11 @@ def test_a_script_says_enough_to_boards_only() -> None:
     script = ScriptedAnswers(
         [ScriptedAnswer("board", "enough", says="view 3")], {"board": "go"}, "answers.txt"
     )
-    who = PromptedOperator(script)
-    who.hold_board(replace(HELD, number=2))
+    who = script
+    who.ask(replace(HELD, number=2))
     with pytest.raises(OperatorEnough):
-        who.hold_board(HELD)
-    who.finish()
+        who.ask(HELD)
+    who.ask(Finish())
     with pytest.raises(
         ValueError, match='to a prompt of the kind "corner" there are "go", "abort"'
     ):
@@ -82,12 +87,12 @@ class TestEmulatedHands:
 
     def test_have_had_enough_after_a_while(self) -> None:
         with pytest.raises(OperatorEnough, match=f"has shown the board {SHOWN} times"):
-            hands(world()).hold_board(replace(HELD, number=SHOWN + 1))
+            hands(world()).ask(replace(HELD, number=SHOWN + 1))
 
     def test_take_the_phantom_away_meanwhile_and_put_it_back(self) -> None:
         here = world()
         who = hands(here)
-        who.hold_board(HELD)
+        who.ask(HELD)
         assert len(here.scene().boards) == 1
         assert here.scene().phantom.teats == ()
         here.show(None)
@@ -112,4 +117,4 @@ class TestEmulatedHands:
 
     def test_touch_nothing_where_no_board_is(self) -> None:
         with pytest.raises(ValueError, match="holds no board"):
-            hands(world()).touch_board(0, "Touch it.")
+            hands(world()).ask(BoardTouch(0, "Touch it."))

@@ -13,36 +13,40 @@ import pytest
 from instruments.clock import VirtualClock
 from instruments.operators.console import Console
 from instruments.operators.operator import (
+    Awaited,
+    CheckPoint,
+    Homing,
+    NextTrial,
     OperatorAbort,
     OperatorRepeat,
     OperatorSkip,
-    Prompt,
+    Task,
+    Touch,
     time_left,
 )
-from instruments.operators.prompted import PromptedOperator
 from instruments.world.phantom import Teat
 from tests.instruments.operators.people import arrangement, person
 
 ASKED = arrangement("overlapping")
-PROMPTS: dict[str, Callable[[PromptedOperator], object]] = {
-    "homing": lambda who: who.confirm_homing("x"),
-    "check point": lambda who: who.touch_check_point(1, 5),
-    "set up": lambda who: who.set_up(ASKED),
-    "touch": lambda who: who.touch(1, 4),
+PROMPTS: dict[str, Awaited] = {
+    "homing": Homing("x"),
+    "check point": CheckPoint(1, 5),
+    "set up": ASKED,
+    "touch": Touch(1, 4),
 }
 IN_TRIALS = ("set up", "touch")
 
 
-def asked(answers: str) -> tuple[PromptedOperator, io.StringIO]:
+def asked(answers: str) -> tuple[Console, io.StringIO]:
     out = io.StringIO()
     return person(answers, out), out
 
 
 def test_it_says_what_to_do_and_waits_for_enter() -> None:
     who, out = asked("\n\n\n")
-    who.confirm_homing("Put the stylus on its peg.")
-    assert who.set_up(ASKED).visible == (True,) * 4
-    who.touch(3, 4)
+    who.ask(Homing("Put the stylus on its peg."))
+    assert who.ask(ASKED).visible == (True,) * 4
+    who.ask(Touch(3, 4))
     for words in (
         "Put the stylus on its peg.",
         "layout overlapping",
@@ -54,10 +58,10 @@ def test_it_says_what_to_do_and_waits_for_enter() -> None:
 
 def test_it_says_how_far_the_run_is() -> None:
     who, out = asked("\n" * 4)
-    who.next_trial(3, 18, 754.0)
-    who.set_up(ASKED)
-    who.touch(2, 4, number=1, numbers=3)
-    who.touch_check_point(4, 5)
+    who.ask(NextTrial(3, 18, 754.0))
+    who.ask(ASKED)
+    who.ask(Touch(2, 4, number=1, numbers=3))
+    who.ask(CheckPoint(4, 5))
     said = out.getvalue()
     assert "[trial 3 of 18; about 13 min left] Situation ideal" in said
     assert (
@@ -69,8 +73,8 @@ def test_it_says_how_far_the_run_is() -> None:
 
 def test_before_anything_is_known_no_time_is_told() -> None:
     who, out = asked("\n")
-    who.next_trial(1, 18, None)
-    who.set_up(ASKED)
+    who.ask(NextTrial(1, 18, None))
+    who.ask(ASKED)
     assert "[trial 1 of 18] " in out.getvalue()
     assert "left" not in out.getvalue()
 
@@ -95,14 +99,14 @@ def test_teats_are_told_by_their_names_where_they_have_some() -> None:
         for teat, name in zip(ASKED.phantom.teats, ("LF", "RF", "LR", "RR"), strict=True)
     )
     assert isinstance(named[0], Teat)
-    who.set_up(replace(ASKED, phantom=replace(ASKED.phantom, teats=named)))
-    who.touch(3, 4)
+    who.ask(replace(ASKED, phantom=replace(ASKED.phantom, teats=named)))
+    who.ask(Touch(3, 4))
     assert "Touch the end of teat 3 (LR) of 4" in out.getvalue()
 
 
 def test_a_touch_that_is_asked_for_again_says_why() -> None:
     who, out = asked("\n")
-    who.touch(2, 4, again="That was nearer to teat 3.")
+    who.ask(Touch(2, 4, again="That was nearer to teat 3."))
     said = out.getvalue()
     assert said.index("That was nearer to teat 3.") < said.index(
         "Once more: touch the end of teat 2 of 4"
@@ -110,13 +114,13 @@ def test_a_touch_that_is_asked_for_again_says_why() -> None:
 
 
 def test_hidden_teats_are_told_by_number() -> None:
-    assert asked("2, 4\n")[0].set_up(ASKED).visible == (True, False, True, False)
+    assert asked("2, 4\n")[0].ask(ASKED).visible == (True, False, True, False)
 
 
 @pytest.mark.parametrize("wrong", ["5", "0", "two", "1 x", "-1", "hidden", "a b", "³"])
 def test_nonsense_is_asked_again(wrong: str) -> None:
     who, out = asked(f"{wrong}\n1\n")
-    assert who.set_up(ASKED).visible == (False, True, True, True)
+    assert who.ask(ASKED).visible == (False, True, True, True)
     assert f"Not understood: '{wrong}'" in out.getvalue()
 
 
@@ -127,14 +131,14 @@ def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
     with pytest.raises(
         OperatorAbort, match="aborted the run" if answer else "nobody is at the terminal any more"
     ):
-        PROMPTS[prompt](who)
+        who.ask(PROMPTS[prompt])
     assert "a = abort the run" in out.getvalue()
 
 
 @pytest.mark.parametrize("prompt", PROMPTS)
 def test_a_question_mark_explains_the_prompt_and_it_is_asked_again(prompt: str) -> None:
     who, out = asked("?\n\n")
-    PROMPTS[prompt](who)
+    who.ask(PROMPTS[prompt])
     first, explained, again = (
         out.getvalue().split("\n", 3)[1],
         *out.getvalue().rsplit(": \n", 2)[1:],
@@ -150,26 +154,26 @@ def test_a_question_mark_explains_the_prompt_and_it_is_asked_again(prompt: str) 
 def test_only_a_trial_can_be_skipped_or_repeated(prompt: str) -> None:
     who, out = asked("s the teat came off\na\n")
     with pytest.raises(OperatorSkip if prompt in IN_TRIALS else OperatorAbort) as wish:
-        PROMPTS[prompt](who)
+        who.ask(PROMPTS[prompt])
     assert ("s REASON" in out.getvalue()) is (prompt in IN_TRIALS)
     if isinstance(wish.value, OperatorSkip):
         assert wish.value.reason == "the teat came off"
     who, out = asked("r\na\n")
     with pytest.raises(OperatorRepeat if prompt in IN_TRIALS else OperatorAbort):
-        PROMPTS[prompt](who)
+        who.ask(PROMPTS[prompt])
 
 
 def test_a_skip_without_a_reason_is_asked_for_one() -> None:
     who, out = asked("s\n the hose leaks \n")
     with pytest.raises(OperatorSkip) as skip:
-        who.touch(1, 4)
+        who.ask(Touch(1, 4))
     assert skip.value.reason == "the hose leaks"
     assert "Why?" in out.getvalue()
 
 
 def test_no_reason_no_skip() -> None:
     who, out = asked("skip\n\n\n")
-    who.touch(1, 4)
+    who.ask(Touch(1, 4))
     assert out.getvalue().count("Enter to go on") == 2
 
 
@@ -179,9 +183,8 @@ def test_a_trip_is_told_and_ends_the_prompt() -> None:
     def tripped() -> None:
         raise RuntimeError("interlock over-temperature: 39 degC")
 
-    who.check_interrupts(tripped)
     with pytest.raises(RuntimeError):
-        who.touch(1, 4)
+        who.ask(Touch(1, 4), tripped)
     assert "No answer is needed any more: interlock over-temperature: 39 degC" in out.getvalue()
 
 
@@ -192,15 +195,15 @@ def test_without_a_terminal_nobody_asks_the_pedals() -> None:
         raise AssertionError("the pedals were watched")
 
     out = io.StringIO()
-    who = PromptedOperator(Console(io.StringIO("\n" * 6 + "a\n"), out, VirtualClock(), watch=never))
+    who = Console(io.StringIO("\n" * 6 + "a\n"), out, VirtualClock(), watch=never)
     for touch in range(1, 7):
-        who.touch_check_point(touch, 6)
+        who.ask(CheckPoint(touch, 6))
     assert "pedal" not in out.getvalue()
     leans = re.findall(r"the stylus ([a-z ]+),", out.getvalue())
     assert len(set(leans[:5])) == 5
     assert leans[5] == leans[0]
     with pytest.raises(OperatorAbort):
-        who.touch_check_point(1, 6)
+        who.ask(CheckPoint(1, 6))
 
 
 def test_an_answer_that_nobody_typed_ends_the_row_of_its_question() -> None:
@@ -208,7 +211,7 @@ def test_an_answer_that_nobody_typed_ends_the_row_of_its_question() -> None:
     question's row.
     """
     who, out = asked("\n")
-    who.touch(1, 4)
+    who.ask(Touch(1, 4))
     assert out.getvalue().endswith("a = abort the run): \n")
 
 
@@ -216,7 +219,7 @@ def test_a_closed_output_is_a_terminal_that_has_gone() -> None:
     out = io.StringIO()
     out.close()
     with pytest.raises(OperatorAbort, match="nobody is at the terminal"):
-        person("\n", out).touch(1, 4)
+        person("\n", out).ask(Touch(1, 4))
 
 
 def test_the_screen_is_cleared_for_each_prompt_and_given_back() -> None:
@@ -228,7 +231,5 @@ def test_the_screen_is_cleared_for_each_prompt_and_given_back() -> None:
         yield
         course.append("back")
 
-    Console(io.StringIO("\n"), io.StringIO(), VirtualClock(), screen=screen).ask(
-        Prompt("task", "x")
-    )
+    Console(io.StringIO("\n"), io.StringIO(), VirtualClock(), screen=screen).ask(Task("x"))
     assert course == ["aside", "back"]

@@ -16,8 +16,16 @@ import pytest
 
 from instruments.clock import RealClock
 from instruments.operators.console import Console, Pedal
-from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
-from instruments.operators.prompted import PromptedOperator
+from instruments.operators.operator import (
+    DONE,
+    Answer,
+    Homing,
+    OperatorAbort,
+    OperatorRepeat,
+    Request,
+    Touch,
+    no_check,
+)
 from tests.instruments.operators.people import arrangement
 
 if sys.platform == "win32":
@@ -56,12 +64,12 @@ class Desk:
     ) -> None:
         self.near = near
         self.clock = clock
-        self.who = PromptedOperator(console)
+        self.who = console
         self._pool = pool
         self.text = ""
 
-    def asked(self, question: Callable[[PromptedOperator], object]) -> Future[object]:
-        return self._pool.submit(question, self.who)
+    def asked(self, request: Request, check: Callable[[], None] = no_check) -> Future[Answer]:
+        return self._pool.submit(self.who.ask, request, check)
 
     def type(self, text: str) -> None:
         os.write(self.near, text.encode())
@@ -96,70 +104,45 @@ def desk(*, remind_s: float = 60.0, watch: Callable[[], Pedal] | None = None) ->
         os.close(near)
 
 
-def touch(who: PromptedOperator) -> None:
-    who.touch(2, 4)
+TOUCH = Touch(2, 4)
 
 
 def test_enter_goes_on_and_wrong_keys_do_not() -> None:
     with desk() as here:
-        done = here.asked(touch)
+        done = here.asked(TOUCH)
         assert "Touch the end of teat 2 of 4" in here.expect(f"Enter to go on {KEYS}")
         for wrong in ("x", "2", "go on", "ö", "aa", "\x1b[A"):
             here.type(f"{wrong}\n")
             assert f"Not understood: {wrong!r}." in here.expect(KEYS)
             assert not done.done()
         here.type("\n")
-        assert done.result(PATIENCE_S) is None
+        assert done.result(PATIENCE_S) == DONE
 
 
 def test_what_is_typed_can_be_taken_back() -> None:
     with desk() as here:
-        done = here.asked(lambda who: who.set_up(arrangement()))
+        done = here.asked(arrangement())
         here.expect("their numbers first (1 to 4) (s REASON")
         here.type("9\x7f2\n")
-        assert getattr(done.result(PATIENCE_S), "visible", ()) == (True, False, True, True)
+        assert done.result(PATIENCE_S).visible == (True, False, True, True)
 
 
-@pytest.mark.parametrize(
-    ("keys", "wish"),
-    [
-        ("a\n", OperatorAbort),
-        ("Q\n", OperatorAbort),
-        ("r\n", OperatorRepeat),
-        ("\x04", OperatorAbort),
-    ],
-)
-def test_wishes(keys: str, wish: type[Exception]) -> None:
-    """The last one is Ctrl-D: nobody will type any more."""
+def test_nobody_will_type_any_more_after_ctrl_d() -> None:
     with desk() as here:
-        done = here.asked(touch)
+        done = here.asked(TOUCH)
         here.expect(KEYS)
-        here.type(keys)
-        with pytest.raises(wish):
+        here.type("\x04")
+        with pytest.raises(OperatorAbort):
             done.result(PATIENCE_S)
-
-
-def test_a_skip_with_its_reason_and_one_without() -> None:
-    with desk() as here:
-        done = here.asked(touch)
-        here.expect(KEYS)
-        here.type("s\n")
-        here.expect("Why? (a few words for the record; Enter alone: don't skip): ")
-        here.type("\n")
-        here.expect(f"Enter to go on {KEYS}")
-        here.type("s the teat came off\n")
-        with pytest.raises(OperatorSkip) as skip:
-            done.result(PATIENCE_S)
-        assert skip.value.reason == "the teat came off"
 
 
 def test_enter_pressed_twice_answers_one_question() -> None:
     with desk() as here:
-        done = here.asked(touch)
+        done = here.asked(TOUCH)
         here.expect(KEYS)
         here.type("\n\n")
         done.result(PATIENCE_S)
-        done = here.asked(touch)
+        done = here.asked(TOUCH)
         here.expect(KEYS)
         time.sleep(0.1)
         assert not done.done()
@@ -171,12 +154,12 @@ def test_an_abort_between_two_questions_is_not_lost() -> None:
     with desk() as here:
         here.type("\na\n")
         with pytest.raises(OperatorAbort, match="aborted"):
-            here.asked(touch).result(PATIENCE_S)
+            here.asked(TOUCH).result(PATIENCE_S)
 
 
 def test_who_takes_long_is_reminded_and_nothing_else_happens() -> None:
     with desk(remind_s=30.0) as here:
-        done = here.asked(touch)
+        done = here.asked(TOUCH)
         here.expect(KEYS)
         for since_s in (30.0, 60.0, 90.0):
             here.clock.now_s = since_s
@@ -185,7 +168,7 @@ def test_who_takes_long_is_reminded_and_nothing_else_happens() -> None:
             assert "a = abort the run" in reminder
         assert not done.done()
         here.type("\n")
-        assert done.result(PATIENCE_S) is None
+        assert done.result(PATIENCE_S) == DONE
 
 
 def test_a_trip_ends_the_prompt_before_enter() -> None:
@@ -196,8 +179,7 @@ def test_a_trip_ends_the_prompt_before_enter() -> None:
             raise trips[0]
 
     with desk() as here:
-        here.who.check_interrupts(check)
-        done = here.asked(touch)
+        done = here.asked(TOUCH, check)
         here.expect(KEYS)
         here.type("half a li")
         trips.append(RuntimeError("interlock over-temperature: 39.0 degC"))
@@ -226,12 +208,12 @@ class Foot:
 def test_a_pedal_goes_on_and_the_keyboard_still_works() -> None:
     foot = Foot()
     with desk(watch=foot.watch) as here:
-        done = here.asked(touch)
+        done = here.asked(TOUCH)
         here.expect("Enter or a pedal to go on (")
         foot.down = True
-        assert done.result(PATIENCE_S) is None
+        assert done.result(PATIENCE_S) == DONE
         foot.down = False
-        done = here.asked(touch)
+        done = here.asked(TOUCH)
         here.expect(KEYS)
         here.type("r\n")
         with pytest.raises(OperatorRepeat):
@@ -243,7 +225,7 @@ def test_no_pedal_confirms_what_is_no_touch() -> None:
     foot = Foot()
     foot.down = True
     with desk(watch=foot.watch) as here:
-        done = here.asked(lambda who: who.confirm_homing("On its peg."))
+        done = here.asked(Homing("On its peg."))
         assert "pedal" not in here.expect("(? = explain, a = abort the run): ")
         time.sleep(0.1)
         assert not done.done()
@@ -260,7 +242,7 @@ def test_a_pedal_whose_arm_has_gone_ends_the_prompt() -> None:
         return pressed
 
     with desk(watch=watch) as here:
-        done = here.asked(touch)
+        done = here.asked(TOUCH)
         here.expect("No answer is needed any more: arm: nobody answers")
         with pytest.raises(RuntimeError):
             done.result(PATIENCE_S)
@@ -268,7 +250,7 @@ def test_a_pedal_whose_arm_has_gone_ends_the_prompt() -> None:
 
 def test_a_terminal_that_closes_is_an_abort() -> None:
     with desk() as here:
-        done = here.asked(touch)
+        done = here.asked(TOUCH)
         here.expect(KEYS)
         os.close(here.near)
         here.near = -1

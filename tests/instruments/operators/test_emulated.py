@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.operators.emulated import EmulatedOperator, Mistake
+from instruments.operators.operator import CheckPoint, Touch
 from instruments.world.phantom import PIVOT_MM, PlatePose
 from instruments.world.world import World
 from tests.instruments.operators.people import arrangement, hands, world
@@ -47,7 +48,7 @@ def test_placement_errors_have_the_spread_that_was_asked_for(
     errors = []
     for n in range(400):
         # it only errs where it moves something
-        who.set_up(arrangement(pose=PlatePose(float(n % 2), 0.0)))
+        who.ask(arrangement(pose=PlatePose(float(n % 2), 0.0)))
         x, y, yaw = turn_and_shift(here)
         errors.append((x - n % 2, y, yaw))
     spread = np.std(errors, axis=0)
@@ -59,26 +60,26 @@ def test_placement_errors_have_the_spread_that_was_asked_for(
 def test_what_stands_as_asked_is_not_touched_again() -> None:
     here = world()
     who = hands(here, placement_error_mm=ERROR_MM)
-    who.set_up(arrangement())
+    who.ask(arrangement())
     before = here.ends_mm()
-    who.set_up(arrangement())
+    who.ask(arrangement())
     assert (here.ends_mm() == before).all()
-    who.set_up(arrangement("overlapping"))
-    who.set_up(arrangement())
+    who.ask(arrangement("overlapping"))
+    who.ask(arrangement())
     assert (here.ends_mm() != before).any()
 
 
 def test_without_errors_the_pose_is_the_one_asked_for() -> None:
     here = world()
     pose = PlatePose(10.0, -5.0, 3.0, 0.1)
-    hands(here).set_up(arrangement(pose=pose))
+    hands(here).ask(arrangement(pose=pose))
     assert here.ends_mm() == pytest.approx(arrangement().phantom.moved(pose).ends_mm, abs=1e-9)
 
 
 def test_chance_is_the_seed_s() -> None:
     def ends(seed: int) -> np.ndarray:
         here = world(seed)
-        hands(here, placement_error_mm=ERROR_MM).set_up(arrangement())
+        hands(here, placement_error_mm=ERROR_MM).ask(arrangement())
         return here.ends_mm()
 
     assert (ends(1) == ends(1)).all()
@@ -88,10 +89,10 @@ def test_chance_is_the_seed_s() -> None:
 def test_touches_scatter_by_the_hand_s_error() -> None:
     here = world()
     who = hands(here, hand_error_mm=0.3)
-    who.set_up(arrangement())
+    who.ask(arrangement())
     touched = []
     for _ in range(400):
-        who.touch(2, 4)
+        who.ask(Touch(2, 4))
         touched.append(tip(here) - here.ends_mm()[1])
     assert np.std(touched, axis=0) == pytest.approx([0.3] * 3, rel=0.12)
     assert np.mean(touched, axis=0) == pytest.approx(np.zeros(3), abs=0.06)
@@ -101,7 +102,7 @@ def touched_teats(who: EmulatedOperator, here: World, teats: list[int]) -> list[
     """Which teat the tip is at after each touch that is asked for."""
     at = []
     for teat in teats:
-        who.touch(teat, 4)
+        who.ask(Touch(teat, 4))
         at.append(int(np.linalg.norm(here.ends_mm() - tip(here), axis=1).argmin()) + 1)
     return at
 
@@ -119,18 +120,18 @@ def touched_teats(who: EmulatedOperator, here: World, teats: list[int]) -> list[
 def test_a_mistake_is_made_once(mistakes: tuple[Mistake, ...], touched: list[int]) -> None:
     here = world()
     who = hands(here, mistakes=mistakes)
-    who.set_up(arrangement())
+    who.ask(arrangement())
     assert touched_teats(who, here, [1, 2, 3, 4, 2, 4]) == touched
 
 
 def test_a_forgotten_move_leaves_the_plate_and_the_next_one_is_done() -> None:
     here = world()
     who = hands(here, mistakes=("forgotten move",))
-    who.set_up(arrangement())
+    who.ask(arrangement())
     home = here.ends_mm()
-    who.set_up(arrangement(pose=PlatePose(20.0, 0.0)))
+    who.ask(arrangement(pose=PlatePose(20.0, 0.0)))
     assert (here.ends_mm() == home).all()
-    who.set_up(arrangement(pose=PlatePose(20.0, 0.0)))
+    who.ask(arrangement(pose=PlatePose(20.0, 0.0)))
     assert here.ends_mm() - home == pytest.approx(np.array([[20.0, 0.0, 0.0]] * 4), abs=1e-9)
 
 
@@ -138,8 +139,7 @@ def test_a_prompt_takes_its_time_and_the_interlocks_are_looked_at_meanwhile() ->
     here = world()
     who = hands(here, prompt_s=7.5)
     looked: list[float] = []
-    who.check_interrupts(lambda: looked.append(here.clock.now()))
-    who.set_up(arrangement())
+    who.ask(arrangement(), lambda: looked.append(here.clock.now()))
     assert here.clock.now() == pytest.approx(7.5)
     assert max(np.diff(looked)) <= 1.0
 
@@ -147,16 +147,15 @@ def test_a_prompt_takes_its_time_and_the_interlocks_are_looked_at_meanwhile() ->
         if here.clock.now() >= 10.0:
             raise RuntimeError("tripped")
 
-    who.check_interrupts(tripped)
     with pytest.raises(RuntimeError, match="tripped"):
-        who.touch(1, 4)
+        who.ask(Touch(1, 4), tripped)
     assert here.clock.now() == pytest.approx(10.5)
     assert here.arm_target() is None, "the hand had not got there yet"
 
 
 def test_who_knows_no_check_point_says_so() -> None:
     with pytest.raises(ValueError, match="give it check_point_mm"):
-        EmulatedOperator(world(), hand_error_mm=0.1).touch_check_point(1, 5)
+        EmulatedOperator(world(), hand_error_mm=0.1).ask(CheckPoint(1, 5))
 
 
 SHIFTS, TURNS = st.floats(-50.0, 50.0), st.floats(-3.0, 3.0)

@@ -7,13 +7,22 @@ from __future__ import annotations
 import pytest
 
 from instruments.errors import ProtocolError
-from instruments.operators.operator import Kind, OperatorAbort, OperatorRepeat, OperatorSkip
-from instruments.operators.prompted import PromptedOperator
+from instruments.operators.operator import (
+    CheckPoint,
+    Finish,
+    Homing,
+    Kind,
+    NextTrial,
+    OperatorAbort,
+    OperatorRepeat,
+    OperatorSkip,
+    Touch,
+)
 from instruments.operators.script import ScriptedAnswer, ScriptedAnswers
 from tests.instruments.operators.people import arrangement
 
 
-def scripted(*answers: ScriptedAnswer, **otherwise: str) -> tuple[PromptedOperator, list[str]]:
+def scripted(*answers: ScriptedAnswer, **otherwise: str) -> tuple[ScriptedAnswers, list[str]]:
     shown: list[str] = []
     kinds: dict[str, Kind] = {
         "homing": "homing",
@@ -23,7 +32,7 @@ def scripted(*answers: ScriptedAnswer, **otherwise: str) -> tuple[PromptedOperat
     }
     by_kind = {kinds[name]: answer for name, answer in otherwise.items()}
     return (
-        PromptedOperator(ScriptedAnswers(answers, by_kind, "answers.toml", show=shown.append)),
+        ScriptedAnswers(answers, by_kind, "answers.toml", show=shown.append),
         shown,
     )
 
@@ -37,17 +46,17 @@ def test_answers_come_in_their_order() -> None:
         ScriptedAnswer("touch", "s the teat came off"),
         ScriptedAnswer("touch", "abort"),
     )
-    who.confirm_homing("On its peg.")
-    who.touch_check_point(1, 2)
-    who.touch_check_point(2, 2)
-    assert who.set_up(arrangement()).visible == (True, False, True, False)
+    who.ask(Homing("On its peg."))
+    who.ask(CheckPoint(1, 2))
+    who.ask(CheckPoint(2, 2))
+    assert who.ask(arrangement()).visible == (True, False, True, False)
     with pytest.raises(OperatorRepeat):
-        who.touch(1, 4)
+        who.ask(Touch(1, 4))
     with pytest.raises(OperatorSkip, match="the teat came off"):
-        who.touch(1, 4)
+        who.ask(Touch(1, 4))
     with pytest.raises(OperatorAbort):
-        who.touch(1, 4)
-    who.finish()
+        who.ask(Touch(1, 4))
+    who.ask(Finish())
     assert shown[0] == "On its peg. > go"
     assert len(shown) == 7
 
@@ -57,21 +66,21 @@ def test_an_answer_waits_for_the_prompt_that_it_is_for() -> None:
         ScriptedAnswer("touch", "skip worn", says="trial 2 of 3, TEAT 3"), touch="go", set_up="go"
     )
     for trial in (1, 2):
-        who.next_trial(trial, 3, None)
-        who.set_up(arrangement())
-        who.touch(1, 4)
+        who.ask(NextTrial(trial, 3, None))
+        who.ask(arrangement())
+        who.ask(Touch(1, 4))
         if trial == 1:
-            who.touch(3, 4)
+            who.ask(Touch(3, 4))
     with pytest.raises(OperatorSkip, match="worn"):
-        who.touch(3, 4)
-    who.finish()
+        who.ask(Touch(3, 4))
+    who.ask(Finish())
 
 
 def test_an_unexpected_prompt_says_what_was_asked_and_what_is_next() -> None:
     who, _ = scripted(ScriptedAnswer("set up", "go", says="overlapping", where="line 7"))
-    who.next_trial(1, 6, None)
+    who.ask(NextTrial(1, 6, None))
     with pytest.raises(ProtocolError) as error:
-        who.set_up(arrangement())
+        who.ask(arrangement())
     for words in (
         "answers.toml has no answer",
         "set up: [trial 1 of 6] Situation ideal",
@@ -81,26 +90,26 @@ def test_an_unexpected_prompt_says_what_was_asked_and_what_is_next() -> None:
         assert words in str(error.value)
     who, _ = scripted()
     with pytest.raises(ProtocolError, match="got no further answer"):
-        who.touch(1, 4)
+        who.ask(Touch(1, 4))
 
 
 def test_answers_that_nobody_asked_for_are_an_error_at_the_end() -> None:
     who, _ = scripted(
         ScriptedAnswer("homing", "go"), ScriptedAnswer("touch", "go", times=12, where="answer 2")
     )
-    who.confirm_homing("On its peg.")
-    who.touch(1, 4)
+    who.ask(Homing("On its peg."))
+    who.ask(Touch(1, 4))
     with pytest.raises(
         ProtocolError,
         match=r"11 answers of answers.toml were never asked for; the first is 'go' .*answer 2",
     ):
-        who.finish()
+        who.ask(Finish())
 
 
 def test_a_teat_that_is_not_there_can_not_be_hidden() -> None:
     who, _ = scripted(ScriptedAnswer("set up", "hidden 5"))
     with pytest.raises(ProtocolError, match="There are 4 teats here"):
-        who.set_up(arrangement())
+        who.ask(arrangement())
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,254 @@
+"""What happens in a run, said once: one numbered stream of events, and who listens to it.
+
+An event is a line of JSON: ``number``, ``wall_time``, ``t_s`` (the bench's time, null before it has
+one), ``what`` (`doing`, `trial`, `asked`, `warning`, `event`) and what belongs to it. Listeners are
+the screen, ``--events FILE``, and `events.jsonl` in the run's folder, which goes on with its
+numbers when the run is resumed. A listener that fails is named once, to the others and in the
+record, and gets no more (but for what a person has to see at once); none can stop a run.
+
+The record is no listener: it comes first, and what it can't take ends the run. `events.jsonl` is
+no part of the checked record, which has every `event` itself. Each line is one write at the end of
+the file, so a killed bench leaves whole lines; half a line of a machine that lost its power is cut
+off when the run goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
+from io import FileIO
+from pathlib import Path
+from typing import Any, Protocol
+
+from bench.config import ConfigError
+from instruments.clock import wall_time
+
+# rich ends the program where the reader of its output has gone (`| head`)
+FAILURES = (Exception, SystemExit)
+EVENTS_FILE = "events.jsonl"  # in the run's folder
+ERRORS = ("dropped out", "camera", "fault", "trip", "suspended")  # kinds of events
+LONGEST = 60  # of an error, in a line of the terminal
+TAIL_BYTES = 1 << 16
+
+
+class Progress(Protocol):
+    """A terminal, or whatever a person looks at. May be called from any thread."""
+
+    def state(self, text: str) -> None:
+        """What is being done or waited for."""
+        ...
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        """``done`` of ``total`` trials are finished; ``name`` is next."""
+        ...
+
+    def warn(self, text: str) -> None:
+        """What a person has to see at once, and do something about."""
+        ...
+
+    def aside(self) -> AbstractContextManager[None]:
+        """While this lasts nothing moves on the screen: somebody is asked something there."""
+        ...
+
+
+class SafeProgress:
+    """Shows on ``progress``; from its first failure on, of which ``failed`` gets the reason, only
+    what a person has to see at once is still tried there.
+    """
+
+    def __init__(self, progress: Progress, failed: Callable[[str], None] = lambda _: None) -> None:
+        self._progress = progress
+        self._tell = failed
+        self._failed = False
+
+    def state(self, text: str) -> None:
+        if not self._failed:
+            self._tried(lambda: self._progress.state(text))
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        if not self._failed:
+            self._tried(lambda: self._progress.trial(done, total, name))
+
+    def warn(self, text: str) -> None:
+        self._tried(lambda: self._progress.warn(text))
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        around = self._progress.aside()
+        entered = self._tried(around.__enter__)
+        try:
+            yield
+        finally:
+            if entered:
+                self._tried(lambda: around.__exit__(None, None, None))
+
+    def _tried(self, show: Callable[[], object]) -> bool:
+        try:
+            show()
+        except FAILURES as error:
+            first, self._failed = not self._failed, True
+            if first:
+                self._tell(f"the screen shows nothing any more: {type(error).__name__}: {error}")
+            return False
+        return True
+
+
+class Events:
+    """The stream, from any thread, shown on ``screen`` as one line (trial, what is done, bath, time
+    left, last error) and written to ``file``, open for appending without a buffer.
+
+    ``now_s`` is the bench's time; ``live`` says what stands in the screen's line beside what is
+    done; ``not_shown`` gets which listener failed, and why. While ``replaying``, what was said
+    before is shown again and not written.
+    """
+
+    def __init__(self, screen: Progress, file: FileIO | None = None) -> None:
+        self._screen = SafeProgress(screen, self._screen_failed)
+        self._files = {"--events": file} if file else {}
+        self._lock = threading.RLock()
+        self._number = 0
+        self._name = self._text = self._error = ""
+        self.now_s: Callable[[], float | None] = lambda: None
+        self.live: Callable[[], Mapping[str, str]] = dict
+        self.not_shown: Callable[[str], None] = lambda _: None
+        self.replaying = False
+
+    @contextmanager
+    def kept_in(self, folder: Path) -> Iterator[None]:
+        """Written to `EVENTS_FILE` in ``folder`` too, while this lasts, from the number after its
+        last one on.
+        """
+        try:
+            file = FileIO(folder / EVENTS_FILE, "a+")
+        except OSError as error:
+            self._file_failed(EVENTS_FILE, error)
+            yield
+            return
+        with file:
+            try:
+                self._number = max(self._number, _last_number(file))
+                self._files[EVENTS_FILE] = file
+            except OSError as error:
+                self._file_failed(EVENTS_FILE, error)
+            try:
+                yield
+            finally:
+                with self._lock:
+                    self._files.pop(EVENTS_FILE, None)
+
+    def state(self, text: str) -> None:
+        """What is being done or waited for."""
+        self._text = text
+        self._write("doing", text=text, **self._show())
+
+    def refresh(self) -> None:
+        """Show the line once more, with the bath as it is now. Raises nothing."""
+        with suppress(*FAILURES):
+            self._show()
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        self._name = name
+        self._screen.trial(done, total, name)
+        self._write("trial", done=done, total=total, name=name)
+
+    def asked(self, kind: str) -> None:
+        """The operator is asked for something of this kind, or told to release the arm; "" once
+        what was asked is done.
+        """
+        self._write("asked", kind=kind)
+
+    def warn(self, text: str) -> None:
+        self._screen.warn(text)
+        self._write("warning", text=text)
+
+    def event(self, kind: str, text: str) -> None:
+        """An event that is in the record."""
+        if kind in ERRORS:
+            self._error = text
+        self._write("event", kind=kind, text=text)
+
+    def aside(self) -> AbstractContextManager[None]:
+        return self._screen.aside()
+
+    def _show(self) -> dict[str, str]:
+        """The line on the screen; gives back what stands there beside trial and text."""
+        more = {**self.live(), **({"last error": self._error} if self._error else {})}
+        parts = [self._name, self._text]
+        for key, said in more.items():
+            parts.append(f"last error: {said[:LONGEST]}" if key == "last error" else said)
+        self._screen.state("; ".join(part for part in parts if part))
+        return more
+
+    def _write(self, what: str, **more: Any) -> None:
+        if self.replaying and what != "warning":
+            return
+        with self._lock:
+            self._number += 1
+            line = {
+                "number": self._number,
+                "wall_time": wall_time().isoformat(timespec="milliseconds"),
+                "t_s": self.now_s(),
+                "what": what,
+                **more,
+            }
+            whole = json.dumps(line, ensure_ascii=False).encode() + b"\n"
+            for name, file in list(self._files.items()):
+                try:
+                    if file.write(whole) != len(whole):
+                        raise OSError("the disk is full")
+                except Exception as error:  # whatever it is, it only listened
+                    self._file_failed(name, error)
+
+    def _file_failed(self, name: str, error: Exception) -> None:
+        self._files.pop(name, None)
+        said = f"{name}: no further lines: {error}"
+        self.warn(said)
+        self.not_shown(said)
+
+    def _screen_failed(self, said: str) -> None:
+        self._write("warning", text=said)
+        self.not_shown(said)
+
+
+def read_events(folder: Path) -> Iterator[dict[str, Any]]:
+    """The lines of the run in ``folder``. Raises OSError, ValueError."""
+    for line in (folder / EVENTS_FILE).read_bytes().splitlines():
+        yield json.loads(line)
+
+
+def _last_number(file: FileIO) -> int:
+    """The number of the last whole line; half a line behind it is cut off. Raises OSError."""
+    end = file.seek(0, os.SEEK_END)
+    start = file.seek(max(0, end - TAIL_BYTES))
+    tail = file.read(TAIL_BYTES) or b""
+    whole = tail[: tail.rfind(b"\n") + 1]
+    if len(whole) < len(tail):
+        file.truncate(start + len(whole))
+    try:
+        return int(json.loads(whole.splitlines()[-1])["number"])
+    except (IndexError, ValueError, KeyError, TypeError):
+        return 0
+
+
+@contextmanager
+def event_lines(path: Path | None) -> Iterator[FileIO | None]:
+    """The file ``path``, open for `Events`; None where none is asked for. Raises ConfigError where
+    it can't be opened.
+    """
+    if path is None:
+        yield None
+        return
+    try:
+        file = FileIO(path, "a")
+    except OSError as error:
+        raise ConfigError.plain(
+            f"--events {path}: it can't be opened: {error.strerror or error}"
+        ) from error
+    try:
+        yield file
+    finally:
+        with suppress(OSError):
+            file.close()
