@@ -25,6 +25,11 @@ from bench.script.model import TRIALS
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 TRIM_MIB, MOST_MIB = 700.0, 1024.0
+NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"/>'
+# rooms whose tests run the bench and look at no figure
+UNDRAWN = tuple(
+    f"tests.bench.{room}." for room in ("cli", "dry_run", "record", "rig", "run", "safety", "truth")
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -93,6 +98,19 @@ def caches_end_with_their_module() -> Iterator[None]:
             for thing in list(vars(module).values()):
                 if isinstance(thing, _lru_cache_wrapper):
                     thing.cache_clear()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def figures_are_not_rendered(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Figures are made up to their last artist, but rendered only where tests look at them:
+    rendering takes half of a short run.
+    """
+    with pytest.MonkeyPatch.context() as patched:
+        if request.module.__name__.startswith(UNDRAWN):
+            from matplotlib.figure import Figure
+
+            patched.setattr(Figure, "savefig", lambda _, file, **__: file.write(NO_FIGURE))
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -114,7 +114,7 @@ def test_a_second_call_installs_nothing(run_py: ModuleType, tmp_path: Path) -> N
     assert done.returncode == 0
     assert (
         log.read_text(encoding="utf-8")
-        == f"-m pytest --numprocesses {run_py.WORKERS} --dist loadfile -q\n"
+        == f"-m pytest --numprocesses {run_py.WORKERS} --dist loadfile --no-loadscope-reorder -q\n"
     ), f"{time.perf_counter() - start:.2f} s"
 
 

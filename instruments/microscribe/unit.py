@@ -129,7 +129,9 @@ class _File(_Table):
 
 def _faults(error: ValidationError) -> Iterator[tuple[tuple[str | int, ...], str]]:
     for detail in error.errors():
-        message = detail["msg"].removeprefix("Value error, ")
-        missing = detail["type"] == "missing" or not detail["loc"]
+        message, kind = detail["msg"].removeprefix("Value error, "), detail["type"]
+        if kind == "unexpected_keyword_argument":
+            message = "Extra inputs are not permitted"
+        missing = kind == "missing" or not detail["loc"]
         shown = "" if missing else f" (found {detail['input']!r:.60})"
         yield detail["loc"], f"{message[0].lower()}{message[1:]}{shown}"

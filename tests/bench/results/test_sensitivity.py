@@ -165,7 +165,7 @@ def test_no_scenes_at_all_are_refused(capsys: pytest.CaptureFixture[str]) -> Non
     with pytest.raises(SystemExit) as stopped:
         main(["scene", "sensitivity", "--seeds", "0"])
     assert stopped.value.code == 2
-    assert "must be at least 1" in capsys.readouterr().err
+    assert "--seeds: '0' is not a whole number of 1 or more" in capsys.readouterr().err
 
 
 def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
