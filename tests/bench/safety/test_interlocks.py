@@ -22,10 +22,12 @@ from tests.conftest import ROOT
 PRESTO = bath_of(load_profile("julabo-presto"))
 
 
-def readings(at: Callable[[int], BathReading], seconds: int) -> list[BathReading]:
+def readings(
+    at: Callable[[int], BathReading], seconds: int, start_s: float = 0.0
+) -> list[BathReading]:
     """One a second; the raw value is the temperature's, as on a wire."""
     return [
-        replace(reading, t_s=float(t), raw=(round(reading.temp_c * 1000),))
+        replace(reading, t_s=start_s + t, raw=(round(reading.temp_c * 1000),))
         for t in range(seconds)
         for reading in [at(t)]
     ]
@@ -37,19 +39,21 @@ def first_trip(
     *,
     bath: Bath = PRESTO,
     pump_on: bool | None = None,
+    start_s: float = 0.0,
 ) -> InterlockTrip | None:
     interlocks = Interlocks(Limits(), bath)
     interlocks.heating(33.0)
-    for reading in readings(at, seconds):
+    for reading in readings(at, seconds, start_s):
         trip = interlocks.add(reading, pump_on)
         if trip is not None:
             return trip
     return None
 
 
-def tripped_at(at: Callable[[int], BathReading]) -> tuple[str, float] | None:
-    trip = first_trip(at)
-    return None if trip is None else (trip.rule, float(str(trip.values[-1]["t_s"])))
+def tripped_at(at: Callable[[int], BathReading], start_s: float = 0.0) -> tuple[str, float] | None:
+    """The rule, and the seconds until it tripped."""
+    trip = first_trip(at, start_s=start_s)
+    return None if trip is None else (trip.rule, float(str(trip.values[-1]["t_s"])) - start_s)
 
 
 def at_power(temp_c: float, percent: float) -> BathReading:
@@ -190,6 +194,17 @@ def wobbling(t: int) -> float:
             lambda t: with_external(33.6 if t == 60 else 33.0, 30.0),
             ("sensor disagreement", 190.0),
         ),
+        (
+            "driven off just when it has settled",
+            lambda t: with_external(33.0 if t < 120 else 34.0, 33.0 if t < 120 else 30.0),
+            ("sensor disagreement", 129.0),
+        ),
+        ("not rising at 90 %", lambda t: at_power(20.0 + wobbling(t), 90.0), None),
+        (
+            "risen by just 0.1 K at 91 %",
+            lambda t: at_power(0.0 if t < 60 else 0.1, 91.0),
+            ("loop break", 120.0),
+        ),
         ("0.06 K from the set point", lambda t: replace(CALM, set_point_c=33.0595), None),
         (
             "just above",
@@ -244,10 +259,25 @@ def wobbling(t: int) -> float:
         ),
     ],
 )
+@pytest.mark.parametrize("start_s", [0.0, 1000.0])
 def test_when_each_rule_trips_and_when_not(
-    what: str, at: Callable[[int], BathReading], expected: tuple[str, float] | None
+    what: str, at: Callable[[int], BathReading], expected: tuple[str, float] | None, start_s: float
 ) -> None:
-    assert tripped_at(at) == expected
+    assert tripped_at(at, start_s) == expected
+
+
+@pytest.mark.parametrize(("set_point_c", "trips"), [(0.06, False), (0.0601, True)])
+def test_a_set_point_may_be_off_by_what_a_display_rounds(set_point_c: float, trips: bool) -> None:
+    interlocks = Interlocks(Limits(), PRESTO)
+    interlocks.heating(0.0)
+    seen = replace(CALM, temp_c=0.0, set_point_c=set_point_c)
+    assert (interlocks.add(seen) is not None) is trips
+
+
+def test_sensors_of_a_bath_that_was_not_started_may_disagree() -> None:
+    interlocks = Interlocks(Limits(), PRESTO)
+    for reading in readings(lambda _: with_external(33.0, 25.0), 300):
+        assert interlocks.add(reading) is None
 
 
 @pytest.mark.parametrize(

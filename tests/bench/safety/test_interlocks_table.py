@@ -192,6 +192,22 @@ def test_only_a_coarse_temperature_may_stand_while_the_output_moves(
     assert ("stable" in states) is alive
 
 
+@pytest.mark.parametrize(("step_k", "alive"), [(0.05, False), (0.0501, True)])
+def test_a_temperature_is_coarse_above_steps_of_a_twentieth_of_a_kelvin(
+    step_k: float, alive: bool
+) -> None:
+    profile = load_profile("julabo-presto")
+    rows = tuple(
+        row.model_copy(update={"type": "i16", "scale": step_k})
+        if row.name == "temperature"
+        else row
+        for row in profile.rows
+    )
+    moving = moving_of(profile.model_copy(update={"rows": rows}))
+    still, moved = (moving(replace(CALM, power_percent=power)) for power in (2.0, 3.0))
+    assert (still != moved) is alive
+
+
 LIMITS = {
     "set_point_c": "[22.0, 33.0]",
     "bath_max_c": "34.5",
@@ -276,6 +292,7 @@ def test_the_silence_of_a_rig_file_holds_on_both_sides(answered: bool, tmp_path:
     assert trip is not None
     assert trip.rule == ("implausible reading" if answered else "communications lost")
     assert answered or "may still heat" in str(trip)
+    assert ("no usable reading" in str(trip)) is answered
 
 
 HOT, DISAGREE, BROKEN = "over-temperature", "sensor disagreement", "implausible reading"
