@@ -9,12 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from instruments.bath.connection import Line, LineError, parse_line
-from instruments.bath.errors import ILLEGAL_ADDRESS, RefusedError
 from instruments.bath.profile import Identity, Profile, Wiring
 from instruments.bath.reading import BathReading, Poll
 from instruments.bath.registers import Order, Row
 from instruments.bath.requests import markers, reader
-from instruments.bath.transactions import Transactions
+from instruments.bath.transactions import ILLEGAL_ADDRESS, RefusedError, Transactions
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
 from instruments.tap import Tap

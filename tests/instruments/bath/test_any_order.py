@@ -21,10 +21,9 @@ from hypothesis.stateful import (
 )
 
 from instruments.bath.driver import Bath, PumpAt
-from instruments.bath.emulator import FAULTS
+from instruments.bath.emulator import FAULTS, POWER_CUT, RELAY_FAULTS, RelayEmulator
 from instruments.bath.profile import load_profile, load_relay, profile_names
 from instruments.bath.reading import BathReading
-from instruments.bath.relay_emulator import POWER_CUT, RELAY_FAULTS, RelayEmulator
 from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError
 from instruments.listener import Listener
@@ -62,11 +61,7 @@ class BathInAnyOrder(RuleBasedStateMachine):
         profile = load_relay("modbus-relay")
         relay = RelayEmulator(self.plant, profile, self.clock, framing=self.emulator.framing)
         listener = Listener(relay, self.clock, lock=self.lock, name="pump")
-        return (
-            relay,
-            listener,
-            PumpAt(url_of(relay, listener), profile),
-        )
+        return (relay, listener, PumpAt(url_of(relay, listener), profile))
 
     @rule(data=st.data(), on=st.booleans())
     def break_or_mend(self, data: st.DataObject, on: bool) -> None:
@@ -289,11 +284,7 @@ def test_a_serial_device_answers_in_order() -> None:
 def connected(name: str, clock: VirtualClock) -> tuple[Watched, Listener, Bath]:
     emulator = Watched(calm_plant(), load_profile(name), clock)
     listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    return (
-        emulator,
-        listener,
-        Bath(url_of(emulator, listener), emulator.profile, clock),
-    )
+    return (emulator, listener, Bath(url_of(emulator, listener), emulator.profile, clock))
 
 
 @pytest.mark.parametrize("start_s", [26.60000000000002, 28.600000000000012, 62.300000000000054])

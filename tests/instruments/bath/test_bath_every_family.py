@@ -18,15 +18,12 @@ from instruments.errors import DeviceError, InstrumentError, LimitError, LinkErr
 from instruments.listener import Listener
 from tests.instruments.bath.devices import Watched, calm_plant
 from tests.instruments.bath.far_end import bath_on, shown_by
-from tests.instruments.bath.test_bath_profile import (
-    BROWSED,
-    EUROTHERM_MEMORY,
-)
+from tests.instruments.bath.test_bath_profile import BROWSED, EUROTHERM_MEMORY
 
 NAMES = profile_names()
 BOTH = {"transports": ("tcp", "rtu")}  # so that any driver can meet any controller
 ALIKE = {  # nothing that may be read for certain tells them apart
-    ("julabo-magio", "julabo-presto"),
+    ("julabo-magio", "julabo-presto")
 }
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from instruments.bath.driver import Bath, PumpAt
-from instruments.bath.emulator import BathEmulator, Framing
+from instruments.bath.emulator import POWER_CUT, RELAY_FAULTS, BathEmulator, Framing, RelayEmulator
 from instruments.bath.profile import (
     ProfileError,
     RelayProfile,
@@ -19,7 +19,6 @@ from instruments.bath.profile import (
     load_relay,
     relay_names,
 )
-from instruments.bath.relay_emulator import POWER_CUT, RELAY_FAULTS, RelayEmulator
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
 from instruments.listener import Listener

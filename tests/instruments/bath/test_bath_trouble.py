@@ -12,8 +12,8 @@ from contextlib import suppress
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.bath.errors import BrokenError
 from instruments.bath.profile import load_profile
+from instruments.bath.transactions import BrokenError
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from instruments.listener import Connection, Listener

@@ -334,7 +334,7 @@ def test_resume_waits_until_the_stage_stands(bench: Bench) -> None:
     stage = bench.homed()
     stage.begin_move(-200, -1)
     bench.clock.sleep(1.0)
-    stage._talk.realtime(b"!")
+    stage._talk.write(b"!")
     assert stage.status().name == "Hold:1"
     stage.resume()
     assert stage.status().state == "Run"
@@ -357,7 +357,7 @@ def test_a_hold_at_the_panel_interrupts_the_move(bench: Bench) -> None:
     stage = bench.homed()
     stage.begin_move(-200, -1)
     bench.clock.sleep(1.0)
-    stage._talk.realtime(b"!")
+    stage._talk.write(b"!")
     with pytest.raises(DeviceError, match=r"the move was interrupted \(got Hold:[01]\)"):
         stage.finish_move()
     stage.resume()
@@ -367,7 +367,7 @@ def test_a_hold_at_the_panel_interrupts_the_move(bench: Bench) -> None:
 def test_a_feed_override_that_makes_the_move_too_slow(bench: Bench) -> None:
     stage = bench.homed()
     stage.begin_move(-299, -1)
-    stage._talk.realtime(b"\x92" * 9)
+    stage._talk.write(b"\x92" * 9)
     with pytest.raises(DeviceError, match="takes too long"):
         stage.finish_move()
     stage.stop()
@@ -399,12 +399,12 @@ def _held(bench: Bench) -> None:
 
 def _braking(bench: Bench) -> None:
     _moving(bench)
-    bench.stage._talk.realtime(b"!")
+    bench.stage._talk.write(b"!")
 
 
 def _door(bench: Bench) -> None:
     _moving(bench)
-    bench.stage._talk.realtime(b"\x84")
+    bench.stage._talk.write(b"\x84")
 
 
 def _homing(bench: Bench) -> None:

@@ -51,12 +51,7 @@ def test_a_diagonal_move_is_as_fast_as_its_slowest_axis_allows() -> None:
     assert motion.speed(1.0) == pytest.approx(50 * math.sqrt(2))
 
 
-@given(
-    st.floats(1e-3, 500),
-    st.floats(0, 50),
-    st.floats(1, 80),
-    st.floats(10, 1000),
-)
+@given(st.floats(1e-3, 500), st.floats(0, 50), st.floats(1, 80), st.floats(10, 1000))
 def test_a_profile_covers_its_length_and_joins_without_steps(
     length: float, entry: float, cruise: float, accel: float
 ) -> None:
