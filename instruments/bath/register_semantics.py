@@ -9,7 +9,7 @@ on a driver, marked as chosen.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -62,7 +62,7 @@ class Manners:
     reset_s: float = 2.0
     after_reset: Literal["standby", "as it was"] = "as it was"
     fahrenheit_as_shipped: bool = False
-    writable: frozenset[str] | None = frozenset()
+    writable: Set[str] | None = frozenset()
     bits: Mapping[str, int] = field(default_factory=dict)
     starts: Mapping[str, float] = field(default_factory=dict)
 
@@ -94,14 +94,7 @@ JULABO = Manners(
 )
 # 1.1: an unsupported function gets no reply; exceptions 2 and 3 only; 5 s silent when it resets
 EUROTHERM = Manners(
-    functions={
-        1: "coil",
-        2: "coil",
-        5: "coil",
-        **WORDS,
-        protocol.STATUS: "holding",
-        protocol.LOOPBACK: "holding",
-    },
+    functions={**WORDS, **dict.fromkeys((1, 2, 5), "coil"), 7: "holding", 8: "holding"},
     unknown_function="silence",
     alike=True,
     gaps="undefined",
@@ -109,18 +102,8 @@ EUROTHERM = Manners(
     areas=True,
     sensor_break="last",
     reset_s=5.0,
-    writable=frozenset(
-        (
-            "set_point_select",
-            "set_point_1",
-            "set_point_2",
-            "alarm1_high",
-            "output_low",
-            "set_point_low",
-            "set_point_high",
-            "output_demand",
-        )
-    ),
+    writable={"set_point_select", "set_point_1", "set_point_2", "set_point_low", "set_point_high"}
+    | {"alarm1_high", "output_low", "output_demand"},
     bits={"alarm 1": 0x0001, "manual": 0x0010, "sensor": 0x0020, "loop": 0x0040},
     starts={**LIMITS, "decimals": 1.0, "version": 0x0461, "model": 0x2416},
 )
@@ -129,17 +112,8 @@ WATLOW = Manners(  # 1.3: degF until it is told; 3 and 4 alike
     alike=True,
     sensor_break="last",
     fahrenheit_as_shipped=True,
-    writable=frozenset(
-        (
-            "unit",
-            "alarm1_low",
-            "alarm1_high",
-            "set_point_low",
-            "set_point_high",
-            "manual_power",
-            "limit_high",
-        )
-    ),
+    writable={"unit", "alarm1_low", "alarm1_high", "set_point_low", "set_point_high"}
+    | {"manual_power", "limit_high"},
     starts={**LIMITS, "limit_high": 60.0, "limit_state": 61.0},
 )
 OMEGA = Manners(  # 1.4: functions 2, 3, 5 and 6; an error code stands where the temperature would
@@ -147,7 +121,7 @@ OMEGA = Manners(  # 1.4: functions 2, 3, 5 and 6; an error code stands where the
     alike=True,
     gaps="refused",
     sensor_break=0x8003,
-    writable=frozenset(("alarm1_low", "alarm1_high")),
+    writable={"alarm1_low", "alarm1_high"},
     starts=LIMITS,
 )
 
@@ -391,18 +365,6 @@ def _aim(on: Controller, value: float) -> None:  # noqa: ARG001 - which of three
     on.plant.set_point_c = on.memory.get(name, on.plant.set_point_c)
 
 
-def _limit(on: Controller, value: float) -> None:
-    on.plant.output_max = value / 100.0
-
-
-def _ramp(on: Controller, value: float) -> None:
-    on.plant.ramp_k_per_min = value
-
-
-def _unit(on: Controller, value: float) -> None:
-    on.fahrenheit = value == on.code("unit", "f")
-
-
 ACTS: Mapping[str, Callable[[Controller, float], None]] = {
     "run": _start_or_stop,
     "auto_manual": _automatic,
@@ -412,11 +374,11 @@ ACTS: Mapping[str, Callable[[Controller, float], None]] = {
     "set_point": _aim,
     "remote_set_point": _aim,
     "local_remote": _aim,
-    "heating_limit": _limit,
-    "ramp": _ramp,
-    "pump_stage": lambda on, value: on.plant.set_flow(
-        on.plant.constants.flow_l_per_min * value / 4.0
+    "heating_limit": lambda on, value: setattr(on.plant, "output_max", value / 100.0),
+    "ramp": lambda on, value: setattr(on.plant, "ramp_k_per_min", value),
+    "pump_stage": lambda on, stage: on.plant.set_flow(
+        on.plant.constants.flow_l_per_min * stage / 4
     ),
-    "unit": _unit,
+    "unit": lambda on, value: setattr(on, "fahrenheit", value == on.code("unit", "f")),
     "encoding": lambda on, value: on.set_order(int(value)),
 }

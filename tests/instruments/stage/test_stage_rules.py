@@ -10,6 +10,8 @@ it, and everything counts again.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from contextlib import suppress
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -107,9 +109,6 @@ class StageRules(RuleBasedStateMachine):
         self.finished_at(place)
 
     @rule(place=PLACES)
-    def begin_a_move(self, place: Place) -> None:
-        self.begin(place)
-
     def begin(self, place: Place) -> None:
         homed = self.stage.homed
         try:
@@ -132,13 +131,6 @@ class StageRules(RuleBasedStateMachine):
         self.target = (there[0], there[1], there[2], there[3])
 
     @rule()
-    def cancel_a_jog(self) -> None:
-        try:
-            self.stage.cancel_jog()
-        except InstrumentError:
-            return
-
-    @rule()
     def finish(self) -> None:
         try:
             self.stage.finish_move()
@@ -158,24 +150,12 @@ class StageRules(RuleBasedStateMachine):
             return
         self.stands()
 
-    @rule()
-    def brake(self) -> None:
-        try:
-            self.stage.brake()
-        except InstrumentError:
-            return
+    @rule(call=st.sampled_from([Stage.cancel_jog, Stage.brake, Stage.resume]))
+    def only_call(self, call: Callable[[Stage], None]) -> None:
+        with suppress(InstrumentError):
+            call(self.stage)
 
     @rule()
-    def resume(self) -> None:
-        try:
-            self.stage.resume()
-        except InstrumentError:
-            return
-
-    @rule()
-    def stop_now(self) -> None:
-        self.stop()
-
     def stop(self) -> None:
         start = self.clock.now()
         try:
