@@ -33,6 +33,7 @@ PLACES = st.one_of(INSIDE, INSIDE, st.tuples(*(st.floats(-travel - 10, 10) for t
 WAYS = st.tuples(*(st.floats(-0.2 * travel, 0.2 * travel) for travel in TRAVEL))
 UNSEEN = frozenset({Fault.STALL, Fault.LOST_STEP})
 PLAY = (0.2, 0.1, 0.05, 0.5)
+BOARDS = [(CLASSIC, "XY"), (CLASSIC, "XYZ"), *((GRBL_HAL, axes) for axes in ("XYZ", "XYZA", "XYA"))]
 
 
 class StageRules(RuleBasedStateMachine):
@@ -40,18 +41,7 @@ class StageRules(RuleBasedStateMachine):
     never moving after ``stop``.
     """
 
-    @initialize(
-        board=st.sampled_from(
-            [
-                (CLASSIC, "XY"),
-                (CLASSIC, "XYZ"),
-                (GRBL_HAL, "XYZ"),
-                (GRBL_HAL, "XYZA"),
-                (GRBL_HAL, "XYA"),
-            ]
-        ),
-        play=st.booleans(),
-    )
+    @initialize(board=st.sampled_from(BOARDS), play=st.booleans())
     def power_on(self, board: tuple[Dialect, str], play: bool) -> None:
         dialect, self.axes = board
         count = 4 if "A" in self.axes else 3
