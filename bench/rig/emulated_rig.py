@@ -15,9 +15,8 @@ from bench.rig.emulation_model import EmulatedFault, EmulatedStage, make_rendere
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage
 from detector.geometry import Motion
-from instruments.bath.emulator import BathEmulator, Framing
+from instruments.bath.emulator import BathEmulator, Framing, RelayEmulator
 from instruments.bath.profile import Profile, RelayProfile
-from instruments.bath.relay_emulator import RelayEmulator
 from instruments.camera.emulator import EmulatedCameras
 from instruments.clock import Clock
 from instruments.listener import Device, Listener

@@ -203,7 +203,7 @@ def fault_names(instrument: str) -> tuple[str, ...]:
 
         return tuple(FAULTS)
     if instrument == "pump":
-        from instruments.bath.relay_emulator import RELAY_FAULTS
+        from instruments.bath.emulator import RELAY_FAULTS
 
         return RELAY_FAULTS
     from instruments.stage.emulator.board import Fault

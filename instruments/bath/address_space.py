@@ -1,5 +1,5 @@
 """The emulated device's address space: which row answers at which address, in how many registers,
-and what is refused. Values come from and go to `Values`; rules of families: `controller_behaviour`.
+and what is refused. Values come from and go to `Values`; rules of families: `register_semantics`.
 """
 
 from __future__ import annotations
@@ -7,13 +7,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from instruments.bath import protocol
-from instruments.bath.controller_behaviour import Manners
 from instruments.bath.profile import Wiring
 from instruments.bath.protocol import Read, Refused, Write
 from instruments.bath.registers import Order, Row, Table
+
+if TYPE_CHECKING:
+    from instruments.bath.register_semantics import Manners
 
 IEEE_AREA = 0x8000  # Eurotherm: a pair of registers at 0x8000 + 2 n for each quantity n
 PADDING = 0x8000  # behind a word that takes only the first register of its pair

@@ -97,14 +97,11 @@ def _host_and_port(place: str, kind: Kind) -> tuple[str, int]:
     except ValueError as error:
         raise LineError(f"not a link: {error}; allowed: {ALLOWED}") from error
     if not host or parts.path or parts.username is not None:
-        raise LineError(
-            f'not a link: write "{kind}://host:port" and nothing behind it but "?unit=3"'
-        )
+        form = f'"{kind}://host:port" and nothing behind it but "?unit=3"'
+        raise LineError(f"not a link: write {form}")
     if port is None and kind == "rtu+tcp":
-        raise LineError(
-            'the port is missing: write "rtu+tcp://host:port" with the port that the serial server'
-            " listens on"
-        )
+        form = '"rtu+tcp://host:port" with the port that the serial server listens on'
+        raise LineError(f"the port is missing: write {form}")
     return host, MODBUS_PORT if port is None else port
 
 
@@ -113,9 +110,8 @@ def _settings(query: str, kind: Kind) -> dict[str, int | str]:
     try:
         pairs = parse_qsl(query, strict_parsing=bool(query), keep_blank_values=True)
     except ValueError as error:
-        raise LineError(
-            f'"?{query}" is no list of settings: write "?unit=3&baud=9600" ({error})'
-        ) from error
+        what = f'"?{query}" is no list of settings: write "?unit=3&baud=9600" ({error})'
+        raise LineError(what) from error
     settings: dict[str, int | str] = {}
     for name, value in pairs:
         if name not in known:

@@ -14,11 +14,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeVar
 
-from instruments.bath.errors import BrokenError
 from instruments.bath.profile import PUMP, Profile, RelayProfile
 from instruments.bath.reading import BathReading, OrderError, Poll
 from instruments.bath.register_access import WiredRows, identity_of, look
 from instruments.bath.registers import Row
+from instruments.bath.transactions import BrokenError
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.tap import Tap

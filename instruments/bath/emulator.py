@@ -1,9 +1,8 @@
-"""The emulated controller: a Modbus server whose registers are the plant's state, laid out by a
-profile.
+"""The emulated controller, and the relay of a pump: Modbus servers whose registers are the plant's
+state, laid out by a profile.
 
 A request first moves the plant on to the clock's time. Nothing here waits. Bytes: `protocol`; what
-registers mean: `register_semantics`; where they are: `address_space`; a family's rules:
-`controller_behaviour`; the relay of a pump: `relay_emulator`.
+registers mean, and a family's rules: `register_semantics`; where they are: `address_space`.
 """
 
 from __future__ import annotations
@@ -14,10 +13,10 @@ from typing import ClassVar, Literal, get_args
 
 from instruments.bath import protocol
 from instruments.bath.address_space import Cells, Values
-from instruments.bath.controller_behaviour import Manners, manners_of
-from instruments.bath.profile import Profile, Wiring
+from instruments.bath.profile import PUMP, Profile, RelayProfile, Wiring
 from instruments.bath.protocol import Exchange, Frame, Plain, Read, Refused, Write
-from instruments.bath.register_semantics import Controller
+from instruments.bath.register_semantics import Controller, Manners, manners_of
+from instruments.bath.registers import Row
 from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.world.plant import Plant
@@ -27,6 +26,8 @@ Framing = Literal["tcp", "rtu"]
 WIRE_FAULTS = ("silence", "busy", "wrong length", "surplus", "late answer", "garbage", "bad CRC")
 GARBAGE = (0x00, 0xFF, 0x01, 0x03)  # ahead of an answer, one byte each time (fact sheet, P6)
 LATE_S = 1.5
+POWER_CUT = "power cut"
+RELAY_FAULTS = (*WIRE_FAULTS, POWER_CUT)
 
 
 class Server:
@@ -49,7 +50,6 @@ class Server:
         clock: Clock,
         manners: Manners,
         values: Values,
-        *,
         unit_id: int | None,
         framing: Framing | None,
     ) -> None:
@@ -87,10 +87,8 @@ class Server:
         if name not in self.known_faults:
             raise ValueError(f"no fault '{name}'; there are {', '.join(self.known_faults)}")
         if name == "bad CRC" and self.framing == "tcp":
-            raise ValueError(
-                f"the {self.kind} speaks Modbus TCP, which has no check sum: it can't have the"
-                " fault 'bad CRC'"
-            )
+            what = f"the {self.kind} speaks Modbus TCP, which has no check sum"
+            raise ValueError(f"{what}: it can't have the fault 'bad CRC'")
 
     def cut_power(self, on: bool) -> None:
         """The fault ``outage`` begins, or ends."""
@@ -233,9 +231,7 @@ class BathEmulator(Server):
         manners = manners_of(profile)
         self._controller = Controller(plant, profile, manners, unit_id or profile.unit_id)
         self._controller.fahrenheit = as_shipped and manners.fahrenheit_as_shipped
-        super().__init__(
-            plant, profile, clock, manners, self._controller, unit_id=unit_id, framing=framing
-        )
+        super().__init__(plant, profile, clock, manners, self._controller, unit_id, framing)
         plant.fit(circulator=profile.capabilities.pump == "with run")
 
     @property
@@ -269,3 +265,54 @@ class BathEmulator(Server):
             return bytes((request.function,)) + request.body
         status = self.profile.find("status")
         return bytes((request.function, self._controller.words(status)[0] & 0xFF if status else 0))
+
+
+class Contacts(Values):
+    """The relay's rows: ``pump`` is the plant's switch, any other contact switches nothing here."""
+
+    def __init__(self, plant: Plant, profile: RelayProfile) -> None:
+        super().__init__(profile)
+        self._plant = plant
+
+    def number(self, row: Row) -> float:
+        if row.name == PUMP:
+            return float(row.values["on" if self._plant.pump == "on" else "off"])
+        return super().number(row)
+
+    def take(self, row: Row, value: float) -> None:
+        super().take(row, value)
+        if row.name == PUMP:
+            self._plant.pump = "on" if value == row.values["on"] else "off"
+
+
+class RelayEmulator(Server):
+    """The relay of a pump, with a power supply of its own: its row ``pump`` switches the pump of
+    ``plant``, off at first. As `Server`; the fault "power cut" opens the contact, and the relay is
+    silent until the fault ends.
+    """
+
+    kind: ClassVar[str] = "pump's relay"
+    known_faults: ClassVar[tuple[str, ...]] = RELAY_FAULTS
+    outage: ClassVar[str] = POWER_CUT
+    profile: RelayProfile
+
+    def __init__(
+        self,
+        plant: Plant,
+        profile: RelayProfile,
+        clock: Clock,
+        *,
+        unit_id: int | None = None,
+        framing: Framing | None = None,
+    ) -> None:
+        self._contacts, manners = Contacts(plant, profile), Manners(alike=profile.alike)
+        super().__init__(plant, profile, clock, manners, self._contacts, unit_id, framing)
+        plant.pump = "off"
+
+    def cut_power(self, on: bool) -> None:
+        self.silent_until_s = math.inf if on else -math.inf
+        if on:
+            self.plant.advance_to(self._clock.now())
+            self._contacts.memory.clear()
+            self.plant.pump = "off"  # a relay holds by its coil
+            self.hang_up()

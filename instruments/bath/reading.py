@@ -113,10 +113,8 @@ class Poll:
         """Unit and order of bytes may be changed at the panel while we are connected."""
         if self._shows(values, "unit", "c") is False:
             seen = self._profile.row("unit").label(values["unit"])
-            hint = "Set the controller to degrees Celsius."
-            raise DeviceError(
-                self._who, "it does not speak degC", asked="its unit", seen=seen, hint=hint
-            )
+            what, hint = "it does not speak degC", "Set the controller to degrees Celsius."
+            raise DeviceError(self._who, what, asked="its unit", seen=seen, hint=hint)
         source = self._profile.order_from
         code = values.get(source.row) if source else None
         if source and code is not None and self._profile.order_for(int(code)) != self._order:
@@ -160,10 +158,8 @@ class Poll:
         for order in get_args(Order):
             turned = decode(raw, row.type, order) * row.scale
             if row.words > 1 and order != self._order and self._is_plausible(turned):
-                yield (
-                    f"In the order {order} it would be {turned:.1f} degC: set order in the profile,"
-                    " or at the controller."
-                )
+                where = "set order in the profile, or at the controller"
+                yield f"In the order {order} it would be {turned:.1f} degC: {where}."
 
     def _is_plausible(self, temp_c: float) -> bool:
         low, high = self._profile.plausible_c

@@ -9,12 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from instruments.bath.connection import Line, LineError, parse_line
-from instruments.bath.errors import ILLEGAL_ADDRESS, RefusedError
 from instruments.bath.profile import Identity, Profile, Wiring
 from instruments.bath.reading import BathReading, Poll
 from instruments.bath.registers import Order, Row
 from instruments.bath.requests import markers, reader
-from instruments.bath.transactions import Transactions
+from instruments.bath.transactions import ILLEGAL_ADDRESS, RefusedError, Transactions
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
 from instruments.tap import Tap
@@ -40,23 +39,20 @@ class WiredRows:
         shared: Transactions | None = None,
     ) -> None:
         line = _line_to(url, profile, who)
+        shapes = markers(profile, inferred=allow_inferred) if line.is_rtu else ()
         self.profile = profile
         self.who = who
         self.allow_inferred = allow_inferred
         self.order: Order = profile.order
         self.shares = shared is not None and line.url == shared.place
-        self.wire = (
-            shared
-            if shared and self.shares
-            else Transactions(
-                line,
-                clock,
-                who=who,
-                tap=tap,
-                timeout_s=profile.timeout_s,
-                quiet_s=profile.quiet_s,
-                markers=markers(profile, inferred=allow_inferred) if line.is_rtu else (),
-            )
+        self.wire = (shared if self.shares else None) or Transactions(
+            line,
+            clock,
+            who=who,
+            tap=tap,
+            timeout_s=profile.timeout_s,
+            quiet_s=profile.quiet_s,
+            markers=shapes,
         )
         self._unit_id = line.unit_id
         self._clock = clock
@@ -67,9 +63,8 @@ class WiredRows:
         row = self.profile.find(name)
         if row is None:
             names = ", ".join(sorted(known.name for known in self.profile.rows))
-            raise LimitError(
-                self.who, f"{self.profile.family} has no '{name}'", hint=f"It has: {names}."
-            )
+            what = f"{self.profile.family} has no '{name}'"
+            raise LimitError(self.who, what, hint=f"It has: {names}.")
         return row
 
     def words(self, row: Row) -> tuple[int, ...]:
@@ -110,8 +105,7 @@ class WiredRows:
         if row.evidence == "INFERRED" and not self.allow_inferred:
             what = f"not written: the profile only infers where {row.name} is"
             hint = (
-                "Check it on the controller, then say 'allow_inferred = true' under [bath] in the"
-                " rig file."
+                "Check it on the controller, then set [bath] allow_inferred = true in the rig file."
             )
             raise LimitError(self.who, what, hint=hint)
         return value
@@ -141,10 +135,8 @@ class WiredRows:
             seen = f"{row.name} = {row.label(row.decode(words, self.order))}"
             what, hint = "it confirmed a write and did not do it", "Switch it at the controller."
             if (remote := self.profile.find("remote")) is not None:
-                hint = (
-                    f"Its remote control is '{remote.label(self.value(remote))}': set it to Modbus"
-                    " at the controller, or switch it by hand."
-                )
+                shown = f"Its remote control is '{remote.label(self.value(remote))}'"
+                hint = f"{shown}: set it to Modbus at the controller, or switch it by hand."
             raise DeviceError(self.who, what, asked=asked, seen=seen, hint=hint)
 
     def _stands(self, row: Row, value: float, words: Sequence[int]) -> bool:

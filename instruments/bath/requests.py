@@ -10,7 +10,7 @@ writes the echo.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from pymodbus.pdu import ModbusPDU
@@ -109,6 +109,11 @@ REQUESTS = {
     3: ReadHoldingRegistersRequest,
     4: ReadInputRegistersRequest,
 }
+WRITERS: dict[int, Callable[..., ModbusPDU]] = {
+    5: WriteSingleCoilRequest,
+    6: WriteSingleRegisterRequest,
+    16: WriteMultipleRegistersRequest,
+}
 NAMES = {1: "coils", 2: "discrete inputs", 3: "holding registers", 4: "input registers"}
 EXCEPTION = 0x80
 
@@ -158,15 +163,10 @@ def write_question(function: int, address: int, values: Sequence[int], unit_id: 
     """Write ``values`` from ``address``: one bit (function 5), one register (6) or some (16). The
     right answer is an echo.
     """
-    request: ModbusPDU
-    words = list(values)
-    if function == 5:
-        request = WriteSingleCoilRequest(address=address, bits=[bool(words[0])], dev_id=unit_id)
-    else:
-        kind = WriteSingleRegisterRequest if function == 6 else WriteMultipleRegistersRequest
-        request = kind(address=address, registers=words, dev_id=unit_id)
+    words, what = list(values), "coil" if function == 5 else "holding register"
+    content = {"bits": [bool(words[0])]} if function == 5 else {"registers": words}
+    request = WRITERS[function](address=address, dev_id=unit_id, **content)
     echo = (bytes((unit_id, function)) + request.encode())[:6]
-    what = "coil" if function == 5 else "holding register"
     return Question(request, echo, 6, f"write {words} to {what} {address}")
 
 

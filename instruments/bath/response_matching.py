@@ -1,16 +1,12 @@
-"""RTU frames in what came over a line, wherever they start: garbage ahead of a whole answer costs
-nothing. Pure.
+"""Answers in what came over a line, and whose they are. Pure.
 
-RTU has no mark for the beginning of a frame. But whoever asked knows the unit, the function and so
-the length that an answer has, and the check sum tells the rest: every place is tried. A client that
-takes the first byte for a header loses the whole answer to one stray byte (fact sheet, 2.3, P6).
+RTU has no mark for the beginning of a frame. But unit and function that were asked give the length
+of an answer, and the check sum tells the rest: every place is tried, so that garbage ahead of an
+answer costs nothing (fact sheet, 2.3, P6).
 
-Whose answer is what came. Over TCP its number tells; over RTU only what is still owed, in which
-order. Pure, no I/O.
-
-A device answers in order. So an answer that fits a question settles that one and all before it;
-what fits several settles the first, and nothing is taken for the last question's that an earlier
-one may have asked for.
+Over TCP the number tells whose an answer is; over RTU only what is still owed. A device answers in
+order: an answer that fits a question settles that one and all before it; what fits several settles
+the first, and nothing is taken for the last question's that an earlier one may have asked for.
 """
 
 from __future__ import annotations
@@ -80,11 +76,7 @@ class Answers:
 
     def forget(self, before_s: float) -> None:
         """Drop what was asked before ``before_s``, and what was answered."""
-        self.owed = [
-            question
-            for question in self.owed
-            if question.answer is None and question.sent_s >= before_s
-        ]
+        self.owed = [q for q in self.owed if q.answer is None and q.sent_s >= before_s]
 
     def hear(self, data: bytes) -> int:
         """Take the answers in ``data``; how many bytes are done with."""
@@ -97,10 +89,7 @@ class Answers:
         shapes = {owed.expects for owed in self.owed}
         kinds = {owed.expects[:2] for owed in self.owed}
         free = [question for question in questions if question.expects not in shapes]
-        return next(
-            (question for question in free if question.expects[:2] not in kinds),
-            next(iter(free), None),
-        )
+        return min(free, key=lambda question: question.expects[:2] in kinds, default=None)
 
     def _hear_tcp(self, data: bytes) -> int:
         used, in_one_piece = 0, not self.left
@@ -120,10 +109,8 @@ class Answers:
                     question.answer = bytes((unit_id, *pdu))
 
     def _hear_rtu(self, data: bytes) -> int:
-        used = 0
-        for start, used in frames(
-            data, {(question.unit_id, question.function) for question in self.owed}
-        ):
+        used, asked = 0, {(question.unit_id, question.function) for question in self.owed}
+        for start, used in frames(data, asked):
             self._take(data[start : used - 2])
         return used
 
@@ -135,8 +122,7 @@ class Answers:
                 current.answer = answer
                 self.owed.clear()
             return
-        if current and (
-            self.owed[at] is current or (current.fits(answer) and not answer[1] & EXCEPTION)
-        ):
+        exception = answer[1] & EXCEPTION
+        if current and (self.owed[at] is current or (current.fits(answer) and not exception)):
             current.answer = answer
         del self.owed[: at + 1]

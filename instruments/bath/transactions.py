@@ -12,11 +12,10 @@ import logging
 from collections.abc import Callable, Sequence
 
 from instruments.bath.connection import BAUD, Line
-from instruments.bath.errors import BrokenError, cut, nonsense, owing, refused, silence, unreachable
 from instruments.bath.requests import EXCEPTION, Question, read_question, values_in, write_question
 from instruments.bath.response_matching import Answers
 from instruments.clock import Clock, VirtualClock
-from instruments.errors import LinkError, ProtocolError
+from instruments.errors import DeviceError, LinkError, ProtocolError
 from instruments.link import SLICE_S, Link
 from instruments.tap import NoTap, Tap
 
@@ -32,7 +31,30 @@ GAP_CHARACTERS, LEAST_GAP_S = 3.5, 0.00175
 MOST_SEEN = 300  # bytes kept for messages: more than the longest response
 MOST_UNUSED = 2048  # bytes without a whole response, then they are dropped
 
-Marker = tuple[int, int, int]
+ILLEGAL_ADDRESS = 2
+EXCEPTIONS = {
+    1: "it does not know this function",
+    2: "it has no register at this address",
+    3: "it does not allow this value",
+    4: "it failed while doing it",
+    5: "it needs longer and will do it later",
+    6: "it is busy",
+    7: "it can't do this",
+    8: "its memory has a parity error",
+    10: "the gateway has no path to it",
+    11: "the gateway got no answer from it",
+}
+NO_ANSWER = "what came is no answer to this"
+
+
+class RefusedError(DeviceError):
+    """The device answered with a Modbus exception, ``code``."""
+
+    code = 0
+
+
+class BrokenError(LinkError):
+    """The link broke under a question, which may be asked again over a new one."""
 
 
 class Transactions:
@@ -52,13 +74,13 @@ class Transactions:
         tap: Tap | None = None,
         timeout_s: float = TIMEOUT_S,
         quiet_s: float = QUIET_S,
-        markers: Sequence[Marker] = (),
+        markers: Sequence[tuple[int, int, int]] = (),
     ) -> None:
         self.who = who
         self._line = line
         self._unit_id = line.unit_id or 1
         self._clock = clock
-        self._tap: Tap = tap or NoTap()
+        self._tap = tap or NoTap()
         self._timeout_s = timeout_s
         self._quiet_s = quiet_s
         self._markers = markers
@@ -79,16 +101,42 @@ class Transactions:
         """Open the link, trying again with growing pauses. Raises LinkError when nobody takes it in
         the end.
         """
-        start = self._clock.now()
+        start, why, line = self._clock.now(), "", self._line
         for pause_s in (0.0, *CONNECT_PAUSES_S):
             if pause_s:
                 self._clock.sleep(pause_s)
-            why = self._connect_once()
-            if not why:
-                return
-        raise unreachable(
-            self.who, self._line, why, len(CONNECT_PAUSES_S) + 1, self._clock.now() - start
-        )
+            self.close()
+            try:
+                self._link = Link(
+                    line.url,
+                    self._clock,
+                    who=self.who,
+                    baud=line.baud or BAUD,
+                    parity=line.parity or "N",
+                    stopbits=line.stopbits or 1,
+                    connect_timeout_s=CONNECT_TIMEOUT_S,
+                    tap=self._tap,
+                )
+            except LinkError as error:
+                cause = error.__cause__
+                why = "no answer" if isinstance(cause, TimeoutError) else str(cause or error.what)
+                if isinstance(cause, ConnectionError) and cause.strerror:
+                    why = cause.strerror
+                continue
+            self._unused = self._seen = b""
+            # a response to somebody else may still be under way
+            self._strange_until_s = self._clock.now() + self._quiet_s
+            return
+        what = "nothing took the connection"
+        hint = f"Is the controller on, on this network, and set to Modbus {line.transport.upper()}?"
+        if line.kind == "serial":
+            what = "the port can't be opened"
+            hint = (
+                "Is the adapter plugged in, and is it yours to open? 'python -m"
+                " serial.tools.list_ports' lists the ports."
+            )
+        what = f"{what} in {len(CONNECT_PAUSES_S) + 1} tries: {why}"
+        raise LinkError(self.who, what, seconds=self._clock.now() - start, hint=hint)
 
     @property
     def place(self) -> str:
@@ -108,9 +156,8 @@ class Transactions:
         values = values_in(answer)
         if len(answer) != question.length:
             kind = "bits" if function in (1, 2) else "registers"
-            raise self._nonsense(
-                f"{len(values)} {kind} were answered where {count} were asked", question
-            )
+            what = f"{len(values)} {kind} were answered where {count} were asked"
+            raise self._nonsense(what, question)
         return values[:count]
 
     def write(
@@ -140,30 +187,6 @@ class Transactions:
         if self._link is not None:
             self._link.close()
             self._link = None
-
-    def _connect_once(self) -> str:
-        """Why nobody took the connection; empty when somebody has."""
-        self.close()
-        try:
-            self._link = Link(
-                self._line.url,
-                self._clock,
-                who=self.who,
-                baud=self._line.baud or BAUD,
-                parity=self._line.parity or "N",
-                stopbits=self._line.stopbits or 1,
-                connect_timeout_s=CONNECT_TIMEOUT_S,
-                tap=self._tap,
-            )
-        except LinkError as error:
-            cause = error.__cause__
-            if isinstance(cause, ConnectionError) and cause.strerror:
-                return cause.strerror
-            return "no answer" if isinstance(cause, TimeoutError) else str(cause or error.what)
-        self._unused = self._seen = b""
-        # a response to somebody else may still be under way
-        self._strange_until_s = self._clock.now() + self._quiet_s
-        return ""
 
     def _up(self) -> Link:
         if self._link is None or not self._link.connected:
@@ -224,18 +247,26 @@ class Transactions:
             if question.answer is not None or self._put(question):  # the late one is as good
                 break
             if self._answers.left and not self._line.is_rtu:
-                error = cut(self.who, question, self._seen, self._line)
+                error: LinkError | ProtocolError = self._nonsense(NO_ANSWER, question)
+                if not self._seen[2:4].strip(b"\0"):  # the number of the protocol Modbus
+                    what = "only a part of the answer came"
+                    hint = "Check network and gateway if it happens often."
+                    asked, seen = question.asked, self._seen
+                    error = BrokenError(self.who, what, asked=asked, seen=seen, hint=hint)
                 self.close()  # or what follows would be taken for the rest
                 raise error
         answer = question.answer
         if answer is None:
             raise self._silence(question, start)
         if answer[1] == question.function | EXCEPTION:
-            raise refused(self.who, answer[2], question)
+            what = f"refused: {EXCEPTIONS.get(answer[2], 'a code that Modbus does not know')}"
+            seen_code = f"Modbus exception {answer[2]}"
+            refused = RefusedError(self.who, what, asked=question.asked, seen=seen_code)
+            refused.code = answer[2]
+            raise refused
         if answer[1] != question.function:
-            raise self._nonsense(
-                f"function {answer[1]} was answered to function {question.function}", question
-            )
+            what = f"function {answer[1]} was answered to function {question.function}"
+            raise self._nonsense(what, question)
         return answer
 
     def _put(self, question: Question) -> bool:
@@ -259,26 +290,17 @@ class Transactions:
         except TimeoutError as error:
             raise LinkError(self.who, "the emulator hangs", asked=question.asked) from error
         if question.answer is None and not link.connected:
-            raise BrokenError(
-                self.who, "the link broke", asked=question.asked, hint="Check cable and power."
-            )
+            what, hint = "the link broke", "Check cable and power."
+            raise BrokenError(self.who, what, asked=question.asked, hint=hint)
 
     def _deadline_s(self, question: Question) -> float:
-        on_the_wire_s = (
-            len(question.request.encode()) + question.length + 6
-        ) * self._line.character_s
-        return question.sent_s + self._timeout_s + on_the_wire_s
+        characters = len(question.request.encode()) + question.length + 6
+        return question.sent_s + self._timeout_s + characters * self._line.character_s
 
     def _finish_open(self) -> None:
-        """An event of virtual time may ask in the midst of another
-        question: that one comes first.
-        """
+        """An event of virtual time may ask in the midst of another question: that comes first."""
         question = self._answers.open
-        if (
-            question is not None
-            and question.answer is None
-            and self._clock.now() < self._deadline_s(question)
-        ):
+        if question and question.answer is None and self._clock.now() < self._deadline_s(question):
             self._wait(question, self._up())
 
     def _keep_gap(self) -> None:
@@ -313,7 +335,9 @@ class Transactions:
             now_s = self._clock.now()
             if now_s >= until_s:
                 left_s = answers.owed[-1].sent_s + FORGET_S - now_s
-                raise owing(self.who, len(answers.owed), now_s - start_s, left_s)
+                what = f"no answer to {len(answers.owed)} questions"
+                hint = f"Nothing is asked for {left_s:.0f} s at most: an answer may still come."
+                raise LinkError(self.who, what, seconds=now_s - start_s, hint=hint)
             freed_s = min(until_s, answers.owed[0].sent_s + FORGET_S) + SOON_S
             self._receive_until(freed_s, lambda: answers.unmistakable(questions) is not None)
             answers.forget(self._clock.now() - FORGET_S)
@@ -322,8 +346,13 @@ class Transactions:
 
     def _silence(self, question: Question, start_s: float) -> LinkError | ProtocolError:
         if self._link and self._seen:
-            return self._nonsense("what came is no answer to this", question)
-        return silence(self.who, question, self._clock.now() - start_s)
+            return self._nonsense(NO_ANSWER, question)
+        took_s, hint = (
+            self._clock.now() - start_s,
+            "Is the unit id right, and the controller still on?",
+        )
+        return LinkError(self.who, "no answer", asked=question.asked, seconds=took_s, hint=hint)
 
     def _nonsense(self, what: str, question: Question) -> ProtocolError:
-        return nonsense(self.who, what, question, self._seen, self._line)
+        hint = f"Is this a Modbus {self._line.transport.upper()} device of the right family?"
+        return ProtocolError(self.who, what, asked=question.asked, seen=self._seen, hint=hint)

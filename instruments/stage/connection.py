@@ -58,7 +58,7 @@ class Dialogue:
         data = encode(text, who=self.who)
         self._check(text)
         self.owed = text
-        self._write(data)
+        self.write(data)
         pushed: list[Response] = []
         start = self._clock.now()
         while True:
@@ -77,10 +77,10 @@ class Dialogue:
 
     def status(self) -> Status:
         """A fresh status report; asked for again after an alarm, as a restarting board loses it."""
-        self._read_pending()
+        self.wait(0.0)
         end_s = self._clock.now() + STATUS_S
         while self._clock.now() < end_s:
-            self._write(STATUS_QUERY)
+            self.write(STATUS_QUERY)
             until_s = end_s if self.alarm is None else min(end_s, self._clock.now() + ASK_AGAIN_S)
             while (answer := self._next(until_s)) is not None:
                 if isinstance(answer, Status):
@@ -98,10 +98,6 @@ class Dialogue:
             raise ProtocolError(self.who, what, seen=status.name, hint="Set $10=1.")
         return tuple(at + zero for at, zero in zip(work, offset, strict=True))
 
-    def realtime(self, byte: bytes) -> None:
-        """Send a byte that acts at once and is never answered."""
-        self._write(byte)
-
     def wait(self, seconds: float) -> None:
         """Let time pass, listening. Raises at once when an alarm, a restart or nonsense comes."""
         until = self._clock.now() + seconds
@@ -117,7 +113,7 @@ class Dialogue:
         """Soft reset: drop what was owed, alarm and input. Raises LinkError or ProtocolError."""
         self.upsets += 1
         self._link.drain(0.0)
-        self._write(SOFT_RESET)
+        self.write(SOFT_RESET)
         welcome = self._welcome()
         if welcome is None:
             what, hint = "no welcome after a reset", "Check power, cable and baud rate."
@@ -145,17 +141,13 @@ class Dialogue:
     def _check(self, text: str) -> None:
         """Nothing is sent over an alarm or an open question."""
         if self.alarm is None:
-            self._read_pending()
+            self.wait(0.0)
         if self.alarm is not None:
             raise self._alarmed(asked=text)
         if self.owed is not None:
             what = f"the answer to {self.owed!r} is still owed"
             hint = "Call recover(): it starts the controller anew."
             raise LinkError(self.who, what, asked=text, hint=hint)
-
-    def _read_pending(self) -> None:
-        while self._next(self._clock.now()) is not None:
-            pass
 
     def _next(self, until_s: float) -> Response | None:
         """The next good answer or push; None after the deadline. Raises for bad ones."""
@@ -204,7 +196,8 @@ class Dialogue:
             self.upsets += 1
             raise
 
-    def _write(self, data: bytes) -> None:
+    def write(self, data: bytes) -> None:
+        """Send bytes as they are: a line, or a byte that acts at once and is never answered."""
         try:
             self._link.write(data)
         except LinkError:

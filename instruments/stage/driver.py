@@ -104,11 +104,8 @@ class Stage:
         """Run to the switches and set the position: a minute or more. Raises DeviceError."""
         settings = self.settings
         if not settings.homing:
-            what, hint = (
-                "homing is switched off in the controller",
-                "Fit the switches and set $22=1.",
-            )
-            raise LimitError(self.who, what, hint=hint)
+            what = "homing is switched off in the controller"
+            raise LimitError(self.who, what, hint="Fit the switches and set $22=1.")
         if self._under_way:
             hint = "Call finish_move(), or stop() and recover()."
             raise LimitError(self.who, "a move is under way", asked="$H", hint=hint)
@@ -181,7 +178,7 @@ class Stage:
     def cancel_jog(self) -> None:
         """End a jog early and wait for a stand; the position is kept. Nothing without a jog."""
         if (move := self._under_way) and move.jog:
-            self._talk.realtime(JOG_CANCEL)
+            self._talk.write(JOG_CANCEL)
             self._until_still()
             self._move = None
 
@@ -202,7 +199,7 @@ class Stage:
         """Brake and wait for a stand. Keeps a move for ``resume``, ends a jog."""
         self.cancel_jog()
         if self._talk.status().state in MOVING:
-            self._talk.realtime(HOLD)
+            self._talk.write(HOLD)
         self._until_still()
 
     def brake(self) -> None:
@@ -210,7 +207,7 @@ class Stage:
         The owner's move ends in a DeviceError. Classic firmware ignores it while homing. Raises
         LinkError.
         """
-        self._talk.realtime(HOLD)
+        self._talk.write(HOLD)
 
     def resume(self) -> None:
         """Go on after a hold, once the stage stands. Raises LimitError unless held."""
@@ -221,7 +218,7 @@ class Stage:
         if move := self._under_way:
             # its whole time once more
             self._move = replace(move, deadline_s=self._clock.now() + move.allowed_s)
-        self._talk.realtime(RESUME)
+        self._talk.write(RESUME)
         for pause_s in RESUME_PAUSES_S:
             self._talk.wait(pause_s)
             status = self._talk.status()
@@ -244,11 +241,15 @@ class Stage:
             return
         try:
             if (move := self._under_way) and not move.jog:
-                self._talk.realtime(HOLD)
+                self._talk.write(HOLD)
             self.hold()
         except InstrumentError as error:
             if self._talk.alarm is None:  # an alarm has cut the steps already
-                self._reset_after(error)
+                try:
+                    self._talk.restart()
+                except InstrumentError as worse:
+                    what = f"can't be stopped: {worse.what}"
+                    raise LinkError(self.who, what, hint="Cut its power.") from error
 
     safe = stop
 
@@ -318,11 +319,8 @@ class Stage:
         """The report of an idle stage after the move. Raises DeviceError: hold, lock, deadline."""
         while (status := self._talk.status()).state in MOVING:
             if self._clock.now() > move.deadline_s:
-                what, hint = (
-                    "the move takes too long",
-                    "Is a feed override set, or does an axis stick?",
-                )
-                seen, seconds = status.name, move.allowed_s
+                hint, seconds = "Is a feed override set, or does an axis stick?", move.allowed_s
+                what, seen = "the move takes too long", status.name
                 raise DeviceError(self.who, what, seen=seen, seconds=seconds, hint=hint)
             self._talk.wait(POLL_S)
         if status.state != "Idle":
@@ -344,11 +342,3 @@ class Stage:
                 raise DeviceError(self.who, what, seen=seen, seconds=STOP_S, hint="Cut its power.")
             self._talk.wait(POLL_S)
         return status
-
-    def _reset_after(self, error: InstrumentError) -> None:
-        """A reset, where braking gave ``error``. Raises LinkError."""
-        try:
-            self._talk.restart()
-        except InstrumentError as worse:
-            what = f"can't be stopped: {worse.what}"
-            raise LinkError(self.who, what, hint="Cut its power.") from error

@@ -23,13 +23,8 @@ SOFT_RESET = b"\x18"
 DOOR = b"\x84"
 JOG_CANCEL = b"\x85"
 # None: back to 100 %
-FEED_OVERRIDES: dict[bytes, int | None] = {
-    b"\x90": None,
-    b"\x91": 10,
-    b"\x92": -10,
-    b"\x93": 1,
-    b"\x94": -1,
-}
+_FEED_STEPS = (None, 10, -10, 1, -1)
+FEED_OVERRIDES = {bytes([0x90 + at]): step for at, step in enumerate(_FEED_STEPS)}
 RAPID_OVERRIDES: dict[bytes, int] = {b"\x95": 100, b"\x96": 50, b"\x97": 25}
 
 # in the order of every list of numbers; A is a rotation in degrees, on boards with four axes
@@ -154,10 +149,8 @@ def _status(raw: bytes, text: str) -> Status | Nonsense:
             return Nonsense(raw, f"{name} is not three numbers or more")
     if positions["MPos"] is None and positions["WPos"] is None:
         return Nonsense(raw, "a status report without a position")
-    substate = int(state[2]) if state[2] else None
-    return Status(
-        state[1], substate, positions["MPos"], positions["WPos"], positions["WCO"], fields
-    )
+    mpos, wpos, wco = positions.values()
+    return Status(state[1], int(state[2]) if state[2] else None, mpos, wpos, wco, fields)
 
 
 def _position(text: str) -> Position | None:
@@ -178,9 +171,8 @@ class Decoder:
         *lines, self._pending = (self._pending + data).split(b"\n")
         answers = [parse(line) for line in (raw.rstrip(b"\r") for raw in lines) if line]
         if len(self._pending) > MAX_ANSWER:
-            answers.append(
-                Nonsense(self._pending, f"{len(self._pending)} bytes without a line end")
-            )
+            why = f"{len(self._pending)} bytes without a line end"
+            answers.append(Nonsense(self._pending, why))
             self._pending = b""
         return iter(answers)
 
@@ -191,9 +183,8 @@ def encode(text: str, *, who: str = "stage") -> bytes:
     if bad is not None:
         raise LimitError(who, f"the line can't hold {bad!r}", asked=text)
     if len(text) > MAX_LINE:
-        raise LimitError(
-            who, f"the line has {len(text)} characters, the controller takes {MAX_LINE}", asked=text
-        )
+        what = f"the line has {len(text)} characters, the controller takes {MAX_LINE}"
+        raise LimitError(who, what, asked=text)
     return text.encode("ascii") + b"\n"
 
 
@@ -208,16 +199,13 @@ def jog_line(way_mm: Mapping[str, float], feed_mm_min: float, *, who: str = "sta
 
 
 def _words(axes: Mapping[str, float], feed_mm_min: float, who: str) -> str:
-    if not axes or any(axis not in AXES or len(axis) != 1 for axis in axes):
-        raise LimitError(
-            who, f"no such axes to move: {', '.join(axes) or 'none'}", hint="Use X, Y, Z or A."
-        )
+    if not axes or not set(axes) <= set(AXES):
+        what = f"no such axes to move: {', '.join(axes) or 'none'}"
+        raise LimitError(who, what, hint="Use X, Y, Z or A.")
     if not feed_mm_min >= 0.001:
         raise LimitError(who, f"a feed of {feed_mm_min} mm/min is no feed")
-    return (
-        "".join(f"{axis}{_decimal(value, who)}" for axis, value in axes.items())
-        + f"F{_decimal(feed_mm_min, who)}"
-    )
+    numbers = [*axes.items(), ("F", feed_mm_min)]
+    return "".join(f"{letter}{_decimal(value, who)}" for letter, value in numbers)
 
 
 def _decimal(value: float, who: str) -> str:

@@ -7,6 +7,7 @@ its homing pass, and bit 8 of $22 for an origin at the switch.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -29,10 +30,8 @@ class StageIdentity:
     options: str
 
     def __str__(self) -> str:
-        return (
-            f"{self.dialect} {self.version} (build {self.build or 'unknown'}, options"
-            f" {self.options or 'unknown'})"
-        )
+        build, options = self.build or "unknown", self.options or "unknown"
+        return f"{self.dialect} {self.version} (build {build}, options {options})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +64,8 @@ class StageSettings:
     @property
     def limits(self) -> dict[str, AxisLimits]:
         """The travel of each axis: machine space is negative, 0 at the switch."""
-        return {
-            axis: AxisLimits(-travel, 0.0)
-            for axis, travel in zip(AXES, self.travel_mm, strict=False)
-        }
+        axes = zip(AXES, self.travel_mm, strict=False)
+        return {axis: AxisLimits(-travel, 0.0) for axis, travel in axes}
 
     @property
     def homing_bound_s(self) -> float:
@@ -107,17 +104,12 @@ def read_settings(values: Mapping[int, str], *, who: str, axes: str = "XYZ") -> 
 
 
 def _number(values: Mapping[int, str], key: int, least: float, who: str) -> float:
-    text = values.get(key)
-    try:
-        value = float(text) if text is not None else float("nan")
-    except ValueError:
-        value = float("nan")
-    if not least <= value < 1e9:
-        hint = f"Set ${key} on the controller."
-        raise ProtocolError(
-            who, f"setting ${key} is not usable", asked="$$", seen=text or "nothing", hint=hint
-        )
-    return value
+    text = values.get(key, "nothing")
+    with contextlib.suppress(ValueError):
+        if least <= (value := float(text)) < 1e9:
+            return value
+    what, hint = f"setting ${key} is not usable", f"Set ${key} on the controller."
+    raise ProtocolError(who, what, asked="$$", seen=text or "nothing", hint=hint)
 
 
 def _check(values: Mapping[int, str], axes: str, who: str) -> None:
@@ -129,20 +121,15 @@ def _check(values: Mapping[int, str], axes: str, who: str) -> None:
     if _number(values, 13, 0.0, who):
         refuse("the controller reports in inches", "Set $13=0.")
     if "A" in axes and 103 not in values:
-        refuse(
-            "the controller has no axis A: setting $103 is missing",
-            "A rotation needs a grblHAL build with four axes; without one, declare the axes without"
-            " A.",
-        )
+        hint = "A rotation needs a grblHAL build with four axes; without one, leave A out of axes."
+        refuse("the controller has no axis A: setting $103 is missing", hint)
     if int(_number(values, 22, 0.0, who)) & _ORIGIN_AT_SWITCH:
         refuse(
             "homing puts the origin where the switch lets go ($22 has bit 8 set)",
             "Clear that bit ($22=1): targets are then negative, 0 at the switch.",
         )
     passes = [int(_number(values, key, 0.0, who)) for key in _PASSES if key in values]
-    unhomed = [
-        axis for axis in axes if passes and not any(mask >> AXES.index(axis) & 1 for mask in passes)
-    ]
-    if unhomed:
+    homed = [axis for at, axis in enumerate(AXES) if any(mask >> at & 1 for mask in passes)]
+    if passes and (unhomed := [axis for axis in axes if axis not in homed]):
         hint = "Name it in a homing pass ($44 to $49: X is 1, Y 2, Z 4, A 8), and fit its switch."
         refuse(f"homing leaves out {', '.join(unhomed)}", hint)

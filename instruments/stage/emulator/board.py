@@ -193,12 +193,9 @@ class StageEmulator:
 
     def _arm(self) -> None:
         """Plan the faults that strike in the motion that runs now."""
-        ready = IN_MOTION & self._faults.keys() - (
-            NOT_WHILE_HOMING if self._carriage.homing else frozenset()
-        )
-        for fault in sorted(ready, key=lambda fault: fault.value):
-            after = self._faults.pop(fault)
-            self._later(after, partial(self._strike, fault))
+        waits = NOT_WHILE_HOMING if self._carriage.homing else frozenset()
+        for fault in sorted(IN_MOTION & self._faults.keys() - waits, key=lambda fault: fault.value):
+            self._later(self._faults.pop(fault), partial(self._strike, fault))
 
     def _strike(self, fault: Fault) -> None:
         if not self._controller.moving:

@@ -67,9 +67,7 @@ class AxisDrive:
         over = wanted - self.place
         if over:
             self.motor -= over
-            self.pressed = self.pressed or (
-                over < -PRESSED_MM if self.at_far_end else over > PRESSED_MM
-            )
+            self.pressed |= (-over if self.at_far_end else over) > PRESSED_MM
 
     def recount(self, count: float) -> None:
         """Nothing moves; from now on the controller counts from here."""

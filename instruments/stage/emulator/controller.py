@@ -129,11 +129,7 @@ class Controller:
     """One board's firmware and carriage. ``answer`` gets the one answer of each line."""
 
     def __init__(
-        self,
-        clock: Clock,
-        settings: Store,
-        carriage: Carriage,
-        answer: Callable[[str], None],
+        self, clock: Clock, settings: Store, carriage: Carriage, answer: Callable[[str], None]
     ) -> None:
         self._clock = clock
         self.settings = settings
@@ -218,11 +214,8 @@ class Controller:
 
     def check_limit_switches(self) -> None:
         """A limit switch that the carriage has run into is an alarm, where $21 says so."""
-        if (
-            self._hard_limits
-            and self.carriage.take_pressed(self.now)
-            and self.mode is not Mode.CRITICAL
-        ):
+        pressed = self._hard_limits and self.carriage.take_pressed(self.now)
+        if pressed and self.mode is not Mode.CRITICAL:
             self.alarm(1, critical=True)
 
     @property
@@ -342,13 +335,8 @@ class Controller:
 
     def status(self) -> str:
         """A status report, as ``?`` gets it."""
-        now, bits, moving, motion = (
-            self.now,
-            int(self.settings[10]),
-            self.moving,
-            self.carriage.motion,
-        )
-        inches, offset = bool(self.settings[13]), self.modes.offset_mm
+        now, moving, motion = self.now, self.moving, self.carriage.motion
+        bits, inches, offset = int(self.settings[10]), bool(self.settings[13]), self.modes.offset_mm
         place = self.settings.whole_steps(motion.position(now))
         work = tuple([at - zero for at, zero in zip(place, offset, strict=True)])
         jog = self.mode is Mode.READY and self.jogging

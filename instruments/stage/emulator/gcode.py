@@ -193,9 +193,10 @@ def _new_modes(line: Words, modes: Modes) -> Modes:
 
 def _axes(line: Words, inches: bool) -> dict[int, float]:
     """By number; the rotation A is in degrees whatever the units."""
-    values = {_AXES.index(word): value for word, value in line.values.items() if word in _AXES}
     return {
-        axis: value * (_INCH_MM if inches and axis < 3 else 1.0) for axis, value in values.items()
+        axis: line.values[word] * (_INCH_MM if inches and axis < 3 else 1.0)
+        for axis, word in enumerate(_AXES)
+        if word in line.values
     }
 
 
@@ -241,11 +242,10 @@ class Mode(Enum):
 
 def axis_numbers(place: Vector, inches: bool) -> str:
     """The axes' numbers as reports write them; the rotation A is in degrees whatever the units."""
-    texts = [
+    return ",".join(
         f"{v / _INCH_MM + 0.0:.4f}" if inches and axis < 3 else f"{v + 0.0:.3f}"
         for axis, v in enumerate(place)
-    ]
-    return ",".join(texts)
+    )
 
 
 def execute(board: Controller, text: str) -> Task:
@@ -262,10 +262,9 @@ def execute(board: Controller, text: str) -> Task:
         return (yield from _system(board, text[1:]))
     if board.mode is Mode.LOCKED or board.jogging:
         return 9
+    at_mm, most_line_number = board.carriage.motion.target, board.dialect.most_line_number
     try:
-        modes, what = command(
-            text, board.modes, board.carriage.motion.target, board.dialect.most_line_number
-        )
+        modes, what = command(text, board.modes, at_mm, most_line_number)
     except GcodeError as error:
         return error.code
     if modes.offset_mm != board.modes.offset_mm:
@@ -320,9 +319,8 @@ def _plan(board: Controller, move: Move) -> Wait:
     while len(board.carriage.motion.blocks(now := board.now)) >= board.dialect.planner_blocks:
         yield board.carriage.due_s(now)
     feed = None if move.feed_mm_min is None else move.feed_mm_min / 60
-    board.carriage.go(
-        board.settings.whole_steps(move.target_mm), feed, board.settings.rates, board.now
-    )
+    target = board.settings.whole_steps(move.target_mm)
+    board.carriage.go(target, feed, board.settings.rates, board.now)
 
 
 def _until_still(board: Controller) -> Wait:

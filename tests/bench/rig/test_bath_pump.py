@@ -15,7 +15,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.emulation_model import fault_names
 from bench.rig.loading import load_rig
-from instruments.bath.relay_emulator import RELAY_FAULTS
+from instruments.bath.emulator import RELAY_FAULTS
 from instruments.clock import RealClock, VirtualClock
 from tests.bench.real_rig import SCRIPT
 from tests.bench.rig.test_bath_profiles import rig_of

@@ -30,9 +30,8 @@ from bench.rig.opening import open_instruments
 from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import Interlocks, bath_of
 from bench.safety.stability import StabilityGate
-from instruments.bath.emulator import FAULTS
+from instruments.bath.emulator import FAULTS, RELAY_FAULTS
 from instruments.bath.profile import profile_names
-from instruments.bath.relay_emulator import RELAY_FAULTS
 from instruments.bath.sequence import heater_off, pump_on, start_bath
 from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError

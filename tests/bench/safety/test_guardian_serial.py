@@ -22,9 +22,8 @@ import pytest
 from bench.record.reader import read_run
 from bench.report.wording import guardian_told
 from bench.safety.guardian import DONE
-from instruments.bath.emulator import BathEmulator
+from instruments.bath.emulator import BathEmulator, RelayEmulator
 from instruments.bath.profile import load_profile, load_relay
-from instruments.bath.relay_emulator import RelayEmulator
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant

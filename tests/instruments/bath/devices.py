@@ -7,8 +7,9 @@ from __future__ import annotations
 import struct
 import threading
 from dataclasses import dataclass, field
+from typing import Any
 
-from instruments.bath.driver import Bath, PumpAt
+from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator, Framing, Server
 from instruments.bath.profile import Profile, load_profile
 from instruments.bath.protocol import framed
@@ -73,14 +74,9 @@ class Asked:
     """
 
     def __init__(self, profile: str, *, as_shipped: bool = False, framing: Framing = "rtu") -> None:
-        self.clock, self.plant = VirtualClock(), calm_plant()
+        self.clock, self.plant, family = VirtualClock(), calm_plant(), load_profile(profile)
         self.emulator = BathEmulator(
-            self.plant,
-            load_profile(profile),
-            self.clock,
-            unit_id=1,
-            framing=framing,
-            as_shipped=as_shipped,
+            self.plant, family, self.clock, unit_id=1, framing=framing, as_shipped=as_shipped
         )
         self.wire = Wire(self.emulator, self.clock)
 
@@ -153,19 +149,9 @@ class Stand:
         self.url = url_of(self.emulator, self.listener)
         self._opened: list[Bath] = []
 
-    def bath(
-        self, *, allow_inferred: bool = False, identify: bool = True, pump: PumpAt | None = None
-    ) -> Bath:
-        self._opened.append(
-            Bath(
-                self.url,
-                self.profile,
-                self.clock,
-                allow_inferred=allow_inferred,
-                identify=identify,
-                pump=pump,
-            )
-        )
+    def bath(self, **options: Any) -> Bath:
+        """A driver on it, with the options of `Bath`."""
+        self._opened.append(Bath(self.url, self.profile, self.clock, **options))
         return self._opened[-1]
 
     def __enter__(self) -> Stand:

@@ -74,12 +74,9 @@ class FarEnd:
             head, pdu = frame
             self.asked.append(pdu)
             answer = self.answer_of(head[-1], pdu)
-            whole = head + answer
-            whole = (
-                whole + crc(whole)
-                if self.framing == "rtu"
-                else whole[:4] + struct.pack(">HB", len(answer) + 1, head[6]) + answer
-            )
+            whole = head + answer + crc(head + answer)
+            if self.framing == "tcp":
+                whole = head[:4] + struct.pack(">HB", len(answer) + 1, head[6]) + answer
             self._send(connection, self.spoils.pop(0)(whole) if self.spoils else whole)
 
     def answer(self, pdu: bytes) -> bytes:
@@ -89,12 +86,8 @@ class FarEnd:
             bits = sum(self.memory.get(address + at, 0) << at for at in range(value))
             return bytes((function, -(-value // 8))) + bits.to_bytes(-(-value // 8), "little")
         if function in (3, 4):
-            return struct.pack(
-                f">BB{value}H",
-                function,
-                2 * value,
-                *(self.memory.get(address + at, 0) for at in range(value)),
-            )
+            words = [self.memory.get(address + at, 0) for at in range(value)]
+            return struct.pack(f">BB{value}H", function, 2 * value, *words)
         if function == 16:
             self.memory |= dict(enumerate(struct.unpack_from(f">{value}H", pdu, 6), address))
         elif function in (5, 6):

@@ -17,9 +17,8 @@ from typing import NoReturn
 
 import pytest
 
-from instruments.bath.emulator import BathEmulator, Framing
+from instruments.bath.emulator import BathEmulator, Framing, RelayEmulator
 from instruments.bath.profile import Profile, RelayProfile
-from instruments.bath.relay_emulator import RelayEmulator
 from instruments.clock import RealClock
 from instruments.listener import Connection, Listener
 from instruments.pty_listener import PtyListener

@@ -7,7 +7,7 @@ without a pump, and safe in the end."""
 from __future__ import annotations
 
 import threading
-from contextlib import closing, suppress
+from contextlib import suppress
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -21,14 +21,12 @@ from hypothesis.stateful import (
 )
 
 from instruments.bath.driver import Bath, PumpAt
-from instruments.bath.emulator import FAULTS
+from instruments.bath.emulator import FAULTS, POWER_CUT, RELAY_FAULTS, RelayEmulator
 from instruments.bath.profile import load_profile, load_relay, profile_names
 from instruments.bath.reading import BathReading
-from instruments.bath.relay_emulator import POWER_CUT, RELAY_FAULTS, RelayEmulator
-from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError
 from instruments.listener import Listener
-from tests.instruments.bath.devices import MovingClock, Watched, calm_plant, url_of
+from tests.instruments.bath.devices import MovingClock, Stand, Watched, calm_plant, url_of
 
 SET_POINTS = [20.0, 25.5, 33.0]
 FASTEST_K_PER_S = 1.9 / 60.0  # full power; a stuck heater is no faster
@@ -62,11 +60,7 @@ class BathInAnyOrder(RuleBasedStateMachine):
         profile = load_relay("modbus-relay")
         relay = RelayEmulator(self.plant, profile, self.clock, framing=self.emulator.framing)
         listener = Listener(relay, self.clock, lock=self.lock, name="pump")
-        return (
-            relay,
-            listener,
-            PumpAt(url_of(relay, listener), profile),
-        )
+        return (relay, listener, PumpAt(url_of(relay, listener), profile))
 
     @rule(data=st.data(), on=st.booleans())
     def break_or_mend(self, data: st.DataObject, on: bool) -> None:
@@ -286,27 +280,17 @@ def test_a_serial_device_answers_in_order() -> None:
         machine.teardown()
 
 
-def connected(name: str, clock: VirtualClock) -> tuple[Watched, Listener, Bath]:
-    emulator = Watched(calm_plant(), load_profile(name), clock)
-    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    return (
-        emulator,
-        listener,
-        Bath(url_of(emulator, listener), emulator.profile, clock),
-    )
-
-
 @pytest.mark.parametrize("start_s", [26.60000000000002, 28.600000000000012, 62.300000000000054])
 def test_a_late_answer_stops_no_clock_whatever_the_rounding(start_s: float) -> None:
     """Times that the rule machine found: a deadline and a late
     answer, one step of rounding apart.
     """
     clock = MovingClock()
-    emulator, listener, bath = connected("julabo-presto", clock)
-    with closing(listener), closing(bath):
+    with Stand(clock) as stand:
+        bath = stand.bath()
         clock.sleep(start_s - clock.now())
-        emulator.late_s = 1.1
-        emulator.fault("late answer")
+        stand.emulator.late_s = 1.1
+        stand.emulator.fault("late answer")
         for _ in range(3):
             with suppress(InstrumentError):
                 bath.get("set_point")
@@ -319,12 +303,11 @@ def test_words_turned_behind_our_back_are_never_a_value(name: str, temp_c: float
     """20.03 degC with its words the other way round is 0.06 degC, which a bath may have; the set
     point tells.
     """
-    clock = MovingClock()
-    emulator, listener, bath = connected(name, clock)
-    with closing(listener), closing(bath):
+    with Stand(MovingClock(), profile=load_profile(name)) as stand:
+        bath = stand.bath()
         bath.set_point(25.5)
-        emulator.plant.pv_c = temp_c
+        stand.plant.pv_c = temp_c
         assert bath.read().temp_c == pytest.approx(temp_c)
-        emulator.fault("word order")
+        stand.emulator.fault("word order")
         with pytest.raises(InstrumentError):
             bath.read()

@@ -156,18 +156,12 @@ def test_faults_by_name(tcp: Asked, fault: str, request_: str, answer: str) -> N
     assert tcp.emulator.faults == frozenset()
 
 
-@pytest.mark.parametrize(
-    ("fault", "attribute"),
-    [
-        ("stuck heater", "stuck_heater"),
-        ("dead heater", "dead_heater"),
-        ("pump stopped", "stopped_pump"),
-    ],
-)
-def test_faults_of_the_plant(tcp: Asked, fault: str, attribute: str) -> None:
+def test_faults_of_the_plant(tcp: Asked) -> None:
+    plant = tcp.plant
     for on in (True, False):
-        tcp.emulator.fault(fault, on=on)
-        assert getattr(tcp.plant, attribute) is on
+        for fault in ("stuck heater", "dead heater", "pump stopped"):
+            tcp.emulator.fault(fault, on=on)
+        assert (plant.stuck_heater, plant.dead_heater, plant.stopped_pump) == (on, on, on)
 
 
 def test_an_unknown_fault_is_refused(tcp: Asked) -> None:

@@ -13,26 +13,24 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
+from instruments.bath.registers import Row
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.listener import Listener
 from tests.instruments.bath.devices import Watched, calm_plant
 from tests.instruments.bath.far_end import bath_on, shown_by
-from tests.instruments.bath.test_bath_profile import (
-    BROWSED,
-    EUROTHERM_MEMORY,
-)
+from tests.instruments.bath.test_bath_profile import BROWSED, EUROTHERM_MEMORY
 
 NAMES = profile_names()
 BOTH = {"transports": ("tcp", "rtu")}  # so that any driver can meet any controller
 ALIKE = {  # nothing that may be read for certain tells them apart
-    ("julabo-magio", "julabo-presto"),
+    ("julabo-magio", "julabo-presto")
 }
 
 
 @contextmanager
 def met(
-    name: str, other: str | None = None, *, fault: str = "", warm: bool = True
+    name: str, other: str | None = None, *, fault: str = ""
 ) -> Iterator[tuple[Watched, str, Profile, VirtualClock]]:
     """A controller of the family ``other`` (its own by default), and the profile ``name`` to meet
     it with, over TCP.
@@ -40,30 +38,27 @@ def met(
     clock, plant = VirtualClock(), calm_plant()
     served = load_profile(other or name).model_copy(update=BOTH)
     emulator = Watched(plant, served, clock)
-    if warm:
-        plant.set_point_c = 25.0
+    plant.set_point_c = 25.0
     if fault:
         emulator.fault(fault)
     with closing(Listener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
-        yield (
-            emulator,
-            f"tcp://127.0.0.1:{listener.port}",
-            load_profile(name).model_copy(update=BOTH),
-            clock,
-        )
+        profile = load_profile(name).model_copy(update=BOTH)
+        yield emulator, f"tcp://127.0.0.1:{listener.port}", profile, clock
 
 
 # ---- evidence
 
-WITH_DOUBT = {"julabo-magio"}  # families with rows that might be written but for their evidence
+
+def doubtful(name: str) -> list[Row]:
+    """The family's rows that might be written but for their evidence."""
+    rows = load_profile(name).rows
+    return [row for row in rows if row.evidence == "INFERRED" and row.access != "r"]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_inferred_row_is_written_or_polled_unless_the_rig_says_so(name: str) -> None:
     with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock)) as bath:
-        for row in profile.rows:
-            if row.evidence != "INFERRED" or row.access == "r":
-                continue
+        for row in doubtful(name):
             value = float(next(iter((*row.values.values(), *(row.range or (0.0,))))))
             with pytest.raises(
                 LimitError, match=f"not written: the profile only infers where {row.name} is"
@@ -81,41 +76,23 @@ def test_no_inferred_row_is_written_or_polled_unless_the_rig_says_so(name: str) 
         assert not {address for _, _, address in emulator.asked} & (inferred - certain)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        name
-        for name in NAMES
-        if any(r.evidence == "INFERRED" and r.access != "r" for r in load_profile(name).rows)
-    ],
-)
+@pytest.mark.parametrize("name", [name for name in NAMES if doubtful(name)])
 def test_an_inferred_row_is_written_where_the_rig_says_so(name: str) -> None:
     with (
         met(name) as (emulator, url, profile, clock),
         closing(Bath(url, profile, clock, allow_inferred=True)) as bath,
     ):
-        for row in profile.rows:
-            if row.evidence == "INFERRED" and row.access != "r" and row.values:
+        for row in doubtful(name):
+            if row.values:
                 bath.set(row.name, float(max(row.values.values())))
-            elif (
-                row.evidence == "INFERRED"
-                and row.access != "r"
-                and row.range
-                and row.range[1] < 1e6
-            ):
+            elif row.range and row.range[1] < 1e6:
                 bath.set(row.name, float(round(min(row.range[1], 30.0))))
         assert emulator.writes()
 
 
 def test_which_families_have_inferred_rows_that_could_be_written() -> None:
     """So that the two tests above are known to have looked at something."""
-    inferred = {
-        name: [
-            r.name for r in load_profile(name).rows if r.evidence == "INFERRED" and r.access != "r"
-        ]
-        for name in NAMES
-    }
-    assert {name for name, rows in inferred.items() if rows} == WITH_DOUBT
+    assert {name for name in NAMES if doubtful(name)} == {"julabo-magio"}
 
 
 # ---- who is there

@@ -17,7 +17,6 @@ from instruments.bath.register_access import WiredRows
 from instruments.bath.registers import WORDS, Kind, Order, decode, encode
 from instruments.bath.requests import blocks, markers
 from tests.instruments.bath.devices import EUROTHERMS, WATLOWS
-from tests.instruments.bath.devices import OMEGA as OMEGA_CN7
 from tests.instruments.bath.far_end import bath_on, rtu, shown_by
 
 ORDERS: list[Order] = ["ABCD", "CDAB", "BADC", "DCBA"]
@@ -74,58 +73,38 @@ def test_the_prestos_poll_is_three_questions_or_seven_without_gaps() -> None:
     assert asked_apart == [(0, 1), (2, 2), (90, 1), (93, 1), (5, 3), (10, 5), (16, 2)]
 
 
+VALUES, RANGE = "values = { standby = 0, started = 1 }", "range = [5.0, 36.0]"
+LOSS, AT_2 = 'comms_loss = "unknown"', "address = 2\n"
+LAST = '[[rows]]\nname = "run"'
+
+
 @pytest.mark.parametrize(
     ("old", "new", "key", "message"),
     [
-        ("address = 2\n", "address = 1\n", "", ""),  # 1-2 leaves 0 free: no fault
-        ("address = 2\n", "address = 65535\n", "rows.1", "leaves no room for 2 registers"),
-        (
-            "values = { standby = 0, started = 1 }",
-            "values = { off = 0, on = 1 }",
-            "rows.2.values",
-            "'standby' and 'started'",
-        ),
-        (
-            "values = { standby = 0, started = 1 }",
-            "values = { standby = 1, started = 1 }",
-            "rows.2",
-            "mean the same code",
-        ),
-        (
-            "values = { standby = 0, started = 1 }",
-            "values = { standby = 0, started = 70000 }",
-            "rows.2",
-            "does not fit into u16",
-        ),
-        ("range = [5.0, 36.0]\n", "", "rows.1", "needs 'values' or 'range'"),
-        ("range = [5.0, 36.0]", "range = [36.0, 5.0]", "rows.1", "is empty"),
-        ("range = [5.0, 36.0]", 'range = ["5.0", 36.0]', "rows.1.range.0", "valid number"),
-        (
-            'table = "holding"\naddress = 2',
-            'table = "input"\naddress = 2',
-            "rows.1",
-            "can't be written",
-        ),
+        (AT_2, "address = 1\n", "", ""),  # 1-2 leaves 0 free: no fault
+        (AT_2, "address = 65535\n", "rows.1", "leaves no room for 2 registers"),
+        (VALUES, "values = { off = 0, on = 1 }", "rows.2.values", "'standby' and 'started'"),
+        (VALUES, "values = { standby = 1, started = 1 }", "rows.2", "mean the same code"),
+        (VALUES, "values = { standby = 0, started = 70000 }", "rows.2", "does not fit into u16"),
+        (RANGE + "\n", "", "rows.1", "needs 'values' or 'range'"),
+        (RANGE, "range = [36.0, 5.0]", "rows.1", "is empty"),
+        (RANGE, 'range = ["5.0", 36.0]', "rows.1.range.0", "valid number"),
+        (f'"holding"\n{AT_2}', f'"input"\n{AT_2}', "rows.1", "can't be written"),
         ('type = "u16"', 'type = "bit"', "rows.2", "type bit does not go into table holding"),
         ('type = "u16"', 'type = "u8"', "rows.2.type", "Input should be 'u16'"),
         ('name = "run"', 'name = "go"', "rows", "the row 'run' is missing"),
         ('name = "run"', 'name = "set_point"', "rows.2.name", "a second row 'set_point'"),
         ('family = "SMALL"', 'familly = "SMALL"', "familly", "Extra inputs are not permitted"),
+        (f'evidence = "CERTAIN"\n{LAST}', LAST, "rows.1.evidence", "Field required"),
         (
-            'evidence = "CERTAIN"\n[[rows]]\nname = "run"',
-            '[[rows]]\nname = "run"',
-            "rows.1.evidence",
-            "Field required",
-        ),
-        (
-            'comms_loss = "unknown"',
-            'comms_loss = "unknown"\norder_from = { row = "run", codes = {} }',
+            LOSS,
+            f'{LOSS}\norder_from = {{ row = "run", codes = {{}} }}',
             "order_from.row",
             "of its own",
         ),
         (
-            'comms_loss = "unknown"',
-            'comms_loss = "unknown"\nbefore_start = { run = "up" }',
+            LOSS,
+            f'{LOSS}\nbefore_start = {{ run = "up" }}',
             "before_start.run",
             "with the value 'up'",
         ),
@@ -139,15 +118,12 @@ def test_a_fault_is_told_with_its_place(
     if not message:
         assert load_profile(written(tmp_path, text))
         return
-    assert any(place == key and message in said for place, said in faults_of(tmp_path, text)), (
-        faults_of(tmp_path, text)
-    )
+    faults = faults_of(tmp_path, text)
+    assert any(place == key and message in said for place, said in faults), faults
 
 
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
-    text = SMALL.replace("values = { standby = 0, started = 1 }", "values = { off = 0 }").replace(
-        "range = [5.0, 36.0]\n", ""
-    )
+    text = SMALL.replace(VALUES, "values = { off = 0 }").replace(RANGE, "")
     assert {place for place, _ in faults_of(tmp_path, text)} == {"rows.1", "rows.2.values"}
 
 
@@ -253,7 +229,7 @@ def test_a_profile_can_not_be_changed() -> None:
         profile.family = "another"  # type: ignore[misc]
 
 
-SHIPPED = [*EUROTHERMS, "julabo-magio", "julabo-presto", OMEGA_CN7, *WATLOWS]
+SHIPPED = [*EUROTHERMS, "julabo-magio", "julabo-presto", "omega-cn7", *WATLOWS]
 
 # Fact sheet, sections 1.1 to 1.4: name, table, address, type, access, evidence.
 EUROTHERM = """
@@ -329,7 +305,7 @@ def test_the_magio_is_as_its_pages_say() -> None:
     told(profile, MAGIO, "holding")
     assert profile.find("encoding") is None
     assert profile.find("flow_set_point") is None
-    inputs = (
+    inputs = [
         "firmware",
         "remote",
         "alarm",
@@ -338,7 +314,7 @@ def test_the_magio_is_as_its_pages_say() -> None:
         "external",
         "power",
         "safety",
-    )
+    ]
     assert [profile.row(name).address for name in inputs] == [0, 5, 6, 7, 10, 12, 14, 16]
     assert profile.row("cut_out").evidence == profile.row("pump_pressure").evidence == "INFERRED"
 
@@ -412,17 +388,10 @@ def test_a_polls_questions() -> None:
     }
     assert asked["eurotherm-3200"] == [(3, 75, 1), (3, 199, 1), (3, 516, 1), (3, 0x8002, 10)]
     assert asked["omega-cn7"] == [(2, 0x0814, 1), (3, 0x1000, 2), (3, 0x1012, 1)]
-    assert asked["watlow-pm-map1"] == [
-        (3, 360, 2),
-        (3, 1880, 1),
-        (3, 1904, 2),
-        (3, 2160, 2),
-        (3, 2490, 1),
-    ]
-    with_inferred = [
-        block.address for block in blocks(load_profile("watlow-pm-map1"), gaps=True, inferred=True)
-    ]
-    assert with_inferred == [360, 1496, 1880, 1904, 2160, 2490]
+    watlow = [(3, 360, 2), (3, 1880, 1), (3, 1904, 2), (3, 2160, 2), (3, 2490, 1)]
+    assert asked["watlow-pm-map1"] == watlow
+    with_inferred = blocks(load_profile("watlow-pm-map1"), gaps=True, inferred=True)
+    assert [block.address for block in with_inferred] == [360, 1496, 1880, 1904, 2160, 2490]
 
 
 @pytest.mark.parametrize("name", [name for name in SHIPPED if "julabo" not in name])

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from instruments.bath.driver import Bath, PumpAt
-from instruments.bath.emulator import BathEmulator, Framing
+from instruments.bath.emulator import POWER_CUT, RELAY_FAULTS, BathEmulator, Framing, RelayEmulator
 from instruments.bath.profile import (
     ProfileError,
     RelayProfile,
@@ -19,7 +19,6 @@ from instruments.bath.profile import (
     load_relay,
     relay_names,
 )
-from instruments.bath.relay_emulator import POWER_CUT, RELAY_FAULTS, RelayEmulator
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
 from instruments.listener import Listener
@@ -45,12 +44,8 @@ def test_one_ships() -> None:
     assert [(row.name, row.table, row.address, row.evidence) for row in profile.rows] == [
         ("pump", "coil", 0, "FIELD")
     ]
-    assert (profile.functions, profile.baud, profile.parity, profile.transports) == (
-        (1, 5),
-        9600,
-        "N",
-        ("rtu", "tcp"),
-    )
+    assert (profile.functions, profile.transports) == ((1, 5), ("rtu", "tcp"))
+    assert (profile.baud, profile.parity) == (9600, "N")
 
 
 def test_bytes_as_they_are_printed_for_such_boards() -> None:
@@ -290,16 +285,12 @@ def test_what_a_relay_does_not_do_is_told(relay: RelayProfile) -> None:
 
 
 def test_a_family_with_a_pump_takes_no_relay(relay: RelayProfile) -> None:
+    pump, profile = PumpAt("tcp://127.0.0.1:2", relay), load_profile("julabo-presto")
     with pytest.raises(
         LimitError,
         match=r"JULABO PRESTO: its pump \(with run\) is the family's own, and no relay switches it",
     ):
-        Bath(
-            "tcp://127.0.0.1:1",
-            load_profile("julabo-presto"),
-            VirtualClock(),
-            pump=PumpAt("tcp://127.0.0.1:2", relay),
-        )
+        Bath("tcp://127.0.0.1:1", profile, VirtualClock(), pump=pump)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import closing, contextmanager
 
 import pytest
 
@@ -28,13 +28,10 @@ pty = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSI
 
 @contextmanager
 def terminal(family: str) -> Iterator[tuple[PtyListener, Watched, RealClock]]:
-    with ExitStack() as stack:
-        clock = RealClock()
-        stack.callback(clock.close)
+    with closing(RealClock()) as clock:
         emulator = Watched(Plant(1), load_profile(family), clock, "rtu")
-        listener = PtyListener(emulator, clock, lock=threading.RLock(), name="bath")
-        stack.callback(listener.close)
-        yield listener, emulator, clock
+        with closing(PtyListener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
+            yield listener, emulator, clock
 
 
 @pty
@@ -146,32 +143,35 @@ def test_a_setting_that_the_port_does_not_have_is_told() -> None:
 # ---- trouble under way
 
 
+@contextmanager
+def over_tcp() -> Iterator[tuple[Bath, BathEmulator, RealClock]]:
+    with closing(RealClock()) as clock:
+        emulator = BathEmulator(Plant(1), load_profile("julabo-presto"), clock)
+        with closing(Listener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
+            bath = Bath(f"tcp://127.0.0.1:{listener.port}", emulator.profile, clock)
+            yield bath, emulator, clock
+            bath.close()
+            bath.close()
+
+
 def test_in_real_time_it_works_from_several_threads() -> None:
-    before, clock = threading.active_count(), RealClock()
-    profile, plant = load_profile("julabo-presto"), Plant(1)
-    listener = Listener(
-        BathEmulator(plant, profile, clock), clock, lock=threading.RLock(), name="bath"
-    )
-    bath = Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)
-    wrong: list[object] = []
+    before = threading.active_count()
+    with over_tcp() as (bath, emulator, _):
+        wrong: list[object] = []
 
-    def poll() -> None:
-        for _ in range(100):
-            if not 19.9 < bath.read().temp_c < 20.1:
-                wrong.append(bath.read())
+        def poll() -> None:
+            for _ in range(100):
+                if not 19.9 < bath.read().temp_c < 20.1:
+                    wrong.append(bath.read())
 
-    threads = [threading.Thread(target=poll) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    bath.set_point(25.0)
-    for thread in threads:
-        thread.join()
-    assert not wrong
-    assert plant.set_point_c == 25.0
-    bath.close()
-    bath.close()
-    listener.close()
-    clock.close()
+        threads = [threading.Thread(target=poll) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        bath.set_point(25.0)
+        for thread in threads:
+            thread.join()
+        assert not wrong
+        assert emulator.plant.set_point_c == 25.0
     assert threading.active_count() == before
 
 
@@ -188,22 +188,16 @@ def ctrl_c() -> Iterator[None]:
 @pytest.mark.skipif(sys.platform == "win32", reason="signals to a thread: POSIX only")
 @pytest.mark.usefixtures("ctrl_c")
 def test_in_real_time_ctrl_c_ends_a_question_at_once() -> None:
-    clock, profile, plant = RealClock(), load_profile("julabo-presto"), Plant(1)
-    emulator = BathEmulator(plant, profile, clock)
-    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    bath = Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)
-    bath.start(33.0)
-    emulator.fault("silence")
-    main = threading.main_thread().ident
-    assert main is not None
-    clock.call_at(clock.now() + 0.2, lambda: signal.pthread_kill(main, signal.SIGINT))
-    start = clock.now()
-    with pytest.raises(KeyboardInterrupt):
-        bath.read()
-    assert clock.now() - start < 0.9
-    emulator.fault("silence", on=False)
-    bath.safe()
-    assert not plant.running
-    bath.close()
-    listener.close()
-    clock.close()
+    with over_tcp() as (bath, emulator, clock):
+        bath.start(33.0)
+        emulator.fault("silence")
+        main = threading.main_thread().ident
+        assert main is not None
+        clock.call_at(clock.now() + 0.2, lambda: signal.pthread_kill(main, signal.SIGINT))
+        start = clock.now()
+        with pytest.raises(KeyboardInterrupt):
+            bath.read()
+        assert clock.now() - start < 0.9
+        emulator.fault("silence", on=False)
+        bath.safe()
+        assert not emulator.plant.running

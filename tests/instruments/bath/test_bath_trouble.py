@@ -12,8 +12,8 @@ from contextlib import suppress
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.bath.errors import BrokenError
 from instruments.bath.profile import load_profile
+from instruments.bath.transactions import BrokenError
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from instruments.listener import Connection, Listener
@@ -173,31 +173,22 @@ class Liar:
         connection.send(self.reply(data))
 
 
+NO_ANSWER = "what came is no answer to this"
+
+
+def behind(answer: str, number: bytes = b"") -> Callable[[bytes], bytes]:
+    """Replies with ``answer``, under the question's number by default."""
+    return lambda asked: (number or asked[:2]) + bytes.fromhex(f"0000 0005 {answer}")
+
+
 @pytest.mark.parametrize(
     ("reply", "message"),
     [
-        (
-            lambda asked: asked[:2] + bytes.fromhex("0000 0005 01 04 02 0000"),
-            "function 4 was answered to function 3",
-        ),
-        # another transaction
-        (
-            lambda asked: b"\0\x63" + bytes.fromhex("0000 0005 01 03 02 0000"),
-            "what came is no answer to this",
-        ),
-        # another unit
-        (
-            lambda asked: asked[:2] + bytes.fromhex("0000 0005 02 03 02 0000"),
-            "what came is no answer to this",
-        ),
-        (
-            lambda asked: asked[:2] + bytes.fromhex("0000 0005 01 2A 02 0000"),
-            "function 42 was answered to function 3",
-        ),
-        (
-            lambda asked: b"HTTP/1.1 400 Bad Request\r\n\r\n",
-            r"what came is no answer to this.*got 48 54 54 50",
-        ),
+        (behind("01 04 02 0000"), "function 4 was answered to function 3"),
+        (behind("01 03 02 0000", b"\0\x63"), NO_ANSWER),  # another transaction
+        (behind("02 03 02 0000"), NO_ANSWER),  # another unit
+        (behind("01 2A 02 0000"), "function 42 was answered to function 3"),
+        (lambda _: b"HTTP/1.1 400 Bad Request\r\n\r\n", f"{NO_ANSWER}.*got 48 54 54 50"),
     ],
 )
 def test_answers_that_are_none(reply: Callable[[bytes], bytes], message: str) -> None:

@@ -24,11 +24,9 @@ from typing import Any
 import pytest
 
 from instruments.bath.connection import parse_line
-from instruments.bath.emulator import BathEmulator
-from instruments.bath.errors import RefusedError
+from instruments.bath.emulator import BathEmulator, RelayEmulator
 from instruments.bath.profile import load_profile, load_relay, profile_names, relay_names
-from instruments.bath.relay_emulator import RelayEmulator
-from instruments.bath.transactions import Transactions
+from instruments.bath.transactions import RefusedError, Transactions
 from instruments.clock import RealClock
 from instruments.errors import InstrumentError, LinkError, ProtocolError
 from instruments.listener import Listener

@@ -20,15 +20,8 @@ Make = Callable[..., Bench]
 SETTINGS = {13: "0", 20: "1", 21: "0", 22: "1", 24: "25.000", 25: "500.000", 27: "1.000"} | {
     first + axis: "100.000" for first in (100, 110, 120, 130) for axis in range(3)
 }
-WITH_A = SETTINGS | {
-    103: "100.000",
-    113: "3600.000",
-    123: "360.000",
-    133: "360.000",
-    44: "4",
-    45: "3",
-    46: "8",
-}
+OF_A = {103: "100.000", 113: "3600.000", 123: "360.000", 133: "360.000"}
+WITH_A = SETTINGS | OF_A | {44: "4", 45: "3", 46: "8"}
 
 
 def test_a_stage_with_all_four_axes_moves_them_together(make: Make) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from instruments.errors import DeviceError, LimitError, LinkError
 from instruments.stage import protocol
+from instruments.stage.driver import Stage
 from instruments.stage.emulator import GRBL_HAL, Fault
 from tests.instruments.stage.board import Bench
 
@@ -23,11 +24,8 @@ def test_connecting_tells_who_it_is_and_what_it_can_do(bench: Bench) -> None:
     assert bench.stage.identity == identity
     assert str(identity).startswith(f"{identity.dialect} {identity.version} (build ")
     settings = bench.stage.settings
-    assert (settings.travel_mm, settings.soft_limits, settings.homing) == (
-        (300.0, 275.0, 50.0),
-        True,
-        True,
-    )
+    assert settings.travel_mm == (300.0, 275.0, 50.0)
+    assert (settings.soft_limits, settings.homing) == (True, True)
     assert bench.stage.limits["Y"].low_mm == -275.0
     assert not bench.stage.homed
 
@@ -334,7 +332,7 @@ def test_resume_waits_until_the_stage_stands(bench: Bench) -> None:
     stage = bench.homed()
     stage.begin_move(-200, -1)
     bench.clock.sleep(1.0)
-    stage._talk.realtime(b"!")
+    stage._talk.write(b"!")
     assert stage.status().name == "Hold:1"
     stage.resume()
     assert stage.status().state == "Run"
@@ -357,7 +355,7 @@ def test_a_hold_at_the_panel_interrupts_the_move(bench: Bench) -> None:
     stage = bench.homed()
     stage.begin_move(-200, -1)
     bench.clock.sleep(1.0)
-    stage._talk.realtime(b"!")
+    stage._talk.write(b"!")
     with pytest.raises(DeviceError, match=r"the move was interrupted \(got Hold:[01]\)"):
         stage.finish_move()
     stage.resume()
@@ -367,50 +365,27 @@ def test_a_hold_at_the_panel_interrupts_the_move(bench: Bench) -> None:
 def test_a_feed_override_that_makes_the_move_too_slow(bench: Bench) -> None:
     stage = bench.homed()
     stage.begin_move(-299, -1)
-    stage._talk.realtime(b"\x92" * 9)
+    stage._talk.write(b"\x92" * 9)
     with pytest.raises(DeviceError, match="takes too long"):
         stage.finish_move()
     stage.stop()
     assert stage.status().name == "Hold:0"
 
 
-def _idle(bench: Bench) -> None:
-    bench.homed()
-
-
-def _unhomed(bench: Bench) -> None:
+def _connected(bench: Bench) -> Stage:
     bench.stage.connect()
+    return bench.stage
 
 
-def _moving(bench: Bench) -> None:
+def _moving(bench: Bench, for_s: float = 1.0) -> Stage:
     bench.homed().begin_move(-200, -200)
-    bench.clock.sleep(1.0)
-
-
-def _move_over_but_not_finished(bench: Bench) -> None:
-    _moving(bench)
-    bench.clock.sleep(60.0)
-
-
-def _held(bench: Bench) -> None:
-    _moving(bench)
-    bench.stage.hold()
-
-
-def _braking(bench: Bench) -> None:
-    _moving(bench)
-    bench.stage._talk.realtime(b"!")
-
-
-def _door(bench: Bench) -> None:
-    _moving(bench)
-    bench.stage._talk.realtime(b"\x84")
+    bench.clock.sleep(for_s)
+    return bench.stage
 
 
 def _homing(bench: Bench) -> None:
-    bench.stage.connect()
     with pytest.raises(LinkError):
-        bench.stage._talk.command("$H", 2.0)
+        _connected(bench)._talk.command("$H", 2.0)
 
 
 def _alarm(bench: Bench) -> None:
@@ -421,35 +396,27 @@ def _alarm(bench: Bench) -> None:
 
 def _alarm_unseen(bench: Bench) -> None:
     bench.emulator.inject(Fault.LIMIT_HIT, 0.5)
-    bench.homed().begin_move(-200, -200)
-    bench.clock.sleep(2.0)
+    _moving(bench, 2.0)
 
 
-def _asleep(bench: Bench) -> None:
-    bench.stage.connect()
-    bench.stage._talk.command("$SLP")
+STATES: dict[str, Callable[[Bench], object]] = {
+    "idle": Bench.homed,
+    "unhomed": _connected,
+    "moving": _moving,
+    "move over but not finished": lambda bench: _moving(bench, 61.0),
+    "held": lambda bench: _moving(bench).hold(),
+    "braking": lambda bench: _moving(bench)._talk.write(b"!"),
+    "door": lambda bench: _moving(bench)._talk.write(b"\x84"),
+    "homing": _homing,
+    "alarm": _alarm,
+    "alarm unseen": _alarm_unseen,
+    "asleep": lambda bench: _connected(bench)._talk.command("$SLP"),
+}
 
 
-@pytest.mark.parametrize(
-    "state",
-    [
-        _idle,
-        _unhomed,
-        _moving,
-        _move_over_but_not_finished,
-        _held,
-        _braking,
-        _door,
-        _homing,
-        _alarm,
-        _alarm_unseen,
-        _asleep,
-    ],
-)
-def test_safe_stops_from_every_state_and_may_be_called_again(
-    bench: Bench, state: Callable[[Bench], None]
-) -> None:
-    state(bench)
+@pytest.mark.parametrize("state", STATES)
+def test_safe_stops_from_every_state_and_may_be_called_again(bench: Bench, state: str) -> None:
+    STATES[state](bench)
     start = bench.clock.now()
     for _ in range(3):
         bench.stage.safe()
@@ -457,7 +424,7 @@ def test_safe_stops_from_every_state_and_may_be_called_again(
     place = bench.emulator.position_mm()
     bench.clock.sleep(60)
     assert bench.emulator.position_mm() == pytest.approx(place)
-    if state not in (_unhomed, _asleep):
+    if state not in ("unhomed", "asleep"):
         bench.stage.recover()
         bench.stage.home()
         bench.stage.move_to(-7, -7)

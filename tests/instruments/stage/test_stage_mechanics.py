@@ -21,7 +21,6 @@ from instruments.stage.emulator.motion import (
     AxisRates,
     HomingRun,
     Motion,
-    Switch,
     Vector,
     junction_speed,
     lay,
@@ -34,29 +33,13 @@ RATES = AxisRates((50.0, 50.0, 50.0), (200.0, 200.0, 200.0), 0.01)
 PLACES = st.tuples(st.floats(-300, 0), st.floats(-275, 0), st.floats(-50, 0))
 
 
-def test_a_long_move_takes_length_over_speed_and_speed_over_acceleration() -> None:
-    motion = Motion((0.0, 0.0, 0.0))
-    motion.go((-100.0, 0.0, 0.0), 50.0, RATES, 0.0)
-    assert motion.next_end_s(0.0) == pytest.approx(100 / 50 + 50 / 200, abs=1e-12)
-    assert motion.position(0.25) == pytest.approx((-6.25, 0, 0))
-    assert motion.position(1.25) == pytest.approx((-56.25, 0, 0))
-    assert motion.speed(1.0) == pytest.approx(50.0)
-    assert motion.position(2.25) == (-100.0, 0.0, 0.0)
-    assert not motion.moving(2.25)
-
-
 def test_a_diagonal_move_is_as_fast_as_its_slowest_axis_allows() -> None:
     motion = Motion((0.0, 0.0, 0.0))
     motion.go((-100.0, -100.0, 0.0), None, RATES, 0.0)
     assert motion.speed(1.0) == pytest.approx(50 * math.sqrt(2))
 
 
-@given(
-    st.floats(1e-3, 500),
-    st.floats(0, 50),
-    st.floats(1, 80),
-    st.floats(10, 1000),
-)
+@given(st.floats(1e-3, 500), st.floats(0, 50), st.floats(1, 80), st.floats(10, 1000))
 def test_a_profile_covers_its_length_and_joins_without_steps(
     length: float, entry: float, cruise: float, accel: float
 ) -> None:
@@ -142,18 +125,6 @@ def test_homing_takes_what_its_runs_take() -> None:
     assert run.position(run.end_s) == pytest.approx((-1.0, -1.0, -1.0))
     assert run.position(0.0) == (-150.0, -100.0, -25.0)
     assert run.alarm is None
-
-
-def test_homing_to_the_far_end() -> None:
-    run = HomingRun((-150.0, -100.0, -25.0), Store({23: 1}), {})
-    assert run.position(run.end_s) == pytest.approx((-299.0, -1.0, -1.0))
-
-
-@pytest.mark.parametrize(("switch", "alarm"), [(Switch.MISSING, 9), (Switch.STUCK, 8)])
-def test_a_broken_switch_ends_homing_in_its_alarm(switch: Switch, alarm: int) -> None:
-    run = HomingRun((-150.0, -100.0, -25.0), Store(), {0: switch})
-    assert run.alarm == alarm
-    assert all(place <= 1e-9 for place in run.position(run.end_s))
 
 
 @given(PLACES)

@@ -24,6 +24,15 @@ from instruments.stage.protocol import (
     Welcome,
 )
 
+
+def report(state: str, substate: int | None = None, **fields: str) -> Status:
+    places = [
+        tuple(map(float, fields[name].split(","))) if name in fields else None
+        for name in ("MPos", "WPos", "WCO")
+    ]
+    return Status(state, substate, places[0], places[1], places[2], fields)
+
+
 VECTORS: list[tuple[bytes, Response]] = [
     (b"ok", Ok()),
     (b"error:9", ErrorReply(9)),
@@ -40,36 +49,15 @@ VECTORS: list[tuple[bytes, Response]] = [
     (b">G54G20:ok", Message(">", "G54G20:ok")),
     (
         b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>",
-        Status(
-            "Idle",
-            None,
-            (0.0, 0.0, 0.0),
-            None,
-            (0.0, 0.0, 0.0),
-            {"MPos": "0.000,0.000,0.000", "FS": "0,0", "WCO": "0.000,0.000,0.000"},
-        ),
+        report("Idle", MPos="0.000,0.000,0.000", FS="0,0", WCO="0.000,0.000,0.000"),
     ),
     (
         b"<Hold:1|WPos:-1.500,2.000,-3.250|Bf:15,128|F:500>",
-        Status(
-            "Hold",
-            1,
-            None,
-            (-1.5, 2.0, -3.25),
-            None,
-            {"WPos": "-1.500,2.000,-3.250", "Bf": "15,128", "F": "500"},
-        ),
+        report("Hold", 1, WPos="-1.500,2.000,-3.250", Bf="15,128", F="500"),
     ),
     (
         b"<Alarm|MPos:1.000,2.000,3.000,4.000|H:0|A:S|TLR:0|Pn>",
-        Status(
-            "Alarm",
-            None,
-            (1.0, 2.0, 3.0, 4.0),
-            None,
-            None,
-            {"MPos": "1.000,2.000,3.000,4.000", "H": "0", "A": "S", "TLR": "0", "Pn": ""},
-        ),
+        report("Alarm", MPos="1.000,2.000,3.000,4.000", H="0", A="S", TLR="0", Pn=""),
     ),
 ]
 NONSENSE = [
@@ -197,18 +185,9 @@ def test_every_code_of_the_sheet_has_a_sentence_and_advice() -> None:
 
 
 def test_real_time_bytes_are_those_of_the_sheet() -> None:
-    assert (protocol.STATUS_QUERY, protocol.HOLD, protocol.RESUME, protocol.SOFT_RESET) == (
-        b"?",
-        b"!",
-        b"~",
-        b"\x18",
-    )
+    sent_while_moving = (protocol.STATUS_QUERY, protocol.HOLD, protocol.RESUME)
+    assert (*sent_while_moving, protocol.SOFT_RESET) == (b"?", b"!", b"~", b"\x18")
     assert (protocol.DOOR, protocol.JOG_CANCEL) == (b"\x84", b"\x85")
-    assert protocol.FEED_OVERRIDES == {
-        b"\x90": None,
-        b"\x91": 10,
-        b"\x92": -10,
-        b"\x93": 1,
-        b"\x94": -1,
-    }
+    feeds = {b"\x90": None, b"\x91": 10, b"\x92": -10, b"\x93": 1, b"\x94": -1}
+    assert feeds == protocol.FEED_OVERRIDES
     assert set(protocol.RAPID_OVERRIDES) == {b"\x95", b"\x96", b"\x97"}

@@ -10,6 +10,8 @@ it, and everything counts again.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from contextlib import suppress
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -31,6 +33,7 @@ PLACES = st.one_of(INSIDE, INSIDE, st.tuples(*(st.floats(-travel - 10, 10) for t
 WAYS = st.tuples(*(st.floats(-0.2 * travel, 0.2 * travel) for travel in TRAVEL))
 UNSEEN = frozenset({Fault.STALL, Fault.LOST_STEP})
 PLAY = (0.2, 0.1, 0.05, 0.5)
+BOARDS = [(CLASSIC, "XY"), (CLASSIC, "XYZ"), *((GRBL_HAL, axes) for axes in ("XYZ", "XYZA", "XYA"))]
 
 
 class StageRules(RuleBasedStateMachine):
@@ -38,18 +41,7 @@ class StageRules(RuleBasedStateMachine):
     never moving after ``stop``.
     """
 
-    @initialize(
-        board=st.sampled_from(
-            [
-                (CLASSIC, "XY"),
-                (CLASSIC, "XYZ"),
-                (GRBL_HAL, "XYZ"),
-                (GRBL_HAL, "XYZA"),
-                (GRBL_HAL, "XYA"),
-            ]
-        ),
-        play=st.booleans(),
-    )
+    @initialize(board=st.sampled_from(BOARDS), play=st.booleans())
     def power_on(self, board: tuple[Dialect, str], play: bool) -> None:
         dialect, self.axes = board
         count = 4 if "A" in self.axes else 3
@@ -107,9 +99,6 @@ class StageRules(RuleBasedStateMachine):
         self.finished_at(place)
 
     @rule(place=PLACES)
-    def begin_a_move(self, place: Place) -> None:
-        self.begin(place)
-
     def begin(self, place: Place) -> None:
         homed = self.stage.homed
         try:
@@ -132,13 +121,6 @@ class StageRules(RuleBasedStateMachine):
         self.target = (there[0], there[1], there[2], there[3])
 
     @rule()
-    def cancel_a_jog(self) -> None:
-        try:
-            self.stage.cancel_jog()
-        except InstrumentError:
-            return
-
-    @rule()
     def finish(self) -> None:
         try:
             self.stage.finish_move()
@@ -158,24 +140,12 @@ class StageRules(RuleBasedStateMachine):
             return
         self.stands()
 
-    @rule()
-    def brake(self) -> None:
-        try:
-            self.stage.brake()
-        except InstrumentError:
-            return
+    @rule(call=st.sampled_from([Stage.cancel_jog, Stage.brake, Stage.resume]))
+    def only_call(self, call: Callable[[Stage], None]) -> None:
+        with suppress(InstrumentError):
+            call(self.stage)
 
     @rule()
-    def resume(self) -> None:
-        try:
-            self.stage.resume()
-        except InstrumentError:
-            return
-
-    @rule()
-    def stop_now(self) -> None:
-        self.stop()
-
     def stop(self) -> None:
         start = self.clock.now()
         try:
