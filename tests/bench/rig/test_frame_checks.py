@@ -18,11 +18,7 @@ from bench.rig.frame_capture import FrameChecks, StereoOrder
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Checks, FocusTable
 from detector.calibration import Calibration
-from instruments.camera.emulator import (
-    FAULTS,
-    KEPT_BACK,
-    EmulatedCameras,
-)
+from instruments.camera.emulator import FAULTS, KEPT_BACK, EmulatedCameras
 from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.recording import Recording
 from instruments.world.situations import situation as drawn_situation

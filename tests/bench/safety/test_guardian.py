@@ -118,10 +118,9 @@ def test_a_bench_that_is_stopped_is_taken_for_dead_after_ten_seconds(
         assert silence_s(run.guardian) >= HANG_S
         assert (run.guardian["cause"], run.guardian["standby"]) == ("hung", True)
         assert run.ending == "faulted", "once it goes on, it finds its guardian gone"
-        assert run.facts["trip"]["rule"] in (
-            "guardian lost",
-            "changed at the controller",
-        ), "or the bath not as it left it"
+        assert run.facts["trip"]["rule"] in ("guardian lost", "changed at the controller"), (
+            "or the bath not as it left it"
+        )
         assert "The bench hung (no sign of life for 10 s)" in reported(rig, capsys)[1]
 
 

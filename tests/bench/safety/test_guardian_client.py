@@ -212,10 +212,7 @@ def test_a_guardian_that_cannot_start_is_told_with_its_own_words(tmp_path: Path)
 def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
     with guarded(
         GuardianTarget("tcp://127.0.0.1:1", "julabo-presto"), tmp_path, VirtualClock()
-    ) as (
-        _,
-        guardian_client,
-    ):
+    ) as (_, guardian_client):
         assert guardian_client is None
 
 
