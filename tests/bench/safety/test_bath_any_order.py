@@ -221,7 +221,7 @@ def test_the_machine_would_notice_heat_without_a_pump(tmp_path: Path) -> None:
     machine = WatchedBath()
     machine.rig = loaded(tmp_path, "eurotherm-3200")
     machine.connect()
-    machine.watch._pump_on = lambda _: None
+    machine.watch.pump_on = lambda _: None
     machine.heat()
     assert machine.plant.running
     machine.plant.pump = "off"
