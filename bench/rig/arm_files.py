@@ -20,12 +20,12 @@ it was changed by hand. A file of another arm is refused too.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from datetime import datetime
 from itertools import combinations
 from math import sqrt
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -414,9 +414,15 @@ class _Point(Section):
     residual_mm: NotNegative | None = None
 
 
-class _FrameFile(Section):
+class _ArmFile(Section):
     made: AwareDatetime
     serial_number: str
+
+
+File = TypeVar("File", bound=_ArmFile)
+
+
+class _FrameFile(_ArmFile):
     om: Three
     T: Three
     residual_mm: NotNegative | None = None
@@ -447,9 +453,7 @@ class _Limits(Section):
     length_mm: Annotated[float, Field(gt=0)] | None = None
 
 
-class _VerificationFile(Section):
-    made: AwareDatetime
-    serial_number: str
+class _VerificationFile(_ArmFile):
     passed: bool
     location_mm: NotNegative
     length_mm: NotNegative | None = None
@@ -473,14 +477,7 @@ def _frame_table(frame: TableFrame) -> dict[str, Any]:
         "T": motion.T.tolist(),
         "residual_mm": frame.residual_mm,
         "points": [
-            {
-                "name": point.name,
-                "arm_mm": point.arm_mm,
-                "spread_mm": point.spread_mm,
-                "world_mm": point.world_mm,
-                "residual_mm": residuals.get(point.name),
-            }
-            for point in frame.points
+            {**asdict(point), "residual_mm": residuals.get(point.name)} for point in frame.points
         ],
     }
 
@@ -489,9 +486,9 @@ def load_frame(path: Path, *, serial_number: str | None = None) -> TableFrame:
     """The frame at ``path``, of the arm ``serial_number`` where given. Raises ConfigError with all
     faults, each in its place.
     """
-    file = read_config(path, _FrameFile)
-    then = "Make the frame anew with this arm: 'teatbench arm frame'"
-    _refuse_other_arm(path, file.serial_number, serial_number, then)
+    file = _read(
+        path, _FrameFile, serial_number, "Make the frame anew with this arm: 'teatbench arm frame'"
+    )
     points = [TouchedPoint(p.name, p.arm_mm, p.spread_mm, p.world_mm) for p in file.points]
     try:
         frame = TableFrame.from_touches(file.made, file.serial_number, points)
@@ -516,19 +513,14 @@ def _verification_table(found: Verification, limits: Limits) -> dict[str, Any]:
         "location_mm": found.location_mm,
         "length_mm": found.length_mm,
         "length_two_rms_mm": found.length_two_rms_mm,
-        "limits": {"location_mm": limits.location_mm, "length_mm": limits.length_mm},
+        "limits": asdict(limits),
         "location": [
             {"where": test.where, **{key: getattr(test, key) for key in figures}, **table}
             for test, table in zip(found.locations, touched["locations"], strict=True)
         ],
         "length": [
-            {
-                "where": test.where,
-                "calibrated_mm": test.calibrated_mm,
-                "error_mm": test.error_mm,
-                **table,
-            }
-            for test, table in zip(found.lengths, touched["lengths"], strict=True)
+            {"where": t.where, "calibrated_mm": t.calibrated_mm, "error_mm": t.error_mm, **table}
+            for t, table in zip(found.lengths, touched["lengths"], strict=True)
         ]
         or None,
     }
@@ -538,9 +530,7 @@ def load_verification(path: Path, *, serial_number: str | None = None) -> Verifi
     """The verification at ``path``, of the arm ``serial_number`` where given. Raises ConfigError
     with all faults, each in its place.
     """
-    file = read_config(path, _VerificationFile)
-    then = "Verify this arm: 'teatbench arm verify'"
-    _refuse_other_arm(path, file.serial_number, serial_number, then)
+    file = _read(path, _VerificationFile, serial_number, "Verify this arm: 'teatbench arm verify'")
     uneven = [
         (("location", i, "axes"), "must have a row for each of tips_mm", False)
         for i, test in enumerate(file.location)
@@ -568,10 +558,13 @@ def write_file(path: Path, text: str) -> None:
         ) from error
 
 
-def _refuse_other_arm(path: Path, of: str, wanted: str | None, then: str) -> None:
+def _read(path: Path, model: type[File], wanted: str | None, then: str) -> File:
+    file = read_config(path, model)
+    of = file.serial_number
     if wanted is not None and of != wanted:
         message = f"this file is of the arm {of}, but the arm that answers is {wanted}. {then}"
         raise located(path, read_text(path), [(("serial_number",), message, False)])
+    return file
 
 
 def _refuse_changed(path: Path, file: Section, follows: Mapping[str, Any]) -> None:

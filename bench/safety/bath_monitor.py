@@ -12,6 +12,7 @@ from __future__ import annotations
 import sqlite3
 import threading
 from collections.abc import Callable, Hashable
+from dataclasses import KW_ONLY, dataclass
 
 from bench.record.schema import Row
 from bench.record.writer import Store
@@ -38,6 +39,7 @@ PERIOD_S = 1.0
 AGAIN_S = 5.0  # between attempts to make safe
 
 
+@dataclass(eq=False)
 class BathMonitor:
     """Watches the bath that ``read`` polls, from ``start`` to ``stop``.
 
@@ -47,46 +49,34 @@ class BathMonitor:
     change for the gate to believe that the controller lives.
     """
 
-    def __init__(
-        self,
-        read: Callable[[], BathReading],
-        clock: Clock,
-        gate: StabilityGate,
-        interlocks: Interlocks,
-        record: Callable[[Row], None],
-        act: Callable[[Exception], bool],
-        *,
-        pump_on: Callable[[BathReading], bool | None] = lambda _: None,
-        also: Callable[[], InterlockTrip | None] = lambda: None,
-        moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw,
-    ) -> None:
-        self._read = read
-        self._clock = clock
-        self._gate = gate
-        self._interlocks = interlocks
-        self._record = record
-        self._act = act
-        self._pump_on = pump_on
-        self._also = also
-        self._moving = moving
+    read: Callable[[], BathReading]
+    clock: Clock
+    gate: StabilityGate
+    interlocks: Interlocks
+    record: Callable[[Row], None]
+    act: Callable[[Exception], bool]
+    _: KW_ONLY
+    pump_on: Callable[[BathReading], bool | None] = lambda _: None
+    also: Callable[[], InterlockTrip | None] = lambda: None
+    moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw
+
+    def __post_init__(self) -> None:
         self._lock = threading.RLock()
-        self._running = False
+        self._running = self._safe = False
         self._trip: Exception | None = None
-        self._safe = False
-        self._act_again_s = clock.now()
-        self._heard_s = self._planned_s = clock.now()
+        self._act_again_s = self._heard_s = self._planned_s = self.clock.now()
         self._heating_s: float | None = None
         self.last: BathReading | None = None
 
     @property
     def state(self) -> State:
         """Of the stability gate, after the last reading."""
-        return self._gate.state
+        return self.gate.state
 
     @property
     def why_not_stable(self) -> str:
         """What the gate still waits for."""
-        return "; ".join(self._gate.report.reasons)
+        return "; ".join(self.gate.report.reasons)
 
     def stable_in_s(self, expected_s: float) -> float:
         """How long until the gate opens, expected ``expected_s`` after heating began; once that is
@@ -94,8 +84,8 @@ class BathMonitor:
         """
         if self.state is State.STABLE:
             return 0.0
-        heated_s = 0.0 if self._heating_s is None else self._clock.now() - self._heating_s
-        return max(expected_s - heated_s, self._gate.at_least_s)
+        heated_s = 0.0 if self._heating_s is None else self.clock.now() - self._heating_s
+        return max(expected_s - heated_s, self.gate.at_least_s)
 
     @property
     def tripped(self) -> Exception | None:
@@ -105,15 +95,15 @@ class BathMonitor:
     def start(self) -> None:
         """Read now and then every second."""
         self._running = True
-        self._heard_s = self._planned_s = self._clock.now()
+        self._heard_s = self._planned_s = self.clock.now()
         self._tick()
 
     def heating(self) -> None:
         """The bath has been started: what was read before is no evidence of stability."""
         with self._lock:
-            self._gate.restart()
-            self._heating_s = self._clock.now()
-            self._interlocks.heating(self._gate.set_point_c)
+            self.gate.restart()
+            self._heating_s = self.clock.now()
+            self.interlocks.heating(self.gate.set_point_c)
 
     def end(self) -> None:
         """No further readings: the bath is about to be stopped. Doesn't wait for one that is under
@@ -143,35 +133,35 @@ class BathMonitor:
             if not self._running:
                 return
             # while this process did not run, the bath was not silent
-            self._heard_s += self._clock.now() - self._planned_s
+            self._heard_s += self.clock.now() - self._planned_s
             try:
-                self._trip = self._trip or self._also()
+                self._trip = self._trip or self.also()
                 self._look()
             except Exception as error:
                 self._trip = self._trip or error
             self._make_safe()
         # from start to start, however long a reading takes
-        self._planned_s = max(self._planned_s + PERIOD_S, self._clock.now())
-        self._clock.call_at(self._planned_s, self._tick)
+        self._planned_s = max(self._planned_s + PERIOD_S, self.clock.now())
+        self.clock.call_at(self._planned_s, self._tick)
 
     def _look(self) -> None:
         try:
-            reading = self._read()
-            pump_on = self._pump_on(reading)
+            reading = self.read()
+            pump_on = self.pump_on(reading)
         except InstrumentError as error:
-            silent_s = self._clock.now() - self._heard_s
+            silent_s = self.clock.now() - self._heard_s
             answered = not isinstance(error, LinkError)
-            self._trip = self._trip or self._interlocks.silent(silent_s, error, answered=answered)
+            self._trip = self._trip or self.interlocks.silent(silent_s, error, answered=answered)
             return
         if not self._running:
             return  # the run has ended while we waited for it, and with it the heating
         self._heard_s = reading.t_s
         self.last = reading
-        raw, teat_c = self._moving(reading), reading.external_c
-        state = self._gate.add(
+        raw, teat_c = self.moving(reading), reading.external_c
+        state = self.gate.add(
             reading.t_s, reading.temp_c, raw=raw, alarm=bool(reading.alarm), teat_c=teat_c
         )
-        self._record(
+        self.record(
             {
                 "t_s": reading.t_s,
                 "temp_c": reading.temp_c,
@@ -180,15 +170,15 @@ class BathMonitor:
                 "state": state.value,
             }
         )
-        trip = self._interlocks.add(reading, pump_on)
+        trip = self.interlocks.add(reading, pump_on)
         self._trip = self._trip or trip
 
     def _make_safe(self) -> None:
-        if self._trip is None or self._safe or self._clock.now() < self._act_again_s:
+        if self._trip is None or self._safe or self.clock.now() < self._act_again_s:
             return
-        self._act_again_s = self._clock.now() + AGAIN_S
+        self._act_again_s = self.clock.now() + AGAIN_S
         try:
-            self._safe = self._act(self._trip)
+            self._safe = self.act(self._trip)
         except Exception as error:
             self._trip = error
 
@@ -201,8 +191,8 @@ READING_S = 60.0
 
 
 class TripHandler:
-    """``watch`` is to be started and stopped by the engine; ``lifeline`` is None where nothing
-    needs a guardian.
+    """``watch`` is to be started and stopped by the engine; ``guardian_client`` is None where
+    nothing needs a guardian.
 
     ``heard`` gets the event of a trip, its kind and text, once it is in the record; ``seen`` is
     called after each reading.
@@ -258,11 +248,8 @@ class TripHandler:
         """With each reading: the watch is alive, and the guardian has to be too."""
         self._pulse.sign("reading the bath", READING_S, who=WATCH)
         lost = self._guardian_client.lost if self._guardian_client else None
-        return (
-            InterlockTrip(GUARDIAN, lost, rule_named(GUARDIAN).then, self._interlocks.values)
-            if lost
-            else None
-        )
+        then = rule_named(GUARDIAN).then
+        return InterlockTrip(GUARDIAN, lost, then, self._interlocks.values) if lost else None
 
     def _act(self, trip: Exception) -> bool:
         """Go to safe; True when heater and stage are. Called again until they are."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date, timedelta
 from pathlib import Path
@@ -60,12 +61,11 @@ def set_latch(path: Path, trip: Exception, run: str) -> None:
     """
     if path.exists():
         return
-    told: dict[str, object] = {
-        "rule": "mistake of the bench",
-        "why": f"{type(trip).__name__}: {trip}",
-    }
-    if isinstance(trip, InterlockTrip):
-        told = trip.as_dict()
+    told: dict[str, object] = (
+        trip.as_dict()
+        if isinstance(trip, InterlockTrip)
+        else {"rule": "mistake of the bench", "why": f"{type(trip).__name__}: {trip}"}
+    )
     told |= {"wall_time": wall_time().isoformat(timespec="seconds"), "run": run}
     write_synced(path, json.dumps(told, indent=1).encode())
 
@@ -101,10 +101,9 @@ def refuse_untested_cut_out(rig: LoadedRig, today: date) -> None:
     if not tested and loss in STAYS_HOT:
         why = (
             "missing: nothing is heated before the bath's independent cut-out was tested, because"
-            " the "
-            f'bath may stay hot when the computer dies (its profile says comms_loss = "{loss}").'
-            " Test it "
-            f'as docs/safety.md says, then write the day: cut_out_tested = "{today.isoformat()}"'
+            f' the bath may stay hot when the computer dies (its profile says comms_loss = "{loss}"'
+            "). Test it as docs/safety.md says, then write the day:"
+            f' cut_out_tested = "{today.isoformat()}"'
         )
     # it may be tomorrow already elsewhere
     elif tested and date.fromisoformat(tested) > today + timedelta(days=1):
@@ -117,16 +116,9 @@ def acknowledge(rig: LoadedRig, latch: Latch, reading: BathReading) -> None:
     """Take the latch away. Raises LatchedError while the rule's reset condition does not hold for
     ``reading``.
     """
-    try:
+    with suppress(KeyError):
         rule = rule_named(latch.rule)
-    except KeyError:
-        rule = None
-    not_yet = rule.not_yet(reading, rig.rig.limits) if rule else None
-    if rule and not_yet:
-        raise LatchedError(
-            "rig",
-            f"not yet: {not_yet}",
-            asked=f"acknowledge {latch.rule}",
-            hint=f"It resets with: {rule.resets}.",
-        )
+        if not_yet := rule.not_yet(reading, rig.rig.limits):
+            asked, hint = f"acknowledge {latch.rule}", f"It resets with: {rule.resets}."
+            raise LatchedError("rig", f"not yet: {not_yet}", asked=asked, hint=hint)
     latch.path.unlink()

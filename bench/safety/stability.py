@@ -9,8 +9,8 @@ reading comes with its time. A frozen reading, a gap or an alarm is never eviden
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Hashable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Hashable, Iterator
+from dataclasses import asdict, dataclass, field, fields
 from enum import StrEnum
 from math import isfinite
 
@@ -128,17 +128,8 @@ class StabilityGate:
     _teats: Window = field(default_factory=Window, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        positive = (
-            "window_s",
-            "mean_k",
-            "half_range_k",
-            "slope_k_per_min",
-            "teat_slope_k_per_min",
-            "leave_k",
-            "max_gap_s",
-            "frozen_s",
-        )
-        for name in positive:
+        limits = {one.name for one in fields(self) if one.init} - {"set_point_c", "min_distinct"}
+        for name in sorted(limits):
             value = getattr(self, name)
             if not (isfinite(value) and value > 0.0):
                 raise ValueError(f"stability gate: {name} = {value} must be finite and above 0")
@@ -258,21 +249,27 @@ class StabilityGate:
             reasons=tuple(self._unfulfilled()),
         )
 
-    @property
-    def _teat_slope(self) -> float:
-        """K/min; 0 without a sensor at the teats."""
-        return 60.0 * self._teats.slope if len(self._teats) > 1 else 0.0
-
     def _fulfilled(self) -> bool:
         w = self._window
-        return (
-            w.span_s >= self.window_s - TIME_SLACK_S
-            and w.distinct >= self.min_distinct
-            and abs(w.mean) <= self.mean_k
-            and w.half_range <= self.half_range_k
-            and 60.0 * abs(w.slope) <= self.slope_k_per_min
-            and abs(self._teat_slope) <= self.teat_slope_k_per_min
+        long = w.span_s >= self.window_s - TIME_SLACK_S
+        return long and not any(failed for failed, *_ in self._criteria(w))
+
+    def _criteria(self, w: Window) -> Iterator[tuple[bool, str, float]]:
+        """Of each criterion but the span: whether ``w`` fails it, what was seen, and the limit."""
+        yield w.distinct < self.min_distinct, f"{w.distinct} distinct readings", self.min_distinct
+        yield abs(w.mean) > self.mean_k, f"mean {w.mean:+.3f} K from the set point", self.mean_k
+        half_range = w.half_range
+        yield (
+            half_range > self.half_range_k,
+            f"half the range {half_range:.3f} K",
+            self.half_range_k,
         )
+        slope, limit = 60.0 * w.slope, self.slope_k_per_min
+        yield abs(slope) > limit, f"slope {slope:+.3f} K/min", limit
+        # 0 without a sensor at the teats
+        slope = 60.0 * self._teats.slope if len(self._teats) > 1 else 0.0
+        limit = self.teat_slope_k_per_min
+        yield abs(slope) > limit, f"slope at the teats {slope:+.3f} K/min", limit
 
     def _unfulfilled(self) -> list[str]:
         """By the readings near the set point: those of the way there say nothing of how steady it
@@ -282,34 +279,14 @@ class StabilityGate:
         if self._alarm:
             return ["the bath has an alarm"]
         if self.frozen:
-            return [
-                (
-                    f"the reading has not changed for more than {self.frozen_s:g} s: is"
-                    " the controller alive?"
-                )
-            ]
+            why = f"the reading has not changed for more than {self.frozen_s:g} s"
+            return [f"{why}: is the controller alive?"]
         if self._state is State.HEATING and last is not None:
             return [f"{last[1]:.2f} degC, needs {self.set_point_c:g} ± {self.leave_k:g}"]
         if len(w) < 2:
             return ["too few readings"]
-        slope, teats = 60 * w.slope, self._teat_slope
-        checks = [
-            (w.distinct < self.min_distinct, f"{w.distinct} distinct readings", self.min_distinct),
-            (abs(w.mean) > self.mean_k, f"mean {w.mean:+.3f} K from the set point", self.mean_k),
-            (
-                w.half_range > self.half_range_k,
-                f"half the range {w.half_range:.3f} K",
-                self.half_range_k,
-            ),
-            (abs(slope) > self.slope_k_per_min, f"slope {slope:+.3f} K/min", self.slope_k_per_min),
-            (
-                abs(teats) > self.teat_slope_k_per_min,
-                f"slope at the teats {teats:+.3f} K/min",
-                self.teat_slope_k_per_min,
-            ),
-        ]
         short = w.span_s < self.window_s - TIME_SLACK_S
-        told = checks if w.span_s >= FIGURES_FROM * self.window_s else []
+        told = self._criteria(w) if w.span_s >= FIGURES_FROM * self.window_s else ()
         return [
             *([f"stable for {_of(w.span_s, self.window_s)}"] if short else []),
             *(f"{text}, needs {limit:g}" for failed, text, limit in told if failed),

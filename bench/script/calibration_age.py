@@ -31,20 +31,14 @@ def refuse_old_calibration(rig: LoadedRig, script: LoadedScript, today: date) ->
         return
     allowed = f"{script.path} allows {most:g} days ([calibration] max_age_days)"
     if record is None:
-        raise ConfigError.plain(
-            f"{rig.calibration_path} has no [record] that says when it was made; {allowed}."
-            f" {AGAIN}."
-        )
-    age = _age_days(record.made, today)
-    if age > most:
-        raise ConfigError.plain(
-            f"{rig.calibration_path} was made on {record.made}, {age} days ago; {allowed}. {AGAIN}."
-        )
-    if age < -1:  # a day's grace: it may be tomorrow already where it was made
-        raise ConfigError.plain(
-            f"{rig.calibration_path} was made on {record.made}, which is still to come: is this"
-            " machine's clock right?"
-        )
+        why = f"has no [record] that says when it was made; {allowed}. {AGAIN}."
+    elif (age := _age_days(record.made, today)) > most:
+        why = f"was made on {record.made}, {age} days ago; {allowed}. {AGAIN}."
+    elif age < -1:  # a day's grace: it may be tomorrow already where it was made
+        why = f"was made on {record.made}, which is still to come: is this machine's clock right?"
+    else:
+        return
+    raise ConfigError.plain(f"{rig.calibration_path} {why}")
 
 
 def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> None:
@@ -57,29 +51,24 @@ def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> 
     for camera, recorded in on_record.items():
         seen = identity.get(camera)
         if seen is not None and recorded.strip().lower() not in seen.lower():
-            what = (
-                f"the calibration was made for the {camera} camera {recorded!r}, but the one that"
-                f" answers is {seen!r}"
-            )
             raise LimitError(
-                "cameras", what, hint=f"Are cables or cameras changed? Put them back, or: {AGAIN}."
+                "cameras",
+                f"the calibration was made for the {camera} camera {recorded!r}, but the one that"
+                f" answers is {seen!r}",
+                hint=f"Are cables or cameras changed? Put them back, or: {AGAIN}.",
             )
 
 
 def calibration_fact(calibration: Calibration, today: date, *, emulated: bool) -> dict[str, Any]:
     """What a run keeps of its calibration's record. ``age_days`` is None where nobody knows it."""
     record = calibration.record
-    known: dict[str, Any] = dict.fromkeys(("made", "by", "with_what", "cameras", "age_days"))
-    known["cameras"] = {}
-    if record is not None:
-        known = {
-            "made": record.made,
-            "by": record.by,
-            "with_what": record.with_what,
-            "cameras": dict(record.cameras),
-            "age_days": _age_days(record.made, today),
-        }
-    return {**known, "emulated": emulated, "states_uncertainty": calibration.covariance is not None}
+    return {
+        **{key: getattr(record, key, None) for key in ("made", "by", "with_what")},
+        "cameras": dict(record.cameras) if record else {},
+        "age_days": _age_days(record.made, today) if record else None,
+        "emulated": emulated,
+        "states_uncertainty": calibration.covariance is not None,
+    }
 
 
 def decide_calibration(rule: CalibrationRequirement, facts: Mapping[str, Any]) -> Decision:

@@ -47,17 +47,6 @@ class DetectorFile(Section):
     restarts: Annotated[int, Field(ge=0, le=1000)] = _DEFAULT.restarts
     faults_in_a_row: Annotated[int, Field(ge=1, le=100)] = _DEFAULT.in_a_row
 
-    @property
-    def limits(self) -> Limits:
-        """As the detector takes them."""
-        return Limits(
-            self.start_limit_s,
-            self.time_limit_s,
-            self.memory_limit_mib,
-            self.restarts,
-            self.faults_in_a_row,
-        )
-
 
 def make_detectors(names: Sequence[str], folder: Path = Path()) -> list[Detector]:
     """The detectors of these names; files are looked for in ``folder``. Raises ConfigError for one
@@ -79,22 +68,16 @@ def check_named(names: Iterable[str]) -> None:
     """
     known = list(registry.available())
     for name in names:
-        if (
-            not name.startswith(EXEC)
-            and not name.endswith(FILE)
-            and name not in known
-            and not _declared(name)
-        ):
-            there = ", ".join(known)
-            hint = (
-                f"; to run that file, write {EXEC}COMMAND"
-                if Path(name).is_file()
-                else did_you_mean(name, known)
-            )
-            raise ValueError(
-                f"no detector {name!r}{hint} (there are: {there}; or {EXEC}COMMAND, or a {FILE}"
-                " file)"
-            )
+        file = DECLARED / f"{name}{FILE}"
+        if name.startswith(EXEC) or name.endswith(FILE) or name in known or file.is_file():
+            continue
+        hint = did_you_mean(name, known)
+        if Path(name).is_file():
+            hint = f"; to run that file, write {EXEC}COMMAND"
+        raise ValueError(
+            f"no detector {name!r}{hint} (there are: {', '.join(known)}; or {EXEC}COMMAND, or a"
+            f" {FILE} file)"
+        )
 
 
 def declared() -> dict[str, str]:
@@ -117,13 +100,10 @@ def _make(name: str, folder: Path) -> Detector:
         return _of_file(folder / name)
     try:
         check_named((name,))
-        return (
-            registry.create(name)
-            if name in registry.available()
-            else _of_file(DECLARED / f"{name}{FILE}")
-        )
     except ValueError as error:
         raise ConfigError.plain(str(error)) from error
+    shipped = name in registry.available()
+    return registry.create(name) if shipped else _of_file(DECLARED / f"{name}{FILE}")
 
 
 def _of_command(text: str) -> Detector:
@@ -159,14 +139,7 @@ def taken_apart(text: str, *, windows: bool) -> list[str]:
     that doesn't end.
     """
     words = shlex.split(text, posix=not windows)
-    return [
-        (
-            word[1:-1]
-            if windows and len(word) > 1 and word[0] == word[-1] and word[0] in "\"'"
-            else word
-        )
-        for word in words
-    ]
+    return [re.sub(r"""(?s)^(["'])(.*)\1\Z""", r"\2", word) if windows else word for word in words]
 
 
 def _of_file(path: Path) -> Detector:
@@ -184,25 +157,25 @@ def _of_file(path: Path) -> Detector:
         given.command,
         stopwatch_s,
         folder=folder,
-        limits=given.limits,
+        limits=Limits(
+            given.start_limit_s,
+            given.time_limit_s,
+            given.memory_limit_mib,
+            given.restarts,
+            given.faults_in_a_row,
+        ),
         version=given.version or None,
         environment=given.environment,
     )
 
 
 def _find_program(program: str, folder: Path) -> None:
-    there = shutil.which(program) or shutil.which(str(folder / program))
-    if there is None and (folder / program).is_file():
-        raise ConfigError.plain(
-            f"{program!r} may not be run: make it executable, or name what runs it, as in python3"
-            f" {program}"
-        )
-    if there is None:
-        raise ConfigError.plain(
-            f"no program {program!r} is there that can be run: give its path, or look at the"
-            " environment's PATH"
-        )
-
-
-def _declared(name: str) -> bool:
-    return (DECLARED / f"{name}{FILE}").is_file()
+    if shutil.which(program) or shutil.which(str(folder / program)):
+        return
+    raise ConfigError.plain(
+        f"{program!r} may not be run: make it executable, or name what runs it, as in python3"
+        f" {program}"
+        if (folder / program).is_file()
+        else f"no program {program!r} is there that can be run: give its path, or look at the"
+        " environment's PATH"
+    )

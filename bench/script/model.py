@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -211,6 +212,14 @@ Requirement = Annotated[
 ]
 
 
+def _names_differ(rows: tuple[Any, ...]) -> tuple[Any, ...]:
+    names = sorted(row.name for row in rows)
+    twice = next((one for one, other in pairwise(names) if one == other), None)
+    if twice is not None:
+        raise ValueError(f"two have the name {twice!r}; names must differ")
+    return rows
+
+
 class Rules(Section):
     """What detections are held against, with or without
     instruments: fixed before anything is run.
@@ -231,11 +240,7 @@ class Rules(Section):
             check_named(names)
         return names
 
-    @field_validator("requirements")
-    @classmethod
-    def _requirements_differ(cls, rules: tuple[Requirement, ...]) -> tuple[Requirement, ...]:
-        _no_name_twice([rule.name for rule in rules])
-        return rules
+    _requirements_differ = field_validator("requirements")(_names_differ)
 
     @property
     def published(self) -> dict[str, Published]:
@@ -256,11 +261,7 @@ class Script(Rules):
     calibration: CalibrationTable = CalibrationTable()
     trials: Annotated[tuple[Trial, ...], Field(min_length=1)]
 
-    @field_validator("trials")
-    @classmethod
-    def _trials_differ(cls, trials: tuple[Trial, ...]) -> tuple[Trial, ...]:
-        _no_name_twice([trial.name for trial in trials])
-        return trials
+    _trials_differ = field_validator("trials")(_names_differ)
 
     @property
     def published(self) -> dict[str, Published]:
@@ -304,12 +305,6 @@ class LoadedScript:
         """
         name = self.script.truth.file
         return {Path(name).name: read_text(self.path.parent / name)} if name else {}
-
-
-def _no_name_twice(names: list[str]) -> None:
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError(f"two have the name {twice[0]!r}; names must differ")
 
 
 def find_script(name: str | None) -> Path:

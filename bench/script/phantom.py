@@ -31,6 +31,13 @@ Length = Annotated[float, Field(gt=0, le=400)]
 Span = tuple[Length, Length]
 
 
+def ordered(span: Span) -> Span:
+    """``span`` where its first number isn't the larger one. Raises ValueError."""
+    if span[0] > span[1]:
+        raise ValueError("the first number must be the smaller one")
+    return span
+
+
 class TeatTable(Section):
     """One teat: where its axis leaves the plate, how long it is from there to the apex, and how far
     it leans towards +x and +y.
@@ -71,14 +78,9 @@ class Envelope(Section):
     tilt_deg: Annotated[float, Field(ge=0, le=30)] = 0.0
     least_gap_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
 
-    @field_validator(
+    _spans = field_validator(
         "front_spacing_mm", "rear_spacing_mm", "front_to_rear_mm", "length_mm", "radius_mm"
-    )
-    @classmethod
-    def _ordered(cls, span: Span) -> Span:
-        if span[0] > span[1]:
-            raise ValueError("the first number must be the smaller one")
-        return span
+    )(ordered)
 
     def draw(self, rng: np.random.Generator) -> tuple[Teat, ...]:
         """LF, RF, LR, RR. Raises ValueError where none of `TRIES` draws keeps its teats
@@ -109,12 +111,8 @@ class Envelope(Section):
             sx, sy = rng.uniform(-self.shift_mm, self.shift_mm, 2)
             lean_x, lean_y = np.radians(rng.uniform(-self.tilt_deg, self.tilt_deg, 2))
             shape = TeatShape(rng.uniform(*self.length_mm), rng.uniform(*self.radius_mm))
-            yield Teat(
-                (float(x + dx + sx), float(y + dy + sy)),
-                shape,
-                (float(lean_x), float(lean_y)),
-                name,
-            )
+            base = (float(x + dx + sx), float(y + dy + sy))
+            yield Teat(base, shape, (float(lean_x), float(lean_y)), name)
 
 
 class PhantomFile(Section):

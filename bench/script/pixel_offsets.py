@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from bench.config import ConfigError, Section, located, read_config, read_text
+from bench.config import ConfigError, Section, located, parse_config, read_text
 from bench.script.phantom import Layout, find_layout, load_layout
 from bench.script.trial_table import layout_of
 from detector.calibration import Calibration
@@ -123,17 +123,15 @@ def is_offset_script(path: Path) -> bool:
 
 def load_offsets(path: Path) -> LoadedOffsets:
     """The script at ``path`` with its points. Raises ConfigError with all faults."""
-    script = read_config(path, OffsetScript)
+    text = read_text(path)
+    script = parse_config(path, text, OffsetScript)
     layout = load_layout(find_layout(script.layout, path.parent))
     points = layout.phantom(0).ends_mm
-    text = read_text(path)
-    wrong = [i for i, offset in enumerate(script.offsets) if offset.teat > len(points)]
-    if wrong:
-        raise located(
-            path,
-            text,
-            [(("offsets", i, "teat"), f"the layout has {len(points)} teats", False) for i in wrong],
-        )
+    what = f"the layout has {len(points)} teats"
+    many = [offset.teat > len(points) for offset in script.offsets]
+    if any(many):
+        wrong = [(("offsets", i, "teat"), what, False) for i, one in enumerate(many) if one]
+        raise located(path, text, wrong)
     return LoadedOffsets(path, text, script, layout, points)
 
 
@@ -141,13 +139,10 @@ def outcomes(loaded: LoadedOffsets, calibration: Calibration) -> tuple[Outcome, 
     """What each offset of the script does. Raises ConfigError for
     a point that a camera can't see.
     """
-    many = loaded.script.directions
+    many, points = loaded.script.directions, loaded.points_mm
     return tuple(
         Outcome(
-            one,
-            offset_errors(
-                calibration, loaded.points_mm[one.teat - 1], one.left_px, one.right_px, many
-            ),
+            one, offset_errors(calibration, points[one.teat - 1], one.left_px, one.right_px, many)
         )
         for one in loaded.script.offsets
     )
@@ -164,15 +159,12 @@ def offset_errors(
     seen_right = calibration.world_from_right.inverse().apply(point_mm[None])
     seen_left = calibration.right_from_left.inverse().apply(seen_right)
     left, right = calibration.left.project(seen_left), calibration.right.project(seen_right)
-    for name, pixel, camera in (
-        ("left", left, calibration.left),
-        ("right", right, calibration.right),
-    ):
-        if not bool(np.all((pixel >= -0.5) & (pixel <= np.array(camera.image_size) - 0.5))):
-            where = f"pixel {pixel.round(1).tolist()[0]}"
+    for name, pixel in (("left", left), ("right", right)):
+        size = np.array(getattr(calibration, name).image_size)
+        if not bool(np.all((pixel >= -0.5) & (pixel <= size - 0.5))):
             raise ConfigError.plain(
                 f"the point at {np.round(point_mm, 1).tolist()} mm is outside the {name} picture"
-                f" ({where})"
+                f" (pixel {pixel.round(1).tolist()[0]})"
             )
     a, b = _around(left, left_px, directions), _around(right, right_px, directions)
     pairs_left, pairs_right = np.repeat(a, len(b), axis=0), np.tile(b, (len(a), 1))

@@ -93,14 +93,8 @@ class PlannedTrial:
             )
         if first != pose or pose != PlatePose() or "X" not in axes:
             asked.append(f"Move the plate to {told(pose)} from its reference place.")
-        return Arrangement(
-            self.situation,
-            self.phantom,
-            self.trial.objects,
-            " ".join(asked),
-            pose,
-            scene=self.scene,
-        )
+        objects, said = self.trial.objects, " ".join(asked)
+        return Arrangement(self.situation, self.phantom, objects, said, pose, scene=self.scene)
 
 
 def shared(pose: PlatePose, axes: Collection[str]) -> tuple[PlatePose, PlatePose]:
@@ -146,17 +140,9 @@ def _expanded(
         for index in visited:
             for turn, side in enumerate(sides):
                 first = (cycle * len(sides) + turn) * repeats + 1
+                scene = phantoms[index], poses[index], side, scenes[index]
                 for repeat in range(first, first + repeats):
-                    yield PlannedTrial(
-                        0,
-                        names[index],
-                        repeat,
-                        trial,
-                        phantoms[index],
-                        poses[index],
-                        side,
-                        scenes[index],
-                    )
+                    yield PlannedTrial(0, names[index], repeat, trial, *scene)
 
 
 def _udders(
@@ -183,7 +169,7 @@ def _poses(trial: Trial, seed: int) -> tuple[list[PlatePose], Sequence[int]]:
         poses = trial.draw.poses(np.random.default_rng([seed, *trial.name.encode(), *b"poses"]))
     else:
         tables = trial.poses or (trial.pose or PoseTable(),)
-        poses = [pose for table in tables for pose in table.poses()]
+        poses = [table.pose for table in tables]
     return poses, range(len(poses))
 
 
@@ -200,15 +186,11 @@ def described(phantom: Phantom) -> str:
     teats = []
     for number, teat in enumerate(phantom.teats, 1):
         (x, y), (lean_x, lean_y) = teat.base_mm, np.degrees(teat.tilt_rad)
-        lean = (
-            f", leaning {lean_x:+.1f} deg to x and {lean_y:+.1f} deg to y"
-            if any(teat.tilt_rad)
-            else ""
-        )
         teats.append(
-            f"{teat.name or number}: x {x:.1f}, y {y:.1f}, length {teat.shape.length_mm:.1f}"
-            f" mm{lean}"
+            f"{teat.name or number}: x {x:.1f}, y {y:.1f}, length {teat.shape.length_mm:.1f} mm"
         )
+        if any(teat.tilt_rad):
+            teats[-1] += f", leaning {lean_x:+.1f} deg to x and {lean_y:+.1f} deg to y"
     return f"Teats: {'; '.join(teats)}."
 
 
@@ -233,12 +215,7 @@ def pose_set(
         for one in planned
         for p in [one.pose]
     ]
-    return {
-        "chosen": [chosen(trial) for trial in trials],
-        "order": order,
-        "seed": seed,
-        "poses": rows,
-    }
+    return {"chosen": [*map(chosen, trials)], "order": order, "seed": seed, "poses": rows}
 
 
 def chosen(trial: Trial) -> str:
@@ -263,12 +240,8 @@ def chosen(trial: Trial) -> str:
         how = f"{count} pose{'s' if count > 1 else ''} as written"
     more = [f"layout {trial.layout}{', another udder for each pose' if trial.redraw else ''}"]
     if trial.family:
-        which = (
-            f"members from {trial.member} on, one for each pose"
-            if trial.redraw
-            else f"member {trial.member}"
-        )
-        more = [f"family {trial.family}, {which}"]
+        many = f"members from {trial.member} on, one for each pose"
+        more = [f"family {trial.family}, {many if trial.redraw else f'member {trial.member}'}"]
     more += [f"{trial.cycles} cycles"] if trial.cycles > 1 else []
     if trial.approach:
         sides = ", ".join(trial.approach)

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from bench.config import Section, did_you_mean
-from bench.script.phantom import find_layout, load_layout
+from bench.script.phantom import find_layout, load_layout, ordered
 from instruments.world.objects import make_object
 from instruments.world.phantom import PlatePose
 from instruments.world.situations import SITUATIONS
@@ -30,12 +30,6 @@ Lift = Annotated[float, Field(ge=0, le=500)]
 Yaw = Annotated[float, Field(ge=-360, le=360)]
 Step = Annotated[float, Field(gt=0, le=2000)]
 Count = Annotated[int, Field(ge=1, le=1000)]
-
-
-def _ordered(span: tuple[float, float]) -> tuple[float, float]:
-    if span[0] > span[1]:
-        raise ValueError("the first number must be the smaller one")
-    return span
 
 
 def layout_of(name: str, info: ValidationInfo) -> str:
@@ -61,9 +55,10 @@ class PoseTable(Section):
     z_mm: Lift = 0.0
     yaw_deg: Yaw = 0.0
 
-    def poses(self) -> list[PlatePose]:
-        """This one."""
-        return [PlatePose(self.x_mm, self.y_mm, self.z_mm, float(np.radians(self.yaw_deg)))]
+    @property
+    def pose(self) -> PlatePose:
+        """As the plate takes it."""
+        return PlatePose(self.x_mm, self.y_mm, self.z_mm, float(np.radians(self.yaw_deg)))
 
 
 class Grid(Section):
@@ -82,7 +77,7 @@ class Grid(Section):
     order: Literal["serpentine", "rows"] = "serpentine"
     along: Literal["x", "y"] = "x"
 
-    _spans = field_validator("x_mm", "y_mm")(_ordered)
+    _spans = field_validator("x_mm", "y_mm")(ordered)
 
     @model_validator(mode="after")
     def _whole_steps(self) -> Grid:
@@ -123,13 +118,11 @@ class Grid(Section):
         rows = rows.T.copy() if self.along == "y" else rows
         if self.order == "serpentine":
             rows[1::2] = rows[1::2, ::-1].copy()
-        return [int(index) for index in rows.ravel()]
+        return list(rows.ravel().tolist())
 
 
 class Draw(Section):
-    """``count`` poses drawn evenly within these spans, by the
-    script's seed and the trial's name.
-    """
+    """``count`` poses drawn evenly within these spans, by the seed and the trial's name."""
 
     count: Annotated[int, Field(ge=1, le=MOST_POSES)]
     x_mm: tuple[Shift, Shift] = (0.0, 0.0)
@@ -137,7 +130,7 @@ class Draw(Section):
     z_mm: tuple[Lift, Lift] = (0.0, 0.0)
     yaw_deg: tuple[Yaw, Yaw] = (0.0, 0.0)
 
-    _spans = field_validator("x_mm", "y_mm", "z_mm", "yaw_deg")(_ordered)
+    _spans = field_validator("x_mm", "y_mm", "z_mm", "yaw_deg")(ordered)
 
     def poses(self, rng: np.random.Generator) -> list[PlatePose]:
         """The poses in the order of drawing."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -66,13 +67,18 @@ def written(tmp_path: Path, text: str, *changes: tuple[str, str]) -> Path:
     return path
 
 
+def refused(load: Callable[..., object], path: Path, place: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load(path, serial_number="40937")
+    text = str(caught.value)
+    assert re.search(rf"{re.escape(str(path))}:\d+: {re.escape(place)}", text), text
+    assert message in text
+
+
 def test_a_frame_is_read_as_it_was_written(tmp_path: Path) -> None:
     again = load_frame(written(tmp_path, frame_text(FRAME)), serial_number="40937")
-    assert (again.made, again.serial_number, again.points) == (
-        FRAME.made,
-        FRAME.serial_number,
-        FRAME.points,
-    )
+    for key in ("made", "serial_number", "points"):
+        assert getattr(again, key) == getattr(FRAME, key)
     assert np.allclose(again.world_from_arm.R, FRAME.world_from_arm.R, atol=1e-12)
     assert again.residuals_mm == pytest.approx(FRAME.residuals_mm)
 
@@ -98,7 +104,7 @@ def test_other_programs_find_the_motion_in_a_frame_file(tmp_path: Path) -> None:
     ("change", "place", "message"),
     [
         (
-            ('serial_number = "40937"', 'serial_number = "40938"'),
+            ("40937", "40938"),
             "serial_number",
             "of the arm 40938, but the arm that answers is 40937",
         ),
@@ -107,43 +113,22 @@ def test_other_programs_find_the_motion_in_a_frame_file(tmp_path: Path) -> None:
         (("made = 2026-03-04T05:06:07+00:00\n", ""), "made", "is missing"),
         (("T = [", "T = [9"), "T", "doesn't follow from what was touched"),
         (("om = [", "om = [1"), "om", "doesn't follow from what was touched"),
-        (
-            ("arm_mm = [88.25, 350.25, -15.5]", "arm_mm = [88.25, 350.25]"),
-            "points[3].arm_mm",
-            "missing",
-        ),
-        (
-            ("arm_mm = [88.25, 350.25, -15.5]", "arm_mm = [88.25, 350.25, nan]"),
-            "points[3].arm_mm",
-            "finite",
-        ),
-        (
-            ("arm_mm = [203.25, 59.75, -16.5]", "arm_mm = [-59.25, 203.5, -11.5]"),
-            "points",
-            "100 mm are needed",
-        ),
+        (("350.25, -15.5]", "350.25]"), "points[3].arm_mm", "missing"),
+        (("350.25, -15.5]", "350.25, nan]"), "points[3].arm_mm", "finite"),
+        (("[203.25, 59.75, -16.5]", "[-59.25, 203.5, -11.5]"), "points", "100 mm are needed"),
         (('name = "check 2"', 'name = "check 1"'), "points", "same name"),
         (
             ("spread_mm = 0.12", "spread_mm = -1.0"),
             "points[1].spread_mm",
             "greater than or equal to 0",
         ),
-        (
-            ("world_mm = [100.0, 100.0, 0.0]", "world_mm = [100.0, 101.0, 0.0]"),
-            "residual_mm",
-            "doesn't follow",
-        ),
+        (("[100.0, 100.0, 0.0]", "[100.0, 101.0, 0.0]"), "residual_mm", "doesn't follow"),
     ],
 )
 def test_a_faulty_frame_file_is_refused_in_its_place(
     tmp_path: Path, change: tuple[str, str], place: str, message: str
 ) -> None:
-    path = written(tmp_path, frame_text(FRAME), change)
-    with pytest.raises(ConfigError) as caught:
-        load_frame(path, serial_number="40937")
-    text = str(caught.value)
-    assert re.search(rf"{re.escape(str(path))}:\d+: {re.escape(place)}", text), text
-    assert message in text
+    refused(load_frame, written(tmp_path, frame_text(FRAME), change), place, message)
 
 
 def test_a_file_that_is_not_there_or_not_toml_is_told(tmp_path: Path) -> None:
@@ -173,22 +158,14 @@ def test_a_verification_without_lengths_is_read_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "place", "message"),
     [
-        (
-            ('serial_number = "40937"', 'serial_number = "1"'),
-            "serial_number",
-            "Verify this arm: 'teatbench arm verify'",
-        ),
+        (('"40937"', '"1"'), "serial_number", "Verify this arm: 'teatbench arm verify'"),
         (("passed = true", "passed = false"), "passed", "changed by hand"),
         (("location_mm = 0.3", "location_mm = 0.2"), "location_mm", "changed by hand"),
         (("length_mm = 0.25", "length_mm = 0.05"), "length_mm", "changed by hand"),
         (("largest_mm = 0.3", "largest_mm = 0.1"), "location[1].largest_mm", "changed by hand"),
         (("[200.3, 0.0, 20.0]", "[200.0, 0.0, 20.0]"), "location", "changed by hand"),
         (("error_mm = 0.25", "error_mm = 0.0"), "length[1].error_mm", "changed by hand"),
-        (
-            ("calibrated_mm = 300.0", "calibrated_mm = 0.0"),
-            "length[1].calibrated_mm",
-            "greater than 0",
-        ),
+        (("mm = 300.0", "mm = 0.0"), "length[1].calibrated_mm", "greater than 0"),
         (('where = "far"', 'were = "far"'), "location[2].were", "unknown key"),
         (("[0.6, 0.0, 0.8], ", ""), "location[1].axes", "a row for each"),
     ],
@@ -197,11 +174,7 @@ def test_a_faulty_verification_file_is_refused_in_its_place(
     tmp_path: Path, change: tuple[str, str], place: str, message: str
 ) -> None:
     path = written(tmp_path, verification_text(VERIFICATION, LIMITS), change)
-    with pytest.raises(ConfigError) as caught:
-        load_verification(path, serial_number="40937")
-    text = str(caught.value)
-    assert re.search(rf"{re.escape(str(path))}:\d+: {re.escape(place)}", text), text
-    assert message in text
+    refused(load_verification, path, place, message)
 
 
 def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:

@@ -20,10 +20,11 @@ from tests.bench.test_config import rig_with
 
 JULABO, EUROTHERM, WATLOW, OMEGA = "julabo-presto", "eurotherm-3200", "watlow-pm-map2", "omega-cn7"
 AT_S, FOR_S = 60.0, 30.0
-FAULT = (
-    '\n[emulation]\nbath_start_c = 33.0\nfaults = [{{ instrument = "bath", name = "{name}", at_s ='
-    " {at_s}, for_s = {for_s}{more} }}]\n"
-)
+FAULT = """
+[emulation]
+bath_start_c = 33.0
+faults = [{{ instrument = "bath", name = "{name}", at_s = {at_s}, for_s = {for_s}{more} }}]
+"""
 
 # What `read` says while it lasts: an error and its words, or None where the reading is right all
 # the same.
@@ -145,10 +146,8 @@ def test_a_sensor_break_is_an_alarm_where_the_last_value_stays(
     tmp_path: Path, profile: str
 ) -> None:
     with running(tmp_path, profile, "sensor break") as (_, bath):
-        reading = bath.read()
-        assert "sensor" in bath.profile.alarm_text(
-            reading.alarm
-        ) or "open" in bath.profile.alarm_text(reading.alarm)
+        told = bath.profile.alarm_text(bath.read().alarm)
+        assert "sensor" in told or "open" in told
 
 
 @pytest.mark.parametrize("profile", [JULABO, EUROTHERM, WATLOW, OMEGA])
@@ -203,11 +202,6 @@ def test_none_is_left_out() -> None:
     """Every name that the issue lists is tried above or, where it has a shape of its own, below the
     table.
     """
-    tried = {name for name, *_ in ON_THE_WIRE} | {
-        "stuck heater",
-        "dead heater",
-        "pump stopped",
-        "low level",
-        "controller reset",
-    }
+    tried = {name for name, *_ in ON_THE_WIRE} | {"stuck heater", "dead heater", "pump stopped"}
+    tried |= {"low level", "controller reset"}
     assert set(FAULTS) - tried == {"gaps refused", "manual mode", "frozen sensor"}

@@ -46,26 +46,20 @@ def test_a_run_whose_pump_is_a_relays(profile: str, tmp_path: Path) -> None:
     assert float(record.bath[:, 1].max()) == pytest.approx(33.0, abs=0.3)
 
 
-@pytest.mark.parametrize(
-    ("fault", "rule"), [("power cut", "communications lost"), ("silence", "communications lost")]
-)
-def test_a_relay_that_fails_ends_the_heat(fault: str, rule: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("fault", ["power cut", "silence"])
+def test_a_relay_that_fails_ends_the_heat(fault: str, tmp_path: Path) -> None:
     rig = rig_of(tmp_path, "eurotherm-3200", FAULT.format(name=fault, at_s=200.0), relay=True)
     record = run(rig, tmp_path, {3}, window_s=3000.0)
     trip = record.facts["trip"]
-    assert trip["rule"] == rule
+    assert trip["rule"] == "communications lost"
     assert 200.0 <= trip["t_s"] <= 220.0
     assert any("heater is in standby" in done for done in trip["done"])
 
 
 def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path: Path) -> None:
     """After a short power cut the relay answers again, and says that it is off."""
-    rig = rig_of(
-        tmp_path,
-        "eurotherm-3200",
-        FAULT.format(name="power cut", at_s=200.2) + "for_s = 0.5\n",
-        relay=True,
-    )
+    wish = FAULT.format(name="power cut", at_s=200.2) + "for_s = 0.5\n"
+    rig = rig_of(tmp_path, "eurotherm-3200", wish, relay=True)
     record = run(rig, tmp_path, {3}, window_s=3000.0)
     trip = record.facts["trip"]
     assert trip["rule"] == "heat without pump or level"
@@ -76,10 +70,8 @@ def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path
 def test_a_pump_that_is_not_fitted_is_told_and_not_pretended(tmp_path: Path) -> None:
     path = rig_of(tmp_path, "eurotherm-3200")
     record = run(path, tmp_path, {0, 1, 3, 4})
-    assert (
-        record.facts["pump"]
-        == "not fitted to the controller: nothing here proves that the water goes round"
-    )
+    told = "not fitted to the controller: nothing here proves that the water goes round"
+    assert record.facts["pump"] == told
     with EmulatedRig(load_rig(path), VirtualClock(), seed=1) as twin:
         assert twin.pump is None
         assert "pump" not in twin.urls
@@ -118,15 +110,10 @@ def test_faults_of_a_relay_in_the_rig_file(tmp_path: Path) -> None:
         load_rig(
             rig_of(tmp_path, "eurotherm-3200", FAULT.format(name="low level", at_s=1.0), relay=True)
         )
+    wish = FAULT.format(name="bad CRC", at_s=1.0)
     with pytest.raises(ConfigError, match="which has no check sum"):
         EmulatedRig(
-            load_rig(
-                rig_of(
-                    tmp_path, "eurotherm-3200", FAULT.format(name="bad CRC", at_s=1.0), relay=True
-                )
-            ),
-            VirtualClock(),
-            seed=1,
+            load_rig(rig_of(tmp_path, "eurotherm-3200", wish, relay=True)), VirtualClock(), seed=1
         )
     with pytest.raises(ConfigError, match="JULABO PRESTO has a pump of its own"):
         load_rig(rig_of(tmp_path, "julabo-presto", relay=True))

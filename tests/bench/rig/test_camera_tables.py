@@ -125,15 +125,11 @@ def test_the_thermal_picture_comes_as_the_calibration_declares_it(
 
 
 def test_another_calibration_asks_for_another_picture(tmp_path: Path) -> None:
-    rig = rig_of(
-        tmp_path,
-        f'{TABLES}\n[cameras.thermal]\nurl = "opencv:2"\nmirrored = true\npolarity ='
-        ' "hot_is_black"\n',
-    )
+    table = 'url = "opencv:2"\nmirrored = true\npolarity = "hot_is_black"'
+    rig = rig_of(tmp_path, f"{TABLES}\n[cameras.thermal]\n{table}\n")
     thermal = replace(rig.calibration.thermal, mirrored=False, polarity="hot_is_white")
-    asked = conversion_of(
-        rig.rig.cameras.tables["thermal"], replace(rig.calibration, thermal=thermal)
-    )
+    other = replace(rig.calibration, thermal=thermal)
+    asked = conversion_of(rig.rig.cameras.tables["thermal"], other)
     assert asked == Conversion(mirrored=True, inverted=True)
 
 
@@ -183,17 +179,10 @@ def test_each_fault_is_shown_in_its_place(tmp_path: Path, cameras: str, message:
     assert message in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "url",
-    [
-        "opencv:0",
-        "opencv:/dev/video2",
-        "opencv:a.avi",
-        "opencv:rtsp://user:word@h:554/a",
-        "genicam:Aravis-Fake-GV01",
-        "genicam:",
-    ],
-)
+ONE = "opencv:0 opencv:/dev/video2 opencv:a.avi opencv:rtsp://user:word@h:554/a"
+
+
+@pytest.mark.parametrize("url", [*ONE.split(), "genicam:Aravis-Fake-GV01", "genicam:"])
 def test_addresses_of_one_camera(url: str) -> None:
     assert OneCamera(url=url).url == camera_url(url)
 
@@ -241,37 +230,22 @@ def test_streams_and_a_radiometric_camera_of_one_rig_file(tmp_path: Path, clock:
         with open_instruments(rig, ("cameras",), clock) as devices:
             cameras = devices.cameras
             assert "exposure asked 100, is " in cameras.identity["right"]
-            taker = FrameTaker(
-                cameras,
-                rig.rig.cameras,
-                rig.calibration,
-                clock.sleep,
-                lambda _, text: events.append(text),
-            )
-            frames = taker.take()
+            noted = clock.sleep, lambda _, text: events.append(text)
+            frames = FrameTaker(cameras, rig.rig.cameras, rig.calibration, *noted).take()
     assert frames.left.shape == frames.right.shape == (1024, 1360)
     assert frames.thermal is None, "temperatures are all that it gives"
     assert frames.thermal_k is not None
     assert frames.thermal_k.shape == (120, 160)
-    assert (
-        250.0
-        <= float(np.min(frames.thermal_k))
-        < float(np.max(frames.thermal_k))
-        <= 250.0 + 0.002 * 65535
-    )
+    coldest, warmest = float(np.min(frames.thermal_k)), float(np.max(frames.thermal_k))
+    assert 250.0 <= coldest < warmest <= 250.0 + 0.002 * 65535
 
 
 def test_lost_packets_are_taken_again_and_counted(clock: RealClock) -> None:
     """About one frame in six of the left camera comes with holes; every set that is given out is
     whole.
     """
-    table = CamerasTable(
-        url="emulator:",
-        max_skew_s=10.0,
-        retries=20,
-        retry_s=0.0,
-        checks=Checks(swapped=False, frozen=False),
-    )
+    checks = Checks(swapped=False, frozen=False)
+    table = CamerasTable(url="emulator:", max_skew_s=10.0, retries=20, retry_s=0.0, checks=checks)
     events: list[str] = []
     with gige_camera("-r", "1"):
         openers = {

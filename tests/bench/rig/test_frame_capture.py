@@ -4,14 +4,13 @@ Then the same in a whole run.
 
 from __future__ import annotations
 
-import json
-import sqlite3
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
+from bench.record.reader import read_run
 from bench.rig.frame_capture import HINTS, FrameTaker
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Cameras as CamerasTable
@@ -34,14 +33,8 @@ class Bench:
 
     def __post_init__(self) -> None:
         rig = load_rig(find_rig(None))
-        table = rig.rig.cameras
-        self.taker = FrameTaker(
-            self.cameras,
-            table,
-            rig.calibration,
-            self.waits.append,
-            lambda *event: self.events.append(event),
-        )
+        noted = self.waits.append, lambda *event: self.events.append(event)
+        self.taker = FrameTaker(self.cameras, rig.rig.cameras, rig.calibration, *noted)
         self.taker.take()
 
 
@@ -115,31 +108,16 @@ def test_a_recording_is_asked_once_for_its_next_frame_is_another_trials(tmp_path
         lambda *_: None,
     )
     taker.take()
-    with pytest.raises(
-        DeviceError,
-        match=(
-            r"no usable frame set in 1 try: left camera: frozen: .*; right camera: frozen: .*;"
-            r" thermal camera: frozen: "
-        ),
-    ):
+    said = "; ".join(f"{name} camera: frozen: .*" for name in ("left", "right", "thermal"))
+    with pytest.raises(DeviceError, match=f"no usable frame set in 1 try: {said}"):
         taker.take()
 
 
 def record_of(folder: Path) -> tuple[list[str], dict[str, int], int]:
     """Events of the cameras, counts of their faults, and how many trials are whole."""
-    db = sqlite3.connect(folder / "run.sqlite")
-    try:
-        events = [
-            row[0]
-            for row in db.execute("SELECT text FROM events WHERE kind = 'camera' ORDER BY number")
-        ]
-        (counts,) = db.execute(
-            "SELECT value FROM facts WHERE key = 'camera faults'"
-        ).fetchone() or ("{}",)
-        (trials,) = db.execute("SELECT count(*) FROM trials").fetchone()
-    finally:
-        db.close()
-    return events, json.loads(counts), trials
+    run = read_run(folder)
+    events = [str(event["text"]) for event in run.events if event["kind"] == "camera"]
+    return events, run.facts.get("camera faults", {}), len(run.trials)
 
 
 def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(

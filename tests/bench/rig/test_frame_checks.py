@@ -18,11 +18,7 @@ from bench.rig.frame_capture import FrameChecks, StereoOrder
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Checks, FocusTable
 from detector.calibration import Calibration
-from instruments.camera.emulator import (
-    FAULTS,
-    KEPT_BACK,
-    EmulatedCameras,
-)
+from instruments.camera.emulator import FAULTS, KEPT_BACK, EmulatedCameras
 from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.recording import Recording
 from instruments.world.situations import situation as drawn_situation
@@ -69,19 +65,11 @@ def dimmed(picture: NDArray[np.uint8], light: float, rng: np.random.Generator) -
 
 
 def test_no_false_alarm_in_the_dim() -> None:
-    frames, rng, looks = (
-        EmulatedCameras(GalleryWorld()).capture(),
-        np.random.default_rng(3),
-        checks(),
-    )
+    frames, rng = EmulatedCameras(GalleryWorld()).capture(), np.random.default_rng(3)
+    looks = checks()
     for light in (0.3, 0.15):
-        dim = replace(
-            frames,
-            left=dimmed(frames.left, light, rng),
-            right=dimmed(frames.right, light, rng),
-            thermal=None,
-            thermal_ck=None,
-        )
+        left, right = (dimmed(one, light, rng) for one in (frames.left, frames.right))
+        dim = replace(frames, left=left, right=right, thermal=None, thermal_ck=None)
         assert looks.notice(dim) == []
 
 
@@ -91,10 +79,8 @@ def test_no_false_alarm_in_what_a_path_tracer_rendered(shared_data: Path) -> Non
     """
     recording = Recording(shared_data / "path_traced")
     rig = read_calibration(recording.calibration_path)
-    looks, order = (
-        FrameChecks(Checks(focus_px=FocusTable(left=0.7, right=0.7)), 0.05, rig),
-        StereoOrder(rig),
-    )
+    looks = FrameChecks(Checks(focus_px=FocusTable(left=0.7, right=0.7)), 0.05, rig)
+    order = StereoOrder(rig)
     for frame in recording.frames[::3]:  # one of each situation
         frames = recording.load(frame)
         assert looks.notice(frames) == [], frame
@@ -146,9 +132,8 @@ def test_a_late_camera_has_seen_a_later_world() -> None:
     frames = cameras.capture()
     assert frames.exposed_s == {"left": 0.0, "right": 0.0, "thermal": 0.3}
     (noticed,) = checks().notice(frames)
-    assert (
-        str(noticed)
-        == "thermal camera: late: exposed 0.300 s after the first of its set, limit 0.05 s: what"
+    assert str(noticed) == (
+        "thermal camera: late: exposed 0.300 s after the first of its set, limit 0.05 s: what"
         " moves would be scored wrongly"
     )
 
@@ -159,17 +144,12 @@ def grey(height: int, width: int, seed: int = 1) -> NDArray[np.uint8]:
 
 def test_another_size_than_the_calibrations() -> None:
     frames = FrameSet(grey(1024, 1360), grey(480, 640), grey(240, 320))
-    noticed = {
-        one.camera: one for one in checks(swapped=False, focus_px=FocusTable()).notice(frames)
-    }
+    looks = checks(swapped=False, focus_px=FocusTable())
+    noticed = {one.camera: one for one in looks.notice(frames)}
     assert noticed["right"].sentence == "640 x 480, the calibration is for 1360 x 1024"
     assert noticed["thermal"].fault is FrameFault.WRONG_SIZE
-    assert (
-        FrameChecks(Checks(), 0.05, None).notice(
-            FrameSet(grey(48, 64), grey(48, 64, 2), grey(48, 64, 3))
-        )
-        == []
-    )
+    small = FrameSet(grey(48, 64), grey(48, 64, 2), grey(48, 64, 3))
+    assert FrameChecks(Checks(), 0.05, None).notice(small) == []
 
 
 def test_a_thermal_frame_that_is_flat_is_no_fault_where_nothing_need_be_warm() -> None:
@@ -179,16 +159,13 @@ def test_a_thermal_frame_that_is_flat_is_no_fault_where_nothing_need_be_warm() -
     frames = FrameSet(grey(1024, 1360), grey(1024, 1360, 2), flat)
     for warm in (True, False):
         looks = FrameChecks(Checks(swapped=False), 0.05, calibration(), flat=warm)
-        assert [one.fault for one in looks.notice(frames)] == (
-            [FrameFault.FLAT_FIELD] if warm else []
-        )
+        seen = [one.fault for one in looks.notice(frames)]
+        assert seen == ([FrameFault.FLAT_FIELD] if warm else [])
 
 
 def test_looks_can_be_left_out() -> None:
-    cameras, looks = (
-        EmulatedCameras(GalleryWorld()),
-        checks(frozen=False, swapped=False, focus_px=FocusTable()),
-    )
+    cameras = EmulatedCameras(GalleryWorld())
+    looks = checks(frozen=False, swapped=False, focus_px=FocusTable())
     looks.notice(cameras.capture())
     for fault in (FrameFault.FROZEN, FrameFault.SWAPPED, FrameFault.OUT_OF_FOCUS):
         cameras.faults.inject(fault, times=1)

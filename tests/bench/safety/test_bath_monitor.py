@@ -34,13 +34,10 @@ class Watched:
             return self.clock.now() >= safe_from_s
 
         self.also: InterlockTrip | None = None
+        acts = (self.clock, gate, interlocks, self.rows.append, act)
         self.watch = BathMonitor(
             lambda: replace(at(self.clock.now()), t_s=self.clock.now()),
-            self.clock,
-            gate,
-            interlocks,
-            self.rows.append,
-            act,
+            *acts,
             also=lambda: self.also,
         )
         self.watch.start()

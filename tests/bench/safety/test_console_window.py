@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 
 import pytest
@@ -28,12 +29,9 @@ from bench.safety.signals import (
     windows_register,
 )
 from instruments.bath.driver import Bath
-from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
 from instruments.bath.sequence import heater_off
-from instruments.clock import RealClock
-from instruments.listener import Listener
-from instruments.world.plant import Plant
+from tests.bench.safety.guards import HotBath
 
 GRANTED_S = 5.0  # Windows ends the program so long after it has called the handler
 
@@ -59,26 +57,11 @@ class System:
         return answers[0], time.monotonic() - start
 
 
-@dataclass
-class HotBath:
-    plant: Plant
-    emulator: BathEmulator
-    bath: Bath
-
-
 @pytest.fixture
-def hot() -> Iterator[HotBath]:
-    clock, plant = RealClock(), Plant(1, start_c=33.0)
-    emulator = BathEmulator(plant, load_profile("julabo-presto"), clock)
-    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    bath = Bath(listener.url.replace("socket://", "tcp://"), load_profile("julabo-presto"), clock)
-    bath.start(33.0)
-    try:
-        yield HotBath(plant, emulator, bath)
-    finally:
-        bath.close()
-        listener.close()
-        clock.close()
+def bath(hot: HotBath) -> Iterator[Bath]:
+    with closing(Bath(hot.url, load_profile("julabo-presto"), hot.clock)) as opened:
+        opened.start(33.0)
+        yield opened
 
 
 def test_the_handler_is_there_while_the_bench_is_and_not_longer() -> None:
@@ -97,11 +80,11 @@ def test_the_handler_is_there_while_the_bench_is_and_not_longer() -> None:
     ],
 )
 def test_what_ends_the_program_puts_the_bath_into_standby_while_the_main_thread_waits(
-    event: int, word: str, hot: HotBath
+    event: int, word: str, hot: HotBath, bath: Bath
 ) -> None:
     system = System()
     with installed(system.register) as exits:
-        exits.at_close = lambda: heater_off(hot.bath)
+        exits.at_close = lambda: heater_off(bath)
         dealt_with, seconds = system.send(event)  # the main thread does nothing for it
         assert dealt_with
         assert seconds < CLOSE_S < GRANTED_S
@@ -111,29 +94,27 @@ def test_what_ends_the_program_puts_the_bath_into_standby_while_the_main_thread_
 
 def test_ctrl_c_and_ctrl_break_are_left_to_python() -> None:
     told: list[str] = []
-    assert [handler_for(told.append)(event) for event in (CTRL_C_EVENT, CTRL_BREAK_EVENT)] == [
-        False,
-        False,
-    ]
+    for event in (CTRL_C_EVENT, CTRL_BREAK_EVENT):
+        assert handler_for(told.append)(event) is False
     assert told == []
 
 
-def test_a_bath_that_does_not_answer_takes_no_longer_than_windows_grants(hot: HotBath) -> None:
+def test_a_bath_that_does_not_answer_takes_no_longer_than_windows_grants(
+    hot: HotBath, bath: Bath
+) -> None:
     hot.emulator.fault("silence")
     system = System()
     with installed(system.register) as exits:
-        exits.at_close = lambda: heater_off(hot.bath)
+        exits.at_close = lambda: heater_off(bath)
         dealt_with, seconds = system.send(CTRL_CLOSE_EVENT)
         cut_short = any(thread.name == "console closed" for thread in threading.enumerate())
     assert dealt_with
     assert cut_short or seconds < GRANTED_S
     assert CLOSE_S < GRANTED_S
     hot.emulator.fault("silence", on=False)
-    worker = next(
-        (thread for thread in threading.enumerate() if thread.name == "console closed"), None
-    )
-    if worker:
-        worker.join(60.0)
+    for thread in threading.enumerate():
+        if thread.name == "console closed":
+            thread.join(60.0)
 
 
 def test_before_the_bench_has_a_bath_there_is_nothing_to_do() -> None:

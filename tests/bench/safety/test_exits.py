@@ -50,6 +50,8 @@ with installed():
     say(why)
 """
 
+SAFE = ["working", "going to safe", "safe"]
+
 
 @posix
 def test_the_first_request_is_raised_and_the_second_is_noted() -> None:
@@ -94,12 +96,11 @@ def test_what_came_while_nothing_was_raised_can_be_heeded_afterwards() -> None:
 
 @posix
 def test_what_was_there_before_is_there_again() -> None:
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = [*map(signal.getsignal, numbers)]
     with installed() as exits:
         assert current() is exits
-    assert [
-        signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    ] == before
+    assert [*map(signal.getsignal, numbers)] == before
     assert current() is not exits
 
 
@@ -159,21 +160,12 @@ def test_a_closed_console_makes_safe_on_its_own_thread_and_in_bounded_time(
 def test_every_way_out_passes_through_safe_whole(
     signals: list[str], why: str, tmp_path: Path
 ) -> None:
-    assert lived_through(signals, tmp_path / "log", gap_s=0.15) == [
-        "working",
-        "going to safe",
-        "safe",
-        why,
-    ]
+    assert lived_through(signals, tmp_path / "log", gap_s=0.15) == [*SAFE, why]
 
 
 @posix
 def test_requests_that_come_at_once_are_one(tmp_path: Path) -> None:
-    assert lived_through(["SIGTERM", "SIGHUP", "SIGINT"], tmp_path / "log", 0.0)[:3] == [
-        "working",
-        "going to safe",
-        "safe",
-    ]
+    assert lived_through(["SIGTERM", "SIGHUP", "SIGINT"], tmp_path / "log", 0.0)[:3] == SAFE
 
 
 @posix
@@ -192,11 +184,7 @@ def test_a_storm_of_signals_from_the_end_of_the_work_on_cuts_nothing_off(tmp_pat
                 child.send_signal(signal.SIGINT)
                 time.sleep(0.0005)
             child.wait(60)
-        assert log.read_text(encoding="utf-8").split("\n")[:3] == [
-            "working",
-            "going to safe",
-            "safe",
-        ]
+        assert log.read_text(encoding="utf-8").split("\n")[:3] == SAFE
 
 
 def lived_through(signals: list[str], log: Path, gap_s: float) -> list[str]:
@@ -264,5 +252,5 @@ def test_a_terminal_that_goes_does_not_keep_the_bench_from_safe(tmp_path: Path) 
         pass
     os.close(master)
     _, status = os.waitpid(child, 0)
-    assert log.read_text(encoding="utf-8").split("\n")[:3] == ["working", "going to safe", "safe"]
+    assert log.read_text(encoding="utf-8").split("\n")[:3] == SAFE
     assert os.waitstatus_to_exitcode(status) == 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 
@@ -31,21 +31,10 @@ def profile(pump: Literal["none", "with run", "own"]) -> Profile:
     """A family whose pump has its own switch, told as a user's own profile would."""
     base = load_profile("julabo-presto")
     values = {"off": 0, "on": 1}
-    row = Row(
-        name="pump",
-        table="holding",
-        address=500,
-        type="u16",
-        evidence="CERTAIN",
-        access="rw",
-        values=values,
-    )
-    return base.model_copy(
-        update={
-            "capabilities": base.capabilities.model_copy(update={"pump": pump}),
-            "rows": (*base.rows, row),
-        }
-    )
+    told: dict[str, Any] = {"type": "u16", "evidence": "CERTAIN", "access": "rw", "values": values}
+    row = Row(name="pump", table="holding", address=500, **told)
+    capabilities = base.capabilities.model_copy(update={"pump": pump})
+    return base.model_copy(update={"capabilities": capabilities, "rows": (*base.rows, row)})
 
 
 class Noted(Bath):
@@ -133,10 +122,8 @@ def test_a_pump_without_a_switch_is_not_pretended(
 
 
 def test_a_pump_that_turns_with_run_is_on_when_the_controller_runs() -> None:
-    assert [
-        pump_on(Noted("with run"), replace(COLD, running=running))
-        for running in (True, False, None)
-    ] == [True, False, None]
+    for running in (True, False, None):
+        assert pump_on(Noted("with run"), replace(COLD, running=running)) is running
     assert pump_on(Noted("none"), replace(COLD, running=True)) is None
 
 
@@ -182,11 +169,7 @@ def test_each_step_to_safe_is_tried_whatever_the_others_raise(
 ) -> None:
     """One step after the other fails in a way that no driver should; what failed is told."""
     with open_instruments(load_rig(find_rig(None)), seed=1) as devices:
-        for name, owner in {
-            "bath": type(devices.bath),
-            "stage": type(devices.stage),
-            "arm": type(devices.arm),
-        }.items():
+        for name in ("bath", "stage", "arm"):
 
             def fails(_: object) -> None:
                 raise raised
@@ -194,16 +177,12 @@ def test_each_step_to_safe_is_tried_whatever_the_others_raise(
             devices.bath.start(33.0)
             told: list[str] = []
             with monkeypatch.context() as patched:
-                patched.setattr(owner, "safe", fails)
+                patched.setattr(type(getattr(devices, name)), "safe", fails)
                 assert devices.make_safe(told.append) == (name,)
-            assert {
-                f"{other} is safe" for other in ("bath", "stage", "arm") if other != name
-            } <= set(told)
-            assert any(
-                text.startswith(f"{name} could not be made safe: {type(raised).__name__}")
-                and Path(__file__).name in text
-                for text in told
-            )
+            others = {"bath", "stage", "arm"} - {name}
+            assert {f"{other} is safe" for other in others} <= set(told)
+            why = f"{name} could not be made safe: {type(raised).__name__}"
+            assert any(text.startswith(why) and Path(__file__).name in text for text in told)
             assert (devices.bath.read().running is False) is (name != "bath")
 
 

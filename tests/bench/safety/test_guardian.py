@@ -12,10 +12,8 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -23,14 +21,13 @@ from bench.cli.main import main
 from bench.record.reader import read_run
 from instruments.clock import wall_time
 from tests.bench.real_rig import Bench, RealRig, bench, real_rig, touch_as_asked
+from tests.bench.safety.guards import HANG_S, STANDBY_S, Measured, guardian_record, standby_after
 
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
 
 from tests.bench.marked_bench import MARK, marked_bench
 
-STANDBY_S = 3.0  # as docs/safety.md says; it takes milliseconds
-HANG_S = 10.0
 SEEN_LATE_S = 5.0  # so much later than it was said a busy machine may show us that it hangs
 
 
@@ -38,29 +35,6 @@ def heating(rig: RealRig, running: Bench) -> None:
     running.wait_for("on its peg")
     running.answer()
     running.wait_until(lambda: rig.twin.world.plant.running, "heated")
-
-
-def standby_after(rig: RealRig, within_s: float) -> float:
-    """How long the bath still heats."""
-    plant, start = rig.twin.world.plant, time.monotonic()
-    assert plant.running
-    while plant.running and time.monotonic() - start < within_s:
-        time.sleep(0.005)
-    return time.monotonic() - start
-
-
-def silence_s(told: Mapping[str, Any]) -> float:
-    """How long the guardian had heard nothing when it noticed."""
-    last, noticed = (
-        datetime.fromisoformat(told[name]) for name in ("wall_last_sign", "wall_noticed")
-    )
-    return (noticed - last).total_seconds()
-
-
-def await_record(rig: RealRig) -> None:
-    path, deadline = rig.run_folder() / "guardian.json", time.monotonic() + 60.0
-    while not path.is_file() and time.monotonic() < deadline:
-        time.sleep(0.02)
 
 
 def reported(rig: RealRig, capsys: pytest.CaptureFixture[str]) -> tuple[str, str]:
@@ -79,13 +53,12 @@ def test_the_report_of_a_killed_bench_says_when_it_died_and_when_the_bath_was_sa
             running.wait_for("Enter when it stands")
             killed = wall_time()
             running.process.kill()
-            assert standby_after(rig, 30.0) < STANDBY_S
-            await_record(rig)
+            assert standby_after(rig.twin.world.plant) < STANDBY_S
+            guardian_record(rig.run_folder())
         told = read_run(rig.run_folder()).guardian
         assert told is not None
-        assert (
-            abs((datetime.fromisoformat(told["wall_noticed"]) - killed).total_seconds()) < STANDBY_S
-        )
+        late = datetime.fromisoformat(told["wall_noticed"]) - killed
+        assert abs(late.total_seconds()) < STANDBY_S
         sentence = (
             f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at"
             f" {told['wall_safe']}"
@@ -95,41 +68,36 @@ def test_the_report_of_a_killed_bench_says_when_it_died_and_when_the_bath_was_sa
 
 
 def test_a_bench_that_is_stopped_is_taken_for_dead_after_ten_seconds(
-    recording: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    request: pytest.FixtureRequest,
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], measured: Measured
 ) -> None:
     with real_rig(tmp_path / "rig", recording, window_s=60.0) as rig:
         with bench(rig) as running:
             heating(rig, running)
             time.sleep(1.5)
             running.process.send_signal(signal.SIGSTOP)
-            seconds = standby_after(rig, 30.0)
-            await_record(rig)
+            seconds = standby_after(rig.twin.world.plant)
+            guardian_record(rig.run_folder())
             running.process.send_signal(signal.SIGCONT)
             assert running.process.wait(60) == 3
-        request.node.user_properties.append(
-            ("s to standby, SIGSTOP while settling", round(seconds, 3))
-        )
+        measured("SIGSTOP while settling", seconds)
         assert seconds < HANG_S + STANDBY_S
         run = read_run(rig.run_folder())
         assert run.guardian is not None
-        assert silence_s(run.guardian) >= HANG_S
+        last, noticed = (
+            datetime.fromisoformat(run.guardian[name])
+            for name in ("wall_last_sign", "wall_noticed")
+        )
+        assert (noticed - last).total_seconds() >= HANG_S
         assert (run.guardian["cause"], run.guardian["standby"]) == ("hung", True)
         assert run.ending == "faulted", "once it goes on, it finds its guardian gone"
-        assert run.facts["trip"]["rule"] in (
-            "guardian lost",
-            "changed at the controller",
-        ), "or the bath not as it left it"
+        assert run.facts["trip"]["rule"] in ("guardian lost", "changed at the controller"), (
+            "or the bath not as it left it"
+        )
         assert "The bench hung (no sign of life for 10 s)" in reported(rig, capsys)[1]
 
 
 def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_ten_seconds(
-    recording: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    request: pytest.FixtureRequest,
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], measured: Measured
 ) -> None:
     """In a move, which may take ten minutes: what counts is the silence."""
     with real_rig(tmp_path / "rig", recording, stage=True) as rig:
@@ -137,11 +105,9 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_
             running.wait_for("on its peg")
             running.enter()
             running.wait_for(f"{MARK}hanging")
-            seconds = standby_after(rig, 30.0)
-            await_record(rig)
-        request.node.user_properties.append(
-            ("s to standby, main thread hangs while moving", round(seconds, 3))
-        )
+            seconds = standby_after(rig.twin.world.plant)
+            guardian_record(rig.run_folder())
+        measured("main thread hangs while moving", seconds)
         assert HANG_S - SEEN_LATE_S < seconds < HANG_S + STANDBY_S
         told = read_run(rig.run_folder()).guardian
         assert told is not None
@@ -175,10 +141,8 @@ def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path
     page = (folder / "report" / "index.html").read_text(encoding="utf-8")
     assert re.search(r"independent cut-out tested on.{0,80}2024-03-01", page, re.DOTALL)
     assert not (folder / "guardian.log").exists()
-    assert (
-        json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))["ending"]
-        == "finished"
-    )
+    told = json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))
+    assert told["ending"] == "finished"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")
@@ -193,7 +157,7 @@ def test_a_frozen_guardian_ends_the_run_with_the_bath_in_standby(
         (guardian,) = [int(child) for child in children if "guardian" in command_line(child)]
         os.kill(guardian, signal.SIGSTOP)
         try:
-            standby_after(rig, 60.0)
+            standby_after(rig.twin.world.plant)
             assert running.process.wait(60) == 3
         finally:
             os.kill(guardian, signal.SIGCONT)

@@ -4,15 +4,13 @@ way to end.
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,50 +20,10 @@ from bench.safety.guardian import main as guardian
 from bench.safety.guardian_client import BEAT_S, UNANSWERED, GuardianClient, GuardianTarget, guarded
 from bench.safety.heartbeat import Heartbeat
 from instruments.bath.driver import Bath
-from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_profile
-from instruments.clock import RealClock, VirtualClock
+from instruments.clock import VirtualClock
 from instruments.errors import LinkError
-from instruments.listener import Listener
-from instruments.world.plant import Plant
+from tests.bench.safety.guards import PATIENCE_S, HotBath, guardian_record, standby_after, within
 from tests.conftest import ROOT
-
-PATIENCE_S = 60.0
-
-
-@dataclass
-class HotBath:
-    plant: Plant
-    url: str
-    folder: Path
-
-    def record(self) -> dict[str, Any]:
-        path = self.folder / "guardian.json"
-        within(PATIENCE_S, path.is_file, "the guardian wrote its record")
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-
-
-@pytest.fixture
-def hot(tmp_path: Path) -> Iterator[HotBath]:
-    """A bath that heats, on a wire of its own."""
-    import threading
-
-    clock, plant = RealClock(), Plant(1, start_c=33.0)
-    plant.run(33.0)
-    emulator = BathEmulator(plant, load_profile("julabo-presto"), clock)
-    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    try:
-        yield HotBath(plant, listener.url.replace("socket://", "tcp://"), tmp_path)
-    finally:
-        listener.close()
-        clock.close()
-
-
-def within(seconds: float, there: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + seconds
-    while not there():
-        assert time.monotonic() < deadline, f"not within {seconds} s: {what}"
-        time.sleep(0.01)
 
 
 def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> None:
@@ -79,7 +37,7 @@ def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> No
 def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
     with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()):
         pass
-    within(PATIENCE_S, lambda: not hot.plant.running, "standby")
+    standby_after(hot.plant)
     assert hot.record()["cause"] == "gave up"
 
 
@@ -88,7 +46,7 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) ->
     pulse.sign("detecting", 0.5)
     with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, pulse) as line:
         pulse.sign("detecting", 0.5)
-        within(PATIENCE_S, lambda: not hot.plant.running, "standby")
+        standby_after(hot.plant)
         within(PATIENCE_S, lambda: line.lost is not None, "the bench learned of it")
         assert "took the bench for dead" in str(line.lost)
     told = hot.record()
@@ -210,19 +168,14 @@ def test_a_guardian_that_cannot_start_is_told_with_its_own_words(tmp_path: Path)
 
 
 def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
-    with guarded(
-        GuardianTarget("tcp://127.0.0.1:1", "julabo-presto"), tmp_path, VirtualClock()
-    ) as (
-        _,
-        guardian_client,
-    ):
+    target = GuardianTarget("tcp://127.0.0.1:1", "julabo-presto")
+    with guarded(target, tmp_path, VirtualClock()) as (_, guardian_client):
         assert guardian_client is None
 
 
 STARTED = """
-import subprocess, sys, time
+import os, subprocess, sys, time
 command = [sys.executable, "-m", "bench.safety.guardian", "--url", sys.argv[1], "--profile", "julabo-presto", "--record", sys.argv[2]]
-import os
 child = subprocess.Popen(command + ["--bench", str(os.getpid())], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 child.stdout.readline()
 print("ready", flush=True)
@@ -258,7 +211,7 @@ def test_a_bench_that_dies_is_noticed_while_its_end_of_the_pipe_is_still_open(ho
         assert child.stdout.readline() == b"ready\n"
         forked = int(child.stdout.readline())
         child.kill()
-        within(PATIENCE_S, lambda: not hot.plant.running, "standby")
+        standby_after(hot.plant)
         os.kill(forked, signal.SIGKILL)
     assert (hot.record()["cause"], hot.record()["why"]) == ("died", "the system is ending it")
 
@@ -276,15 +229,14 @@ def test_a_hung_bench_that_keeps_the_port_is_ended(hot: HotBath) -> None:
         assert child.wait(60) == -signal.SIGKILL
         within(PATIENCE_S, record.is_file, "the record")
         forward(port, hot.url)
-        within(10.0, lambda: not hot.plant.running, "standby")
-    within(PATIENCE_S, lambda: hot.record()["standby"], "the record says so")
-    assert hot.record()["killed"] is True
-    assert hot.record()["tries"] >= 2
+        standby_after(hot.plant)
+    told = guardian_record(hot.folder, lambda told: told["standby"])
+    assert told["killed"] is True
+    assert told["tries"] >= 2
 
 
 def forward(port: int, url: str) -> None:
     """From now on ``port`` leads to the bath, for one connection."""
-    import threading
 
     def serve() -> None:
         with socket.create_server(("127.0.0.1", port)) as server:

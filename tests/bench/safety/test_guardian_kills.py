@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -27,6 +28,7 @@ from instruments.bath.profile import load_profile
 from instruments.clock import RealClock, wall_time
 from instruments.operators.operator import CheckPoint, Touch
 from tests.bench.real_rig import RealRig, real_rig
+from tests.bench.safety.guards import STANDBY_S, Measured, guardian_record, standby_after
 
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
@@ -34,7 +36,6 @@ if sys.platform == "win32":
 from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 
 AT_ONCE = 3  # an arm in real time that waits for a busy processor counts as lost
-STANDBY_S = 3.0  # as docs/safety.md says; it takes milliseconds
 PROMPT = "a = abort the run): "
 CHECK, TOUCH = r"(\d) of (\d)\] Arm check", r"ouch the end of teat (\d+).* of (\d+)"
 
@@ -127,54 +128,31 @@ def kill_in(name: str, kill: str, folder: Path, recording: Path) -> Outcome:
         bring(rig, running, name)
         plant = rig.twin.world.plant
         assert plant.running, f"{name}: the bath was off before the kill:\n{running.said}"
-        killed, start = wall_time(), time.monotonic()
+        killed = wall_time()
         running.signal(kill)
-        while plant.running and time.monotonic() - start < 60.0:
-            time.sleep(0.002)
-        seconds = time.monotonic() - start
-        state = asked(rig.twin.urls["bath"], "julabo-presto")
+        seconds = standby_after(plant)
+        state = run_state(rig.twin.urls["bath"])
         running.process.join(60)
         if kill == "SIGKILL":
-            await_record(rig.run_folder() / "guardian.json")
-        return Outcome(
-            name,
-            seconds,
-            killed,
-            state,
-            running.process.exitcode,
-            read_run(rig.run_folder()),
-            running.said,
-        )
+            guardian_record(rig.run_folder())
+        code, run = running.process.exitcode, read_run(rig.run_folder())
+        return Outcome(name, seconds, killed, state, code, run, running.said)
 
 
-def await_record(path: Path, within_s: float = 60.0) -> None:
-    deadline = time.monotonic() + within_s
-    while not path.is_file() and time.monotonic() < deadline:
-        time.sleep(0.02)
-
-
-def asked(url: str, profile: str) -> str:
+def run_state(url: str) -> str:
     """What a second client is told about the controller."""
-    clock = RealClock()
-    bath = Bath(url, load_profile(profile), clock)
-    row = bath.profile.row("run")
-    told = row.label(bath.get("run"))
-    bath.close()
-    clock.close()
-    return told
+    profile = load_profile("julabo-presto")
+    with closing(RealClock()) as clock, closing(Bath(url, profile, clock)) as bath:
+        return profile.row("run").label(bath.get("run"))
 
 
-def all_steps(
-    kill: str, folder: Path, recording: Path, request: pytest.FixtureRequest
-) -> list[Outcome]:
+def all_steps(kill: str, folder: Path, recording: Path, measured: Measured) -> list[Outcome]:
     """A bench killed in each step, beside each other; the test's record gets what was measured."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
         jobs = [pool.submit(kill_in, name, kill, folder / name, recording) for name in STEPS]
         outcomes = [job.result() for job in jobs]
     for outcome in outcomes:
-        request.node.user_properties.append(
-            (f"s to standby, {kill} while {outcome.step}", round(outcome.seconds, 3))
-        )
+        measured(f"{kill} while {outcome.step}", outcome.seconds)
     assert len(outcomes) == len(STEPS) == 13
     for outcome in outcomes:
         assert outcome.seconds < STANDBY_S, f"{kill} while {outcome.step}"
@@ -183,21 +161,17 @@ def all_steps(
 
 
 def test_a_kill_in_any_step_leaves_standby_and_a_record_of_it(
-    recording: Path, tmp_path: Path, request: pytest.FixtureRequest
+    recording: Path, tmp_path: Path, measured: Measured
 ) -> None:
-    for outcome in all_steps("SIGKILL", tmp_path, recording, request):
+    for outcome in all_steps("SIGKILL", tmp_path, recording, measured):
         told = outcome.run.guardian
         assert outcome.run.ending == "interrupted", outcome.step
-        assert not outcome.run.trials or outcome.step in (
-            "checking the arm after",
-            "going to safe",
-        ), "a trial is there whole or not at all"
+        late = outcome.step in ("checking the arm after", "going to safe")
+        assert not outcome.run.trials or late, "a trial is there whole or not at all"
         assert told is not None, outcome.step
         assert (told["cause"], told["standby"], told["tries"]) == ("died", True, 1), outcome.step
-        assert (
-            abs((datetime.fromisoformat(told["wall_noticed"]) - outcome.killed).total_seconds())
-            < 1.0
-        )
+        noticed = datetime.fromisoformat(told["wall_noticed"])
+        assert abs((noticed - outcome.killed).total_seconds()) < 1.0
         assert told["seconds"] < STANDBY_S
         sentence = (
             f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at"
@@ -208,9 +182,9 @@ def test_a_kill_in_any_step_leaves_standby_and_a_record_of_it(
 
 @pytest.mark.parametrize("kill", ["SIGTERM", "SIGHUP"])
 def test_a_bench_that_is_asked_to_end_in_any_step_makes_safe_itself(
-    kill: str, recording: Path, tmp_path: Path, request: pytest.FixtureRequest
+    kill: str, recording: Path, tmp_path: Path, measured: Measured
 ) -> None:
-    for outcome in all_steps(kill, tmp_path, recording, request):
+    for outcome in all_steps(kill, tmp_path, recording, measured):
         texts = [event["text"] for event in outcome.run.events]
         assert outcome.run.guardian is None, f"{outcome.step}: nothing was left for the guardian"
         assert "bath is safe" in texts, outcome.step

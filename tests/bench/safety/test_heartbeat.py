@@ -11,7 +11,7 @@ from itertools import pairwise
 import pytest
 
 from bench.safety.heartbeat import Heartbeat
-from instruments.clock import RealClock
+from instruments.clock import RealClock, stopwatch_s
 from instruments.link import Link
 
 
@@ -28,9 +28,15 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> Stopwatch:
     return Stopwatch(monkeypatch)
 
 
-def test_a_long_move_that_shows_life_is_no_hang(watch: Stopwatch) -> None:
-    pulse = Heartbeat()
-    pulse.sign("moving", 600.0, silence_s=10.0)
+@pytest.fixture
+def pulse(watch: Stopwatch) -> Heartbeat:
+    """The main thread moves something, for ten minutes at most."""
+    heartbeat = Heartbeat()
+    heartbeat.sign("moving", 600.0, silence_s=10.0)
+    return heartbeat
+
+
+def test_a_long_move_that_shows_life_is_no_hang(watch: Stopwatch, pulse: Heartbeat) -> None:
     for _ in range(60):
         watch.now_s += 9.0
         assert pulse.overdue() is None
@@ -39,9 +45,7 @@ def test_a_long_move_that_shows_life_is_no_hang(watch: Stopwatch) -> None:
     assert pulse.overdue() == "the main thread hangs: moving, and no sign of life for 10 s"
 
 
-def test_life_without_an_end_hangs_too(watch: Stopwatch) -> None:
-    pulse = Heartbeat()
-    pulse.sign("moving", 600.0, silence_s=10.0)
+def test_life_without_an_end_hangs_too(watch: Stopwatch, pulse: Heartbeat) -> None:
     for _ in range(101):
         watch.now_s += 6.0
         pulse.alive()
@@ -57,9 +61,7 @@ def test_a_computation_may_be_silent_for_as_long_as_it_may_take(watch: Stopwatch
     assert "detecting took more than 60 s" in str(pulse.overdue())
 
 
-def test_who_sleeps_says_for_how_long(watch: Stopwatch) -> None:
-    pulse = Heartbeat()
-    pulse.sign("waiting", 600.0, silence_s=10.0)
+def test_who_sleeps_says_for_how_long(watch: Stopwatch, pulse: Heartbeat) -> None:
     pulse.alive(asleep_s=30.0)
     watch.now_s += 39.0
     assert pulse.overdue() is None
@@ -67,9 +69,9 @@ def test_who_sleeps_says_for_how_long(watch: Stopwatch) -> None:
     assert pulse.overdue() is not None
 
 
-def test_the_life_of_another_thread_is_not_that_of_the_main_one(watch: Stopwatch) -> None:
-    pulse = Heartbeat()
-    pulse.sign("moving", 600.0, silence_s=10.0)
+def test_the_life_of_another_thread_is_not_that_of_the_main_one(
+    watch: Stopwatch, pulse: Heartbeat
+) -> None:
     watch.now_s += 9.0
     other = threading.Thread(target=pulse.alive)
     other.start()
@@ -93,15 +95,9 @@ def test_a_link_that_waits_for_an_answer_shows_life_every_second() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         link = Link(f"socket://127.0.0.1:{server.getsockname()[1]}", clock, who="nobody")
         near, _ = server.accept()
-        clock.subscribe(lambda _: heard.append(clock_s()))
+        clock.subscribe(lambda _: heard.append(stopwatch_s()))
         assert link.receive(2.5) == b""
         link.close()
         near.close()
     assert len(heard) >= 3
     assert max(b - a for a, b in pairwise(heard)) < 5.0
-
-
-def clock_s() -> float:
-    from instruments.clock import stopwatch_s
-
-    return stopwatch_s()

@@ -8,7 +8,6 @@ from contextlib import nullcontext
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -97,22 +96,21 @@ SEEN = {
 
 
 class TestCameras:
-    def test_a_serial_number_is_enough(self) -> None:
-        refuse_other_cameras(made("2026-11-01", left="21876543", right="21876544").record, SEEN)
-
-    def test_without_a_record_nobody_knows(self) -> None:
-        refuse_other_cameras(load_calibration(RIGS / "calibration.toml").record, SEEN)
-
-    def test_a_camera_that_is_not_there_is_not_asked(self) -> None:
-        refuse_other_cameras(made("2026-11-01", thermal="FLIR 7").record, SEEN)
+    @pytest.mark.parametrize(
+        "calibration",
+        [
+            made("2026-11-01", left="21876543", right="21876544"),
+            load_calibration(RIGS / "calibration.toml"),
+            made("2026-11-01", thermal="FLIR 7"),
+        ],
+        ids=["a serial number is enough", "no record", "a camera that is not there"],
+    )
+    def test_cameras_that_are_taken(self, calibration: Calibration) -> None:
+        refuse_other_cameras(calibration.record, SEEN)
 
     def test_cables_that_were_swapped(self) -> None:
-        with pytest.raises(
-            LimitError,
-            match=(
-                r"made for the left camera '21876544', but the one that answers is 'Basler .*543'"
-            ),
-        ):
+        said = r"made for the left camera '21876544', but the one that answers is 'Basler .*543'"
+        with pytest.raises(LimitError, match=said):
             refuse_other_cameras(made("2026-11-01", left="21876544", right="21876543").record, SEEN)
 
     def test_in_a_run_it_is_an_instruments_fault(
@@ -145,9 +143,7 @@ class TestCameras:
 )
 def test_the_requirement(day: str | None, emulated: bool, verdict: str) -> None:
     calibration = made(day) if day else load_calibration(RIGS / "calibration.toml")
-    facts: dict[str, Any] = {
-        CALIBRATION_FACT: calibration_fact(calibration, TODAY, emulated=emulated)
-    }
+    facts = {CALIBRATION_FACT: calibration_fact(calibration, TODAY, emulated=emulated)}
     assert decide_calibration(RULE, facts).verdict == verdict
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -28,11 +29,23 @@ from detector.calibration import Calibration
 from detector.geometry import Camera
 
 SCRIPT = TRIALS / "thesis-test-2.toml"
+TENTH = """kind = "offsets"
+title = "A tenth"
+layout = "mine.toml"
+limit_mm = 5.0
+offsets = [{ teat = 1, left_px = 0.1 }]
+"""
 
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     return load_rig(find_rig(None)).calibration
+
+
+@pytest.fixture
+def published(shared_data: Path) -> dict[str, Any]:
+    path = shared_data.parent / "seed" / "published.toml"
+    return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
@@ -56,19 +69,15 @@ def by_opencv(
     left_from_right = calibration.right_from_left.inverse()
     in_right = right_from_world.apply(point_mm)
     in_left = left_from_right.apply(in_right)
-    k_left, k_right = matrix(calibration.left), matrix(calibration.right)
-    left, _ = cv2.projectPoints(
-        in_left[None], np.zeros(3), np.zeros(3), k_left, np.array(calibration.left.kc)
-    )
-    right, _ = cv2.projectPoints(
-        in_right[None], np.zeros(3), np.zeros(3), k_right, np.array(calibration.right.kc)
+    lenses = [(matrix(one), np.array(one.kc)) for one in (calibration.left, calibration.right)]
+    left, right = (
+        cv2.projectPoints(point[None], np.zeros(3), np.zeros(3), *lens)[0].reshape(1, 2)
+        for point, lens in zip((in_left, in_right), lenses, strict=True)
     )
     angle = 2.0 * np.pi * np.arange(directions) / directions
-    off = right.reshape(1, 2) + right_px * np.column_stack([np.cos(angle), np.sin(angle)])
-    a = cv2.undistortPoints(
-        np.repeat(left.reshape(1, 2), directions, axis=0), k_left, np.array(calibration.left.kc)
-    ).reshape(-1, 2)
-    b = cv2.undistortPoints(off, k_right, np.array(calibration.right.kc)).reshape(-1, 2)
+    off = right + right_px * np.column_stack([np.cos(angle), np.sin(angle)])
+    a = cv2.undistortPoints(np.repeat(left, directions, axis=0), *lenses[0]).reshape(-1, 2)
+    b = cv2.undistortPoints(off, *lenses[1]).reshape(-1, 2)
     p_left = np.column_stack([left_from_right.R, left_from_right.T])
     found = cv2.triangulatePoints(p_left, np.eye(3, 4), a.T, b.T)
     return np.asarray(calibration.world_from_right.apply((found[:3] / found[3]).T) - point_mm)
@@ -81,21 +90,16 @@ def test_the_errors_are_those_that_opencv_gets(
     a little.
     """
     for point in loaded.points_mm:
-        ours, theirs = (
-            offset_errors(calibration, point, 0.0, 2.0, 24),
-            by_opencv(calibration, point, 2.0, 24),
-        )
+        ours = offset_errors(calibration, point, 0.0, 2.0, 24)
+        theirs = by_opencv(calibration, point, 2.0, 24)
         assert ours[[0, 12]] == pytest.approx(theirs[[0, 12]], abs=0.02)
         assert ours == pytest.approx(theirs, abs=0.5)
         assert np.abs(theirs).max() > 14.0
 
 
 def test_a_pixel_of_disparity_is_what_the_geometry_says(
-    shared_data: Path, calibration: Calibration, loaded: LoadedOffsets
+    published: dict[str, Any], calibration: Calibration, loaded: LoadedOffsets
 ) -> None:
-    published = tomllib.loads(
-        (shared_data.parent / "seed" / "published.toml").read_text(encoding="utf-8")
-    )
     # its figures went through the published transformation, which shortens depth
     derived = published["derived"]
     low, high = (
@@ -109,20 +113,14 @@ def test_a_pixel_of_disparity_is_what_the_geometry_says(
         assert 0.97 * low <= a_pixel <= 1.03 * high
 
 
-def test_the_script_says_what_the_thesis_printed(shared_data: Path, loaded: LoadedOffsets) -> None:
-    published = tomllib.loads(
-        (shared_data.parent / "seed" / "published.toml").read_text(encoding="utf-8")
-    )
+def test_the_script_says_what_the_thesis_printed(
+    published: dict[str, Any], loaded: LoadedOffsets
+) -> None:
     offsets = loaded.script.offsets
-    assert loaded.points_mm == pytest.approx(
-        np.array(published["table_5_1"]["teat_ends_mm"]), abs=1e-9
-    )
-    assert [list(one.published_plain_mm or ()) for one in offsets] == published["table_5_2"][
-        "teat_ends_mm"
-    ]
-    assert [list(one.published_mm or ()) for one in offsets] == published["table_5_3"][
-        "teat_ends_mm"
-    ]
+    known, plain, off = (published[f"table_5_{i}"]["teat_ends_mm"] for i in (1, 2, 3))
+    assert loaded.points_mm == pytest.approx(np.array(known), abs=1e-9)
+    assert [list(one.published_plain_mm or ()) for one in offsets] == plain
+    assert [list(one.published_mm or ()) for one in offsets] == off
     asked = [
         {key: px for key, px in (("left", one.left_px), ("right", one.right_px)) if px}
         for one in offsets
@@ -186,11 +184,7 @@ def test_an_offset_that_does_no_harm_is_met(
         'about = "x"\n[[teats]]\nname = "LF"\nbase_mm = [-190.0, 240.0]\n', encoding="utf-8"
     )
     path = tmp_path / "tenth.toml"
-    text = (
-        'kind = "offsets"\ntitle = "A tenth"\nlayout = "mine.toml"\nlimit_mm ='
-        " 5.0\n[[offsets]]\nteat = 1\nleft_px = 0.1\n"
-    )
-    path.write_text(text, encoding="utf-8")
+    path.write_text(TENTH, encoding="utf-8")
     assert main(["run", str(path), "--dry-run", "--out", str(tmp_path / "runs")]) == 0
     assert not (tmp_path / "runs").exists()
     assert main(["run", str(path), "--out", str(tmp_path / "runs")]) == 0

@@ -48,28 +48,14 @@ def test_a_serpentine_by_hand() -> None:
     grid = {"x_mm": (-10.0, 10.0), "y_mm": (0.0, 5.0), "step_mm": (10.0, 5.0)}
     trials = planned(grid=grid)
     assert places(trials) == [(-10, 0), (0, 0), (10, 0), (10, 5), (0, 5), (-10, 5)]
-    assert [one.id for one in trials] == [
-        "001-t-1-1",
-        "002-t-2-1",
-        "003-t-3-1",
-        "004-t-6-1",
-        "005-t-5-1",
-        "006-t-4-1",
-    ]
-    assert places(planned(grid={**grid, "order": "rows"})) == [
-        (-10, 0),
-        (0, 0),
-        (10, 0),
-        (-10, 5),
-        (0, 5),
-        (10, 5),
-    ]
+    ids = "001-t-1-1 002-t-2-1 003-t-3-1 004-t-6-1 005-t-5-1 006-t-4-1"
+    assert [one.id for one in trials] == ids.split()
+    by_rows = places(planned(grid={**grid, "order": "rows"}))
+    assert by_rows == [(-10, 0), (0, 0), (10, 0), (-10, 5), (0, 5), (10, 5)]
     along_y = planned(grid={**grid, "along": "y"})
     assert places(along_y) == [(-10, 0), (-10, 5), (0, 5), (0, 0), (10, 0), (10, 5)]
-    where = {one.name: place for one, place in zip(trials, places(trials), strict=True)}
-    assert {
-        one.name: place for one, place in zip(along_y, places(along_y), strict=True)
-    } == where, "a name is a pose, whatever the order"
+    where, there = ({one.name: one.pose for one in visited} for visited in (trials, along_y))
+    assert where == there, "a name is a pose, whatever the order"
 
 
 @given(
@@ -110,12 +96,8 @@ def test_repeatability_is_five_poses_in_thirty_cycles() -> None:
 
 def test_random_udders_differ_in_udder_and_place() -> None:
     trials = load_script(find_script("random-udder")).planned
-    assert (
-        len({one.phantom for one in trials})
-        == len({one.pose for one in trials})
-        == len(trials)
-        == 59
-    )
+    assert len({one.phantom for one in trials}) == len({one.pose for one in trials}) == 59
+    assert len(trials) == 59
     assert all(
         abs(one.pose.x_mm) <= 25.0 and abs(one.pose.y_mm) <= 30.0 and abs(one.yaw_deg) <= 8.0
         for one in trials
@@ -124,18 +106,12 @@ def test_random_udders_differ_in_udder_and_place() -> None:
 
 
 def test_repeats_cycles_and_sides_multiply_and_count_on() -> None:
-    trials = planned(
-        poses=({"x_mm": 1.0}, {"x_mm": 2.0}),
-        cycles=2,
-        repeats=3,
-        approach=("+x", "-y"),
-        approach_mm=5.0,
-    )
+    poses, sides = ({"x_mm": 1.0}, {"x_mm": 2.0}), ("+x", "-y")
+    trials = planned(poses=poses, cycles=2, repeats=3, approach=sides, approach_mm=5.0)
     assert len(trials) == 2 * 2 * 3 * 2
     assert sorted(one.repeat for one in trials if one.name == "t-1") == list(range(1, 13))
-    assert [(one.name, one.side) for one in trials[:7]] == [("t-1", "+x")] * 3 + [
-        ("t-1", "-y")
-    ] * 3 + [("t-2", "+x")]
+    first = [("t-1", "+x")] * 3 + [("t-1", "-y")] * 3 + [("t-2", "+x")]
+    assert [(one.name, one.side) for one in trials[:7]] == first
     assert trials[0].approach == PlatePose(6.0, 0.0)
     assert trials[3].approach == PlatePose(1.0, -5.0)
     assert len({one.id for one in trials}) == len(trials)
@@ -167,15 +143,12 @@ def test_another_seed_or_name_is_another_draw() -> None:
 
 
 def test_shuffling_moves_trials_and_changes_none() -> None:
-    table: dict[str, Any] = {
-        "grid": {"x_mm": (0.0, 90.0), "y_mm": (0.0, 0.0), "step_mm": (10.0, 10.0)},
-        "repeats": 2,
-    }
+    grid = {"x_mm": (0.0, 90.0), "y_mm": (0.0, 0.0), "step_mm": (10.0, 10.0)}
+    table: dict[str, Any] = {"grid": grid, "repeats": 2}
     plain, mixed = planned(**table), planned(**table, shuffled=True)
     assert [one.number for one in mixed] == list(range(1, 21))
-    assert {(one.name, one.repeat, one.pose) for one in mixed} == {
-        (one.name, one.repeat, one.pose) for one in plain
-    }
+    shown = [{(one.name, one.repeat, one.pose) for one in some} for some in (mixed, plain)]
+    assert shown[0] == shown[1]
     assert [one.name for one in mixed] != [one.name for one in plain]
     assert mixed == planned(**table, shuffled=True)
     assert mixed != planned(**table, shuffled=True, seed=2)
@@ -207,19 +180,14 @@ def test_what_the_stage_does_and_what_the_operator_does_is_the_pose(
 def test_the_prompt_says_what_no_motor_does() -> None:
     (one,) = planned(pose={"x_mm": 5.0, "yaw_deg": 10.0}, approach=("+x",))
     assert one.arrangement("XYA").instruction == "One teat."
-    assert (
-        one.arrangement("XY").instruction
-        == "One teat. Move the plate to x +0 mm, y +0 mm, yaw +10 deg from its reference place."
-    )
+    said = "One teat. Move the plate to x +0 mm, y +0 mm, yaw +10 deg from its reference place."
+    assert one.arrangement("XY").instruction == said
     by_hand = one.arrangement("")
-    assert (
-        "Move the plate to x +15 mm, y +0 mm, yaw +10 deg first, so that it comes from the +x side."
-        in by_hand.instruction
-    )
-    assert (
-        "Move the plate to x +5 mm, y +0 mm, yaw +10 deg from its reference place."
-        in by_hand.instruction
-    )
+    for said in (
+        "Move the plate to x +15 mm, y +0 mm, yaw +10 deg first, so that it comes from the +x side.",
+        "Move the plate to x +5 mm, y +0 mm, yaw +10 deg from its reference place.",
+    ):
+        assert said in by_hand.instruction
     assert by_hand.pose == one.pose
     (udder,) = planned(layout="random-udder", redraw=True)
     assert "LF: x " in udder.arrangement("XY").instruction
@@ -227,21 +195,19 @@ def test_the_prompt_says_what_no_motor_does() -> None:
 
 def test_the_record_tells_how_the_poses_were_chosen() -> None:
     script = load_script(find_script("random-udder"))
-    kept = pose_set(
-        script.script.trials, script.planned, seed=script.script.seed, order=script.script.order
-    )
+    said = script.script
+    kept = pose_set(said.trials, script.planned, seed=said.seed, order=said.order)
     assert kept["order"] == "shuffled"
-    poses, layout = kept["chosen"][0].split("; ")
-    assert (
-        poses
-        == "udder: 59 poses drawn evenly within x -25 to 25 mm, y -30 to 30 mm, yaw -8 to 8 deg"
+    assert kept["chosen"][0] == (
+        "udder: 59 poses drawn evenly within x -25 to 25 mm, y -30 to 30 mm, yaw -8 to 8 deg;"
+        " layout random-udder, another udder for each pose."
     )
-    assert layout == "layout random-udder, another udder for each pose."
     first = dict(zip(POSE_KEYS, kept["poses"][0], strict=True))
     assert first["id"] == script.planned[0].id
     assert first["x_mm"] == script.planned[0].pose.x_mm
 
 
+GRID = "{ x_mm = [0, 10], y_mm = [0, 10], step_mm = [3, 1] }"
 SCRIPT = """title = "t"
 detectors = ["thesis"]
 [bath]
@@ -265,18 +231,9 @@ set_up = "One teat."
         ("pose = { xmm = 1.0 }", 'did you mean "x_mm"'),
         ("pose = { z_mm = -1.0 }", "greater than or equal to 0"),
         ("pose = { x_mm = 1.0 }\ndraw = { count = 3 }", "has pose and draw; a trial has one of"),
-        (
-            "grid = { x_mm = [0.0, 10.0], y_mm = [0.0, 10.0], step_mm = [3.0, 5.0] }",
-            "spans 10 mm, which is no whole number of steps of 3",
-        ),
-        (
-            "grid = { x_mm = [0.0, 1000.0], y_mm = [0.0, 1000.0], step_mm = [1.0, 1.0] }",
-            "at most 100000",
-        ),
-        (
-            "grid = { x_mm = [10.0, 0.0], y_mm = [0.0, 10.0], step_mm = [5.0, 5.0] }",
-            "the first number must be the smaller one",
-        ),
+        (f"grid = {GRID}", "spans 10 mm, which is no whole number of steps of 3"),
+        (f"grid = {GRID.replace('10', '1000').replace('3', '1')}", "at most 100000"),
+        (f"grid = {GRID.replace('0, 10', '10, 0', 1)}", "the first number must be the smaller one"),
         ('approach = ["+x", "+x"]', "names a side twice"),
         ('approach = ["left"]', "is not allowed"),
         ("poses = []", "at least 1"),
@@ -339,24 +296,18 @@ def of_families(tmp_path: Path, trial: str) -> LoadedScript:
 
 
 def test_redrawn_trials_show_one_member_for_each_pose(tmp_path: Path) -> None:
-    loaded = of_families(
-        tmp_path,
-        'family = "hot_body_at_ends"\nmember = 5\nredraw = true\nrepeats = 2\ndraw = { count ='
-        " 3 }\n",
-    )
+    more = "member = 5\nredraw = true\nrepeats = 2\ndraw = { count = 3 }\n"
+    loaded = of_families(tmp_path, f'family = "hot_body_at_ends"\n{more}')
     scenes = [one.scene for one in loaded.planned]
     assert scenes == [situation("hot_body_at_ends", seed) for seed in (5, 5, 6, 6, 7, 7)]
     assert [one.phantom for one in loaded.planned] == [scene.phantom for scene in scenes if scene]
-    assert "family hot_body_at_ends, members from 5 on, one for each pose" in chosen(
-        loaded.script.trials[0]
-    )
+    said = chosen(loaded.script.trials[0])
+    assert "family hot_body_at_ends, members from 5 on, one for each pose" in said
 
 
 def test_one_member_stands_at_every_pose(tmp_path: Path) -> None:
-    loaded = of_families(
-        tmp_path,
-        'family = "hot_body_at_ends"\nmember = 2\nposes = [{ x_mm = 0.0 }, { x_mm = 5.0 }]\n',
-    )
+    more = "member = 2\nposes = [{ x_mm = 0.0 }, { x_mm = 5.0 }]\n"
+    loaded = of_families(tmp_path, f'family = "hot_body_at_ends"\n{more}')
     assert {one.scene for one in loaded.planned} == {situation("hot_body_at_ends", 2)}
     assert "member 2" in chosen(loaded.script.trials[0])
 
@@ -377,11 +328,8 @@ def test_the_emulated_operator_sets_the_whole_scene_up(tmp_path: Path) -> None:
     with EmulatedRig(load_rig(find_rig(None)), VirtualClock(), seed=5) as twin:
         placed = twin.operator.ask(planned.arrangement("XY"))
         seen = twin.world.scene()
-    assert (seen.backdrop, seen.lighting, seen.teat_paint) == (
-        found.backdrop,
-        found.lighting,
-        found.teat_paint,
-    )
+    for name in ("backdrop", "lighting", "teat_paint"):
+        assert getattr(seen, name) == getattr(found, name)
     assert len(placed.visible) == 4
     assert np.ptp([teat.base_mm[0] for teat in seen.phantom.teats]) > 0.0
 

@@ -10,7 +10,7 @@ import pytest
 
 from bench.cli.main import main
 from bench.config import ConfigError
-from bench.script.model import load_script
+from bench.script.model import LoadedScript, load_script
 from tests.bench.operated_runs import files, run_of
 
 PYTHON = """
@@ -35,21 +35,16 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
+def places(script: LoadedScript) -> list[tuple[float, float]]:
+    return [(one.pose.x_mm, one.pose.y_mm) for one in script.planned]
+
+
 def test_its_trials_are_those_of_a_toml_script(tmp_path: Path) -> None:
     script = load_script(written(tmp_path, PYTHON))
     assert script.name == "steps"
-    assert [one.id for one in script.planned] == [
-        "001-step-0-1-1",
-        "002-step-0-2-1",
-        "003-step-1-1-1",
-        "004-step-1-2-1",
-    ]
-    assert [(one.pose.x_mm, one.pose.y_mm) for one in script.planned] == [
-        (0, 0),
-        (0, -3.5),
-        (10, 0),
-        (0, -3.5),
-    ]
+    ids = "001-step-0-1-1 002-step-0-2-1 003-step-1-1-1 004-step-1-2-1"
+    assert [one.id for one in script.planned] == ids.split()
+    assert places(script) == [(0, 0), (0, -3.5), (10, 0), (0, -3.5)]
     again = tmp_path / "again.toml"
     again.write_text(script.text, encoding="utf-8")
     assert load_script(again).script == script.script
@@ -63,12 +58,7 @@ def test_numbers_of_numpy_are_numbers(tmp_path: Path) -> None:
         "-3.5", "numpy.int64(-3)"
     )
     script = load_script(written(tmp_path, text))
-    assert [(one.pose.x_mm, one.pose.y_mm) for one in script.planned] == [
-        (0, 0),
-        (0, -3),
-        (10, 0),
-        (0, -3),
-    ]
+    assert places(script) == [(0, 0), (0, -3), (10, 0), (0, -3)]
 
 
 def test_a_run_keeps_the_file_and_what_it_gave(tmp_path: Path) -> None:

@@ -1,0 +1,62 @@
+"""What the tests of the guardian share: patience, its record, and a bath that it may have to stop."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from instruments.bath.emulator import BathEmulator
+from instruments.clock import RealClock
+from instruments.world.plant import Plant
+
+PATIENCE_S = 60.0
+STANDBY_S, HANG_S = 3.0, 10.0  # what docs/safety.md promises; standby takes milliseconds
+
+Measured = Callable[[str, float], None]
+
+
+@dataclass
+class HotBath:
+    """A bath that heats, on a wire of its own."""
+
+    plant: Plant
+    emulator: BathEmulator
+    clock: RealClock
+    url: str
+    folder: Path
+
+    def record(self) -> dict[str, Any]:
+        return guardian_record(self.folder)
+
+
+def within(seconds: float, there: Callable[[], bool], what: str) -> float:
+    """How long it took."""
+    start = time.monotonic()
+    while not there():
+        assert time.monotonic() - start < seconds, f"not within {seconds} s: {what}"
+        time.sleep(0.002)
+    return time.monotonic() - start
+
+
+def standby_after(plant: Plant) -> float:
+    """How long the bath still heats."""
+    return within(PATIENCE_S, lambda: not plant.running, "standby")
+
+
+def guardian_record(
+    folder: Path, done: Callable[[dict[str, Any]], bool] = lambda _: True
+) -> dict[str, Any]:
+    """What the guardian has written in ``folder``, once it is ``done``."""
+    told: dict[str, Any] = {}
+
+    def there() -> bool:
+        path = folder / "guardian.json"
+        told.update(json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {})
+        return bool(told) and done(told)
+
+    within(PATIENCE_S, there, "the guardian's record")
+    return told
