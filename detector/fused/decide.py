@@ -27,11 +27,9 @@ _FARTHEST = 0.9
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
-_OUTLINE, _UNSURE, _WORSE = (
-    "its outline isn't that of a teat",
-    "its place is too unsure",
-    "a better one is in the same place",
-)
+_OUTLINE = "its outline isn't that of a teat"
+_UNSURE = "its place is too unsure"
+_WORSE = "a better one is in the same place"
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-0.6, 0.0, 0.6)  # of the radius
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
@@ -244,11 +242,9 @@ def _held_by_thermal(evidence: Evidence, i: int) -> bool:
     """Whether a teat may lack its sides in a picture: end well seen in both, end and a side in the
     thermal one, less clearly where the other optical picture shows a side.
     """
-    end, side, thermal = (
-        evidence.end[i, :2].min(),
-        evidence.side[i, :2].max(),
-        min(evidence.end[i, 2], evidence.side[i, 2]),
-    )
+    end = evidence.end[i, :2].min()
+    side = evidence.side[i, :2].max()
+    thermal = min(evidence.end[i, 2], evidence.side[i, 2])
     return bool((end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5))
 
 

@@ -113,10 +113,8 @@ def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -
     2); NaN outside.
     """
     rows, columns = field.shape
-    middles, directions = (
-        np.nan_to_num(middles_px, nan=-1e4).astype(np.float32),
-        np.nan_to_num(normals).astype(np.float32),
-    )
+    middles = np.nan_to_num(middles_px, nan=-1e4).astype(np.float32)
+    directions = np.nan_to_num(normals).astype(np.float32)
     along = offsets_px.astype(np.float32)
     x, y = (middles[:, i, None] + along * directions[:, i, None] for i in range(2))
     values = cv2.remap(field, x, y, cv2.INTER_CUBIC)

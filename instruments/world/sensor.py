@@ -204,10 +204,8 @@ class OpticalReadout:
         """
         shutter = exposure or Exposure()
         sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
-        full, dark = (
-            np.float32(sensor.full_well_e),
-            np.float32(sensor.dark_e_per_s * shutter.time_s),
-        )
+        full = np.float32(sensor.full_well_e)
+        dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
         filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
         electrons = np.minimum(light * self._response[rows, columns] * filled + dark, full)
         spread = cv2.sqrt(np.float32(gain**2) * (electrons + np.float32(sensor.read_noise_e**2)))

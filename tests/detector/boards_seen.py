@@ -33,11 +33,9 @@ def poses(seed: int, count: int, board: Board, spread: float) -> list[Motion]:
     rng = np.random.default_rng([seed, 7])
     found = []
     for at in range(count):
-        tilt, way, turn = (
-            np.radians(rng.uniform(12.0, 40.0)),
-            2 * np.pi * (at + rng.uniform()) / count * 3,
-            np.radians(rng.uniform(-15, 15)),
-        )
+        tilt = np.radians(rng.uniform(12.0, 40.0))
+        way = 2 * np.pi * (at + rng.uniform()) / count * 3
+        turn = np.radians(rng.uniform(-15, 15))
         R = (
             cv2.Rodrigues(tilt * np.array([np.cos(way), np.sin(way), 0.0]))[0]
             @ cv2.Rodrigues(np.array([0.0, 0.0, turn]))[0]

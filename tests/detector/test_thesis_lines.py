@@ -52,10 +52,8 @@ def test_lines_drawn_from_the_tables_come_out_as_the_tables() -> None:
     """Sides that begin at table 4.1's ends, tops at table 4.2's middles: all the steps between the
     filters and section 4.1.7.
     """
-    verticals, horizontals = (
-        np.zeros((480, 640), dtype=np.bool_),
-        np.zeros((480, 640), dtype=np.bool_),
-    )
+    verticals = np.zeros((480, 640), dtype=np.bool_)
+    horizontals = np.zeros((480, 640), dtype=np.bool_)
     for x, y in (TABLE_4_1 - 1).astype(int):
         verticals[y : y + 150, x] = True
     for x, y in (TABLE_4_2 - 1).astype(int):

@@ -98,10 +98,7 @@ def lighting(draw: Draw, brightness: tuple[float, float] = (0.95, 1.35)) -> Ligh
 
 
 def _lamp(
-    draw: Draw,
-    usual_mm: Point,
-    off_mm: tuple[tuple[float, float], ...],
-    power: tuple[float, float],
+    draw: Draw, usual_mm: Point, off_mm: tuple[tuple[float, float], ...], power: tuple[float, float]
 ) -> Lamp:
     x, y, z = (at + draw.between(*off) for at, off in zip(usual_mm, off_mm, strict=True))
     return Lamp((x, y, z), draw.between(*power))
@@ -411,14 +408,8 @@ def _clutter(draw: Draw) -> SceneObject:
             {"height_mm": (80.0, 420.0), "radius_mm": (5.0, 14.0), "albedo": (0.05, 0.7)}
             | {"y_mm": (420.0, 900.0)},
         ),
-        (
-            "cold_teat",
-            {"y_mm": (150.0, 700.0), "length_mm": (100.0, 160.0), "albedo": (0.05, 0.5)},
-        ),
-        (
-            "hot_cup",
-            {"y_mm": (400.0, 700.0), "height_mm": (50.0, 120.0), "offset_k": (-8.0, 3.0)},
-        ),
+        ("cold_teat", {"y_mm": (150.0, 700.0), "length_mm": (100.0, 160.0), "albedo": (0.05, 0.5)}),
+        ("hot_cup", {"y_mm": (400.0, 700.0), "height_mm": (50.0, 120.0), "offset_k": (-8.0, 3.0)}),
     )[kind]
     drawn = {key: draw.between(*each) for key, each in ranges.items()}
     return make_object(name, x_mm=x_mm, **drawn)

@@ -172,11 +172,9 @@ def test_warm_grey_levels_do_in_place_of_kelvin(
 
 def odd_frames(frames: Any) -> dict[str, tuple[Any, str]]:
     """Frame sets that can't be used, and what must be said."""
-    dot, black, white = (
-        np.zeros((1, 1), np.uint8),
-        np.zeros_like(frames.left),
-        np.full_like(frames.left, 255),
-    )
+    dot = np.zeros((1, 1), np.uint8)
+    black = np.zeros_like(frames.left)
+    white = np.full_like(frames.left, 255)
     noise = np.random.default_rng(0).integers(0, 256, frames.left.shape).astype(np.uint8)
     cold = np.random.default_rng(0).normal(295, 0.05, frames.thermal_k.shape)
     nan = np.where(np.eye(*frames.thermal_k.shape) > 0, np.nan, frames.thermal_k)

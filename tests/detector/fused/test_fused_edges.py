@@ -96,10 +96,8 @@ def test_faint_edges_are_found_together() -> None:
 def test_lines_beyond_the_picture_have_no_edge() -> None:
     field = np.zeros((40, 40), dtype=np.float32)
     field[:, 20:] = 100.0
-    middles, normals = (
-        np.array([[19.5, 20.0], [1.0, 20.0], [np.nan, 3.0]]),
-        np.tile([1.0, 0.0], (3, 1)),
-    )
+    middles = np.array([[19.5, 20.0], [1.0, 20.0], [np.nan, 3.0]])
+    normals = np.tile([1.0, 0.0], (3, 1))
     lines = sample(field, middles, normals, OPTICAL_FINE.offsets)
     assert np.isfinite(lines[0]).all()
     assert np.isnan(lines[1:]).all()

@@ -72,10 +72,8 @@ def mirrored_rig(rig: Calibration) -> Calibration:
 def test_a_mirrored_scene_has_mirrored_answers(
     frames: Any, plain: Detection, rig: Calibration
 ) -> None:
-    left, right = (
-        np.ascontiguousarray(frames.right[:, ::-1]),
-        np.ascontiguousarray(frames.left[:, ::-1]),
-    )
+    left = np.ascontiguousarray(frames.right[:, ::-1])
+    right = np.ascontiguousarray(frames.left[:, ::-1])
     mirrored = replace(
         frames, left=left, right=right, thermal_k=np.ascontiguousarray(frames.thermal_k[:, ::-1])
     )

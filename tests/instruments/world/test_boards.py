@@ -166,10 +166,8 @@ def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
     warmth = renderer().thermal.expected_k(with_board(board)) - 293.15
     reach = round(18.0 * camera.fc[0] / 1080.0)
     for u, v in by_opencv(camera, board.corners_mm):
-        rows, columns = (
-            slice(round(v) - reach, round(v) + reach + 1),
-            slice(round(u) - reach, round(u) + reach + 1),
-        )
+        rows = slice(round(v) - reach, round(v) + reach + 1)
+        columns = slice(round(u) - reach, round(u) + reach + 1)
         patch = warmth[rows, columns]
         at = [
             (patch.sum(axis=0) @ np.arange(columns.start, columns.stop)),

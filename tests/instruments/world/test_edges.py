@@ -76,10 +76,8 @@ def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
     """
     camera, worst = _eye(which).view.camera, 0.0
     for phase in np.linspace(0.0, 0.85, 9):
-        a, b = (
-            np.array([-180.0 + phase, 230.0, 60.0]),
-            np.array([-180.0 + phase + lean_mm, 230.0, 180.0]),
-        )
+        a = np.array([-180.0 + phase, 230.0, 60.0])
+        b = np.array([-180.0 + phase + lean_mm, 230.0, 180.0])
         share = hidden_share(which, Hull(tuple(a), tuple(b), 11.0, 11.0))
         middle = by_opencv(camera, 0.5 * (a + b)[None, :])[0]
         rows = np.arange(round(middle[1]) - 30, round(middle[1]) + 30)
@@ -119,10 +117,8 @@ def test_edges_of_every_orientation(which: str, angle_deg: float) -> None:
             np.interp(rows, limb[np.argsort(limb[:, 1]), 1], limb[np.argsort(limb[:, 1]), 0])
             for limb in limbs
         ]
-        low, high = (
-            int(min(e.min() for e in expected)) - 12,
-            int(max(e.max() for e in expected)) + 13,
-        )
+        low = int(min(e.min() for e in expected)) - 12
+        high = int(max(e.max() for e in expected)) + 13
         columns = np.arange(low, high)
         profile = flat[np.ix_(rows, columns)]
         width, centre = profile.sum(axis=1), profile @ columns / profile.sum(axis=1)
@@ -254,10 +250,8 @@ def test_out_of_focus_widens_edges_as_the_thin_lens_says() -> None:
     confusion; one in focus doesn't.
     """
     focus = Focus(aperture_mm=8.0, distance_mm=1040.0)
-    sharp, soft = (
-        renderer(prnu=0.0, dsnu_e=0.0).left,
-        renderer(prnu=0.0, dsnu_e=0.0, focus=focus).left,
-    )
+    sharp = renderer(prnu=0.0, dsnu_e=0.0).left
+    soft = renderer(prnu=0.0, dsnu_e=0.0, focus=focus).left
     for y, expected_px in (
         (200.0, 0.0),
         (960.0, 0.25 * 8.0 * 1293.1 * abs(1.0 / 1799.5 - 1.0 / 1040.0)),

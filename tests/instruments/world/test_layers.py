@@ -25,11 +25,9 @@ SHAPE = (6, 7)
 
 def some_layer(rng: np.random.Generator, near: float, far: float) -> Layer:
     pixel = rng.choice(42, size=rng.integers(0, 30), replace=False)
-    share, depth, value = (
-        rng.random(len(pixel)),
-        rng.uniform(near, far, len(pixel)),
-        rng.random(len(pixel)),
-    )
+    share = rng.random(len(pixel))
+    depth = rng.uniform(near, far, len(pixel))
+    value = rng.random(len(pixel))
     return Layer(pixel // 7, pixel % 7, share, depth, value)
 
 
@@ -118,10 +116,8 @@ def test_a_kept_arm_looks_as_one_drawn_anew() -> None:
     for x in (0.0, 3.0, 7.5):
         kept.render(scene(PlatePose(x)), np.random.default_rng(1))
     last = scene(PlatePose(11.0))
-    one, two = (
-        kept.render(last, np.random.default_rng(2)),
-        Renderer(renderer().cameras, camera_seed=7).render(last, np.random.default_rng(2)),
-    )
+    one = kept.render(last, np.random.default_rng(2))
+    two = Renderer(renderer().cameras, camera_seed=7).render(last, np.random.default_rng(2))
     for name in ("left", "right", "thermal_8bit", "thermal_ck"):
         assert np.array_equal(getattr(one, name), getattr(two, name))
 

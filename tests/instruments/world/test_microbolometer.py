@@ -51,18 +51,14 @@ def three_d_noise(frames: NDArray[np.float64]) -> dict[str, float]:
         return np.asarray(frames.mean(axis=axes, keepdims=True))
 
     level, row, column = mean_over(1, 2), mean_over(0, 2), mean_over(0, 1)
-    row_flicker, column_flicker, fixed = (
-        mean_over(2) - level - row,
-        mean_over(1) - level - column,
-        mean_over(0) - row - column,
-    )
+    row_flicker = mean_over(2) - level - row
+    column_flicker = mean_over(1) - level - column
+    fixed = mean_over(0) - row - column
     fresh = frames - level - row - column - row_flicker - column_flicker - fixed
     s_tvh = fresh.var()
-    s_tv, s_th, s_vh = (
-        row_flicker.var() - s_tvh / h,
-        column_flicker.var() - s_tvh / v,
-        fixed.var() - s_tvh / t,
-    )
+    s_tv = row_flicker.var() - s_tvh / h
+    s_th = column_flicker.var() - s_tvh / v
+    s_vh = fixed.var() - s_tvh / t
     s_t = level.var() - s_tv / v - s_th / h
     s_v, s_h = row.var() - s_tv / t - s_vh / h, column.var() - s_th / t - s_vh / v
     named = zip(PUT_IN, (s_tvh, s_tv, s_th, s_t, s_vh, s_v, s_h), strict=True)
