@@ -1,6 +1,4 @@
-"""Boards before known cameras: corners with noise, by OpenCV's own projection, so that the
-project's geometry has a referee.
-"""
+"""Boards before known cameras: corners with noise, by OpenCV's own projection."""
 
 from __future__ import annotations
 
@@ -27,9 +25,7 @@ def thesis_rig() -> Calibration:
 
 
 def poses(seed: int, count: int, board: Board, spread: float) -> list[Motion]:
-    """left_from_board: the board's middle all over ``spread`` of the picture, tilted up to 40
-    degrees to every side, 0.8 to 1.4 m away.
-    """
+    """left_from_board: over ``spread`` of the picture, up to 40 degrees tilted, 0.8 to 1.4 m off."""
     rng = np.random.default_rng([seed, 7])
     found = []
     for at in range(count):
@@ -77,9 +73,7 @@ def seen(
     thermal: bool = False,
     count: int = 24,
 ) -> Mapping[str, list[View]]:
-    """Views by camera, with noise; ``shape`` bends the printed points into the real ones. The
-    thermal camera wants a small board.
-    """
+    """Views by camera, with noise; ``shape`` bends the printed points into the real ones."""
     rng = np.random.default_rng([seed, 8])
     cameras = {"left": (rig.left, Motion.identity()), "right": (rig.right, rig.right_from_left)}
     if thermal and rig.thermal.lens and rig.thermal_from_left:

@@ -1,6 +1,4 @@
-"""Bundle adjustment and cameras: what was put in comes out within what is claimed, and known sets
-give their known answers.
-"""
+"""Bundle adjustment: what was put in comes out within the stated covariance; known sets."""
 
 from __future__ import annotations
 

@@ -20,10 +20,11 @@ from detector.calibration import (
 from detector.geometry import apply_homography
 
 Edit = Callable[[str], str]
+Load = Callable[[Edit], Calibration]
 
 
 @pytest.fixture
-def load(tmp_path: Path, rig_file: Path) -> Callable[[Edit], Calibration]:
+def load(tmp_path: Path, rig_file: Path) -> Load:
     """Load the shipped file after an edit of its text."""
 
     def edited(edit: Edit) -> Calibration:
@@ -69,9 +70,7 @@ def test_dump_and_load_are_inverse(rig: Calibration, tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8").startswith("# two\n# lines\n")
 
 
-def test_an_absent_homography_is_derived(
-    rig: Calibration, load: Callable[[Edit], Calibration]
-) -> None:
+def test_an_absent_homography_is_derived(rig: Calibration, load: Load) -> None:
     at_depth = load(lambda text: without(text, "left = [[", "right = [["))
     corners = np.array([[0.0, 0], [639, 0], [0, 479], [639, 479]])
     assert at_depth.homographies.plane_depth_mm == rig.homographies.plane_depth_mm
@@ -86,9 +85,7 @@ def test_an_absent_homography_is_derived(
     )
 
 
-def test_a_rig_may_have_only_homographies(
-    rig: Calibration, load: Callable[[Edit], Calibration]
-) -> None:
+def test_a_rig_may_have_only_homographies(rig: Calibration, load: Load) -> None:
     def edit(text: str) -> str:
         head, _, tail = block_removed(text, "thermal").partition("[cameras.thermal]")
         return head + "[cameras.thermal]" + without(tail, "fc", "cc", "alpha_c", "kc")
@@ -100,7 +97,7 @@ def test_a_rig_may_have_only_homographies(
     assert np.array_equal(bare.homographies.right, rig.homographies.right)
 
 
-def faults(load: Callable[[Edit], Calibration], edit: Edit) -> dict[str, str]:
+def faults(load: Load, edit: Edit) -> dict[str, str]:
     with pytest.raises(CalibrationError) as caught:
         load(edit)
     for fault in caught.value.faults:
@@ -176,13 +173,11 @@ CASES: list[tuple[Edit, str, str]] = [
 
 
 @pytest.mark.parametrize(("edit", "key", "message"), CASES)
-def test_each_fault_is_named_where_it_is(
-    load: Callable[[Edit], Calibration], edit: Edit, key: str, message: str
-) -> None:
+def test_each_fault_is_named_where_it_is(load: Load, edit: Edit, key: str, message: str) -> None:
     assert message in faults(load, edit)[key]
 
 
-def test_all_faults_come_at_once(load: Callable[[Edit], Calibration]) -> None:
+def test_all_faults_come_at_once(load: Load) -> None:
     found = faults(
         load,
         lambda t: (
@@ -195,7 +190,7 @@ def test_all_faults_come_at_once(load: Callable[[Edit], Calibration]) -> None:
 
 
 def test_a_plane_that_the_cameras_cannot_see_is_a_fault(
-    load: Callable[[Edit], Calibration],
+    load: Load,
 ) -> None:
     def backwards(text: str) -> str:
         turned = text.replace("om = [-0.01086", "om = [3.01086")

@@ -1,6 +1,4 @@
-"""The stated uncertainty of a triangulated point is the one that
-repeating the calibration shows.
-"""
+"""A triangulated point's stated uncertainty is the one that repeated calibrations show."""
 
 from __future__ import annotations
 
@@ -97,7 +95,7 @@ def test_it_agrees_with_monte_carlo_within_ten_percent(covariance: ParameterCova
         np.testing.assert_allclose(np.sqrt(np.linalg.eigvalsh(stated[point])), seen_sd, rtol=0.1)
 
 
-def test_the_world_follows_the_lenses_so_that_errors_cancel_where_points_were_touched(
+def test_errors_cancel_where_points_were_touched(
     covariance: ParameterCovariance,
 ) -> None:
     apart = covariance.matrix.copy()
@@ -122,9 +120,7 @@ def test_pixels_alone_give_the_depth_of_a_disparity() -> None:
 
 
 def test_repeated_calibrations_scatter_as_each_says(covariance: ParameterCovariance) -> None:
-    """The whole chain, boards and touches anew each time: in units of what each states, the mean
-    squared error is about 1.
-    """
+    """Boards and touches anew each time: the mean squared normalised error is about 1."""
     rig, squared = thesis_rig(), []
     for seed in range(8):
         rng, views = np.random.default_rng([seed, 5]), seen(rig, 100 + seed)
@@ -154,9 +150,7 @@ def test_repeated_calibrations_scatter_as_each_says(covariance: ParameterCovaria
 
 
 class TestFile:
-    def test_covariance_and_record_come_back(
-        self, covariance: ParameterCovariance, tmp_path: Path
-    ) -> None:
+    def test_round_trip(self, covariance: ParameterCovariance, tmp_path: Path) -> None:
         written = with_covariance(covariance)
         path = tmp_path / "calibration.toml"
         path.write_text(dump_calibration(written), encoding="utf-8")

@@ -1,6 +1,4 @@
-"""Boards in pictures: found to a fraction of a pixel, told which end is which, or refused with the
-reason.
-"""
+"""Boards in pictures: found to a fraction of a pixel, in order, or refused with the reason."""
 
 from __future__ import annotations
 
@@ -70,9 +68,7 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
 def picture(
     board: Board, H: Array = TILTED, *, blur_px: float = 0.8, moved_px: int = 0, noise: float = 1.0
 ) -> Gray:
-    """The board through a homography from board mm to px, sampled finely, blurred, and with noise;
-    dark 40, bright 210.
-    """
+    """The board through a homography from board mm to px, blurred, noisy; dark 40, bright 210."""
     paper, to_paper = printed(board)
     finer = np.array([[SUPER, 0, (SUPER - 1) / 2], [0, SUPER, (SUPER - 1) / 2], [0, 0, 1.0]])
     large = cv2.warpPerspective(

@@ -91,9 +91,7 @@ def test_a_bent_board_is_named_even_by_the_calibration_that_was_made_with_it() -
 
 
 def world_of(scale: float, seed: int = 3) -> WorldFit:
-    """18 points on the table, touched with 0.2 mm, seen by a pair whose board's squares were told
-    wrongly by ``scale``.
-    """
+    """18 touched points, seen by a pair whose board's squares were wrong by ``scale``."""
     rig, rng = thesis_rig(), np.random.default_rng(seed)
     touched = np.array(
         [

@@ -1,6 +1,4 @@
-"""Detectors in processes of their own, good and bad: each is what it is, none hangs, none outlives
-whoever asked.
-"""
+"""Detectors in processes of their own: every fault has its outcome, none hangs, none is left."""
 
 from __future__ import annotations
 
@@ -36,9 +34,7 @@ def test_it_answers_and_its_start_stands_apart(start: Start, rig: Calibration) -
     assert detector.start_up_s is None, "it runs already"
 
 
-def test_it_gets_the_pictures_and_the_calibration_as_they_are(
-    start: Start, rig: Calibration, tmp_path: Path
-) -> None:
+def test_it_gets_pictures_and_calibration(start: Start, rig: Calibration, tmp_path: Path) -> None:
     kept = tmp_path / "seen"
     kept.mkdir()
     copies = (
@@ -67,9 +63,7 @@ def test_it_gets_the_pictures_and_the_calibration_as_they_are(
 @pytest.mark.parametrize(
     "deed", ["shutil.rmtree(os.path.dirname(asked['left']))", "os.unlink(asked['calibration'])"]
 )
-def test_a_program_that_removes_what_it_was_given_gets_it_again(
-    start: Start, rig: Calibration, deed: str
-) -> None:
+def test_what_a_program_removes_it_gets_again(start: Start, rig: Calibration, deed: str) -> None:
     there = (
         'import shutil\nthere = all(os.path.isfile(p) for k, p in asked.items() if k != "frame")\n'
     )
@@ -81,9 +75,7 @@ def test_a_program_that_removes_what_it_was_given_gets_it_again(
     assert [ask(detector, rig).hidden for _ in range(3)] == [1, 1, 1]
 
 
-def test_pictures_that_no_disk_takes_are_told(
-    start: Start, rig: Calibration, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk(start: Start, rig: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
     detector = start(GOOD)
 
     def full(*_: object, **__: object) -> int:
@@ -217,9 +209,7 @@ def test_wrong_values_cost_the_answer_but_not_the_process(start: Start, rig: Cal
     assert detector.start_up_s is None, "it was not started again"
 
 
-def test_what_it_writes_to_standard_error_is_kept_within_bounds(
-    start: Start, rig: Calibration
-) -> None:
+def test_standard_error_is_kept_within_bounds(start: Start, rig: Calibration) -> None:
     what = (
         'print("seen", asked["frame"], file=sys.stderr, flush=True)\nif asked["frame"] == "2":'
         ' raise ValueError("no teat")\n'

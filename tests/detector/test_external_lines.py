@@ -1,6 +1,4 @@
-"""The codec between the bench and a detector in a process of its own: whatever comes, it is an
-answer or one of two refusals.
-"""
+"""The codec of external detectors: whatever comes is an answer or one of two refusals."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""What holds a detector's processes: memory watched, and an end for all of them, whoever ends
-first.
-"""
+"""What supervises a detector's processes: memory watched, and an end for all of them."""
 
 from __future__ import annotations
 
@@ -65,9 +63,7 @@ with open(%r, "w") as file: file.write(f"{os.getpid()} {grandchild.pid}")
 
 @linux
 @pytest.mark.parametrize("ending", ["close", "crash", "timeout"])
-def test_a_grandchild_in_a_session_of_its_own_ends_too(
-    start: Start, rig: Calibration, tmp_path: Path, ending: str
-) -> None:
+def test_a_grandchild_ends_too(start: Start, rig: Calibration, tmp_path: Path, ending: str) -> None:
     deed = {
         "close": 'say({"frame": asked["frame"], "teats": []})',
         "crash": "sys.exit(1)",
@@ -104,9 +100,7 @@ os.kill(os.getppid(), signal.SIGKILL)
 
 @linux
 @pytest.mark.parametrize("goes_on", [True, False], ids=["answers on", "falls silent"])
-def test_one_that_kills_its_supervisor_leaves_nothing_behind(
-    start: Start, rig: Calibration, tmp_path: Path, goes_on: bool
-) -> None:
+def test_a_killed_supervisor(start: Start, rig: Calibration, tmp_path: Path, goes_on: bool) -> None:
     then = 'say({"frame": asked["frame"], "teats": []})' if goes_on else "time.sleep(600)"
     detector = start(answering(f"{ESCAPE % str(tmp_path / 'pids')}{then}"), answer_s=600.0)
     told = "has lost its supervisor, which was ended by signal 9"
@@ -125,9 +119,7 @@ def test_one_that_kills_its_supervisor_leaves_nothing_behind(
 
 
 @linux
-def test_the_system_refuses_a_process_far_more_memory_than_allowed(
-    start: Start, rig: Calibration
-) -> None:
+def test_the_system_refuses_far_more_memory_than_allowed(start: Start, rig: Calibration) -> None:
     """Memory that was never touched is not resident, so that only the hard limit can see it."""
     what = """import mmap
 try:

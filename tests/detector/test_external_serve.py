@@ -1,6 +1,4 @@
-"""A detector in Python behind the protocol: the same answers as without it, over pipes and over
-files.
-"""
+"""A detector in Python behind the protocol: the same answers as without it."""
 
 from __future__ import annotations
 
@@ -26,9 +24,7 @@ from tests.conftest import ROOT
 from tests.detector.conftest import Draw
 
 
-def test_the_thesis_gives_the_same_ends_from_a_process_of_its_own(
-    draw: Draw, teats_mm: NDArray[np.float64], rig: Calibration
-) -> None:
+def test_thesis_in_a_process(draw: Draw, teats_mm: NDArray[np.float64], rig: Calibration) -> None:
     frames = draw(teats_mm)
     command = [sys.executable, "-m", "detector.external.serve", "thesis"]
     there = ExternalDetector("there", command, time.perf_counter, folder=ROOT)
@@ -70,9 +66,7 @@ class Loud:
 """
 
 
-def test_what_a_served_detector_prints_is_no_line_of_ours(
-    tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_prints_are_kept(tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "loud.py").write_text(PRINTS, encoding="utf-8")
     info = tmp_path / "loud-1.dist-info"
     info.mkdir()
@@ -131,7 +125,7 @@ def test_kelvin_come_as_hundredths(tmp_path: Path) -> None:
         read_pictures({"left": str(tmp_path / "left.png")})
 
 
-def test_pictures_that_png_cannot_hold_are_a_failure_before_anything_starts(
+def test_pictures_that_png_cannot_hold_are_a_failure(
     rig: Calibration,
 ) -> None:
     detector = ExternalDetector("never", ["/no/such/program"], time.perf_counter)

@@ -1,6 +1,4 @@
-"""The table of detectors: cheap to list, exact about what it doesn't have, and in peace with what
-other packages bring.
-"""
+"""The table of detectors: cheap to list, exact about what is missing, with packages' own."""
 
 from __future__ import annotations
 
@@ -102,9 +100,7 @@ def test_listing_loads_no_picture_library() -> None:
 
 
 @pytest.mark.parametrize("how", ["Told", "ready", "made"])
-def test_a_package_may_bring_an_object_a_class_or_what_makes_one(
-    plugs: dict[str, EntryPoint], rig: Calibration, how: str
-) -> None:
+def test_what_packages_bring(plugs: dict[str, EntryPoint], rig: Calibration, how: str) -> None:
     detector = create(how.lower(), plugs.values())
     assert (detector.name, detector.version, dict(detector.parameters)) == (
         how.lower(),
@@ -120,9 +116,7 @@ def test_what_it_does_not_say_of_itself_is_filled_in(plugs: dict[str, EntryPoint
 
 
 def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) -> None:
-    """Names, versions and settings go into the record and into a hash, whatever a package made them
-    of.
-    """
+    """Names, versions and settings go into the record and into a hash."""
     detector = create("odd", plugs.values())
     assert detector.version == "1 2 ?"
     assert detector.parameters == {"1": 2, "a": {"3": 4, "b": [[1.0, 0.0], [0.0, 1.0]]}, "c": "{5}"}
@@ -172,7 +166,7 @@ def test_a_name_that_no_file_could_bear_is_left_out() -> None:
         create("../up", given)
 
 
-def test_an_installed_package_is_found_and_a_broken_one_does_not_stop_the_list(
+def test_an_installed_package_is_found_and_a_broken_one_told(
     tmp_path: Path,
 ) -> None:
     (tmp_path / "udders.py").write_text(PACKAGE, encoding="utf-8")

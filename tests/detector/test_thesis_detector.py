@@ -1,6 +1,4 @@
-"""The whole chain: on drawn frames, on frames that can't be used, and under changes whose effect is
-known beforehand.
-"""
+"""The whole chain: on drawn frames, on unusable frames, and under changes of known effect."""
 
 from __future__ import annotations
 
@@ -132,9 +130,7 @@ def test_a_radiometric_frame_alone_will_do(frames: Any, rig: Calibration) -> Non
     )
 
 
-def test_the_original_stopped_where_the_window_left_the_picture(
-    frames: Any, rig: Calibration
-) -> None:
+def test_a_window_outside_may_be_refused(frames: Any, rig: Calibration) -> None:
     strict = ThesisDetector(Parameters(window_outside="refuse")).detect(frames, rig)
     assert strict.teats == ()
     assert strict.reason is not None
@@ -182,9 +178,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("change", "reason"), BAD)
-def test_frames_that_cannot_be_used_give_a_reason(
-    frames: Any, rig: Calibration, change: dict[str, Any], reason: str
-) -> None:
+def test_bad_frames(frames: Any, rig: Calibration, change: dict[str, Any], reason: str) -> None:
     found = ThesisDetector().detect(replace(frames, **change), rig)
     assert found.teats == ()
     assert found.reason is not None
@@ -211,9 +205,7 @@ def test_tall_edges_without_tops_are_no_teats(frames: Any, rig: Calibration) -> 
     assert found.hidden == 4
 
 
-def test_a_nomination_outside_of_an_optical_picture_is_left_out(
-    frames: Any, rig: Calibration
-) -> None:
+def test_a_nomination_outside_of_a_picture_is_left_out(frames: Any, rig: Calibration) -> None:
     far = rig.homographies.left.copy()
     far[0, 2] -= 5000
     found = ThesisDetector().detect(

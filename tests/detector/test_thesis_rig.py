@@ -1,6 +1,4 @@
-"""The emulated rig's calibration: made from published figures, shipped as made, and as close to
-them as it says.
-"""
+"""The emulated rig's calibration: made from published figures, and as close to them as it says."""
 
 from __future__ import annotations
 
@@ -55,7 +53,7 @@ def test_the_shipped_file_is_what_the_fits_give(rig: Calibration) -> None:
         )
 
 
-def test_the_world_is_rigid_and_shows_the_teats_where_the_printed_matrix_does(
+def test_the_world_is_rigid_and_shows_the_teats_as_printed(
     rig: Calibration,
 ) -> None:
     assert np.linalg.det(rig.world_from_right.R) == pytest.approx(1.0, abs=1e-12)
@@ -125,9 +123,7 @@ def test_a_plane_behind_the_camera_is_refused(rig: Calibration) -> None:
         )
 
 
-def test_an_independent_fit_of_the_same_rig_agrees_to_a_few_pixels(
-    rig: Calibration, shared: Path
-) -> None:
+def test_an_independent_fit_agrees_to_a_few_pixels(rig: Calibration, shared: Path) -> None:
     other = load_calibration(shared / "data" / "path_traced" / "calibration.toml")
     for ours, theirs in zip(
         rig.project(made.TEAT_ENDS_MM), other.project(made.TEAT_ENDS_MM), strict=True

@@ -25,9 +25,7 @@ FINE = 12  # sub-pixels a pixel and axis
 
 @dataclass(frozen=True)
 class Body:
-    """A teat in the world: its end (3,) mm, the way to its base, its shape, its grey and its
-    temperature. ``seen_by``: L, R, T.
-    """
+    """A teat in the world: its end (3,) mm, lean, shape, grey and temperature."""
 
     end_mm: tuple[float, float, float]
     lean: tuple[float, float] = (0.0, 0.0)  # along world x and y, a unit downwards
@@ -93,9 +91,7 @@ Draw = Callable[..., Pictures]
 
 @pytest.fixture(scope="session")
 def draw_scene(rig: Calibration) -> Draw:
-    """A function that draws bodies, the farthest first, in all three cameras, with noise from a
-    seed.
-    """
+    """Draws bodies, the farthest first, in all three cameras, with noise from a seed."""
     assert rig.thermal.lens is not None
     assert rig.thermal_from_right is not None
     right_from_world = rig.world_from_right.inverse()

@@ -36,9 +36,7 @@ def test_points_inside_of_an_outline_are_those_of_opencv(seed: int) -> None:
 def test_a_bright_dome_isnt_taken_for_the_whole_teat(
     draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
 ) -> None:
-    """Light on the shaft alone: a flatter rim below the end has far more contrast, before a thing
-    as warm as the teat.
-    """
+    """A flatter rim below the end has more contrast, before a thing as warm as the teat."""
     teat = replace(udder[2], end_mm=(-140.0, 205.0, 136.0), height=1.0, radius_mm=11.0, grey=60.0)
     rim = replace(teat, end_mm=(-140.0, 204.9, 130.0), height=0.4, grey=150.0, seen_by="LR")
     arm = replace(teat, end_mm=(-140.0, 330.0, 220.0), radius_mm=60.0, grey=85.0, kelvin=305.5)

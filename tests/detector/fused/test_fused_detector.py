@@ -57,9 +57,7 @@ def test_teats_of_any_lean_and_shape_are_found(
 def test_covariances_are_honest(
     draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
 ) -> None:
-    """Normalised squared errors within the chi-square bounds of one set, on scenes apart in place
-    and noise (Bar-Shalom, section 5.4).
-    """
+    """Normalised squared errors within chi-square's bounds (Bar-Shalom, section 5.4)."""
     rng = np.random.default_rng(5)
     normalised = []
     for seed in range(5):
@@ -99,9 +97,7 @@ def test_calibration_uncertainty_is_added(
 def test_touching_teats_are_told_apart(
     draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration, gap_mm: float
 ) -> None:
-    """The thermal picture shows one broad thing; greys differ a little, as paint in other light
-    does.
-    """
+    """The thermal picture shows one broad thing; greys differ a little."""
     pair = [
         replace(udder[2], end_mm=(-150.0, 205.0, 130.0), height=1.0, grey=22.0),
         replace(

@@ -1,6 +1,4 @@
-"""Changes whose effect on the answers is known beforehand: mirrors, brightness, gain, another
-world, another order.
-"""
+"""Changes of known effect: mirrors, brightness, gain, another world, another order."""
 
 from __future__ import annotations
 
@@ -53,9 +51,7 @@ def mirrored_motion(motion: Motion) -> Motion:
 
 
 def mirrored_rig(rig: Calibration) -> Calibration:
-    """The rig in a mirror: what was the left camera is the right one, and the world's x runs the
-    other way.
-    """
+    """The rig in a mirror: left and right cameras change places, the world's x changes sign."""
     assert rig.thermal.lens is not None
     assert rig.thermal_from_right is not None
     return replace(
@@ -69,9 +65,7 @@ def mirrored_rig(rig: Calibration) -> Calibration:
     )
 
 
-def test_a_mirrored_scene_has_mirrored_answers(
-    frames: Any, plain: Detection, rig: Calibration
-) -> None:
+def test_a_mirrored_scene_mirrors_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
     left = np.ascontiguousarray(frames.right[:, ::-1])
     right = np.ascontiguousarray(frames.left[:, ::-1])
     mirrored = replace(
@@ -98,9 +92,7 @@ def test_a_warmer_room_moves_nothing(frames: Any, plain: Detection, rig: Calibra
     assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.01
 
 
-def test_another_world_frame_turns_the_answers(
-    frames: Any, plain: Detection, rig: Calibration
-) -> None:
+def test_another_world_turns_the_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
     turn = Motion.from_vectors([0.3, -0.5, 1.1], [10.0, -200.0, 35.0])
     found = FusedDetector().detect(
         frames, replace(rig, world_from_right=turn @ rig.world_from_right)
@@ -114,9 +106,7 @@ def test_another_world_frame_turns_the_answers(
         )
 
 
-def test_the_same_frames_give_the_same_answer(
-    frames: Any, plain: Detection, rig: Calibration
-) -> None:
+def test_same_frames_give_the_same_answer(frames: Any, plain: Detection, rig: Calibration) -> None:
     again = FusedDetector().detect(frames, rig)
     assert all(
         np.array_equal(a.world_mm, b.world_mm)

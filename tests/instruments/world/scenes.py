@@ -1,6 +1,4 @@
-"""What the tests of the scene share: the emulated rig's cameras, an empty scene, and OpenCV as the
-referee of geometry.
-"""
+"""What the scene's tests share: the emulated rig's cameras, an empty scene, OpenCV as referee."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Calibration boards in the scene: their corners against OpenCV's projection and detectors, by
-light and by heat, still and moving.
-"""
+"""Calibration boards in the scene, by light and by heat, still and moving, against OpenCV."""
 
 from __future__ import annotations
 
@@ -78,9 +76,7 @@ def test_every_pixel_has_its_exact_share_of_dark(pattern: Pattern) -> None:
 
 
 def _dark_at(board: Board, pixels: Floats) -> Floats:
-    """1 where the board is dark, at pixels (n, 2), by OpenCV's inverse of the lens and one ray
-    each.
-    """
+    """1 where the board is dark, at pixels (n, 2), by OpenCV's inverse of the lens."""
     camera = renderer().left.view.camera
     K = np.array(
         [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
@@ -157,9 +153,7 @@ def test_dark_parts_are_half_of_a_chessboard_and_circles_are_round() -> None:
 
 
 def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
-    """A heated board of circles: the middle of each one's heat against `cv2.projectPoints`, in
-    thermal pixels.
-    """
+    """The middle of each circle's heat, in thermal pixels."""
     pattern = Pattern("circles", 4, 3, 36.0, 9.0, feature_mm=18.0)
     board = Board((-175.0, 240.0, 155.0), pattern=pattern, light=20.0, dark=36.0)
     camera = renderer().cameras[2].resized(160, 120)
@@ -226,9 +220,7 @@ def test_a_heated_board_shows_its_squares_to_the_thermal_camera() -> None:
 
 
 def test_a_board_that_moves_is_smeared_along_its_way() -> None:
-    """At 50 mm/s and 0.1 s an upright edge is smeared over 5 mm, some 5.7 px; and stays where it is
-    at mid-exposure.
-    """
+    """At 50 mm/s and 0.1 s: over 5 mm, some 5.7 px, about the place at mid-exposure."""
     board = replace(UPRIGHT, pattern=Pattern("plain", 6, 6, 25.0, 0.0))
     still, moving = (
         renderer().left.expected(with_board(b, exposure=Exposure(0.1, 0.2)))

@@ -1,6 +1,4 @@
-"""Geometry and edges of rendered solids against OpenCV, at every orientation and sub-pixel phase;
-the lens's MTF; focus.
-"""
+"""Rendered solids against OpenCV, at every orientation and sub-pixel phase; MTF; focus."""
 
 from __future__ import annotations
 
@@ -71,9 +69,7 @@ def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("lean_mm", [0.0, 20.0])
 def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
-    """Both edges of a post, in rows of pixels, against the limb of the post by `cv2.projectPoints`:
-    below 0.01 px before noise.
-    """
+    """Both edges of a post in rows of pixels, against its limb: below 0.01 px before noise."""
     camera, worst = _eye(which).view.camera, 0.0
     for phase in np.linspace(0.0, 0.85, 9):
         a = np.array([-180.0 + phase, 230.0, 60.0])
@@ -95,9 +91,7 @@ def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("angle_deg", [0.0, 1.0, 5.0, 17.0, 30.0, 45.0, 60.0, 73.0, 89.0, 90.0])
 def test_edges_of_every_orientation(which: str, angle_deg: float) -> None:
-    """Both edges of a post turned in the picture's plane, sampled along its normal: their mean
-    place over each stretch, below 0.01 px.
-    """
+    """Both edges of a turned post: their mean place over each stretch, below 0.01 px."""
     camera = _eye(which).view.camera
     angle = np.radians(angle_deg)
     way = np.array([np.cos(angle), 0.0, np.sin(angle)])
@@ -132,9 +126,7 @@ def test_edges_of_every_orientation(which: str, angle_deg: float) -> None:
 
 
 def _limb(camera: CameraModel, a: Floats, b: Floats, radius: float, side: float) -> Floats:
-    """Points where rays touch a cylinder on its left or right: the normal is square to the axis and
-    to the ray.
-    """
+    """Points where rays touch a cylinder: the normal is square to the axis and to the ray."""
     axis = (b - a) / np.linalg.norm(b - a)
     away = a - camera.centre_mm
     away -= (away @ axis) * axis
@@ -145,9 +137,7 @@ def _limb(camera: CameraModel, a: Floats, b: Floats, radius: float, side: float)
 
 
 def test_the_rounded_end_reaches_its_apex() -> None:
-    """The picture of a teat ends where its hemisphere's limb does: highest covered row against
-    geometry.
-    """
+    """The highest covered row is the hemisphere's limb."""
     camera = renderer().cameras[0]
     share = hidden_share(
         "left", Hull((-180.0, 230.0, 30.0), (-180.0, 230.0, 125.0), 11.0, 11.0, flat_a=True)
@@ -185,9 +175,7 @@ def test_nothing_seen_beside_the_outline() -> None:
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("blur_px", [0.5, 0.9])
 def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> None:
-    """ISO 12233: the edge spread along the edge's normal, finely binned; its derivative's spectrum
-    is the declared transfer.
-    """
+    """ISO 12233: the edge spread along the normal, finely binned; its derivative's spectrum."""
     eye = renderer(blur_px=blur_px, prnu=0.0, dsnu_e=0.0, vignetting=0.0).left
     angle = np.radians(5.0)
     across, along = (np.cos(angle), 0.0, np.sin(angle)), (np.sin(angle), 0.0, -np.cos(angle))
@@ -246,9 +234,7 @@ def test_the_kernel_has_its_variance_and_its_transfer(sigma: float) -> None:
 
 
 def test_out_of_focus_widens_edges_as_the_thin_lens_says() -> None:
-    """A panel at twice the focused distance, through a wide lens: its edge spreads by the circle of
-    confusion; one in focus doesn't.
-    """
+    """At twice the focused distance an edge spreads by the circle of confusion; in focus not."""
     focus = Focus(aperture_mm=8.0, distance_mm=1040.0)
     sharp = renderer(prnu=0.0, dsnu_e=0.0).left
     soft = renderer(prnu=0.0, dsnu_e=0.0, focus=focus).left

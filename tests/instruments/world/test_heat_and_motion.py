@@ -1,6 +1,4 @@
-"""Heat along teats and at grazing angles, the backdrop's warmth; motion during exposure and the
-thermal camera's lag; exposure.
-"""
+"""Heat of teats and backdrop; motion during exposure; the thermal camera's lag; exposure."""
 
 from __future__ import annotations
 
@@ -31,9 +29,7 @@ WARM = SceneState(UPRIGHT, (33.0,), 33.0, 20.0, backdrop=PLAIN)
 
 
 def test_the_power_law_stands_for_the_band() -> None:
-    """Against Planck's law over 8 to 13 um, solved for the apparent temperature: within 0.1 K from
-    10 to 45 degC, room 20.
-    """
+    """Against Planck's law over 8 to 13 um: within 0.1 K from 10 to 45 degC, room 20."""
 
     def band(kelvin: float) -> float:
         return float(
@@ -53,9 +49,7 @@ def test_the_power_law_stands_for_the_band() -> None:
 
 
 def column_of_teat(state: SceneState) -> Floats:
-    """degC up the middle of the teat, from near the base to below
-    its rounded end, sensor pixels.
-    """
+    """degC up the middle of the teat, from near the base to below its rounded end."""
     seen = renderer().thermal.expected_k(state) - 273.15
     (u, top), (_, foot) = (
         by_opencv(
@@ -69,9 +63,7 @@ def column_of_teat(state: SceneState) -> Floats:
 
 
 def test_a_teat_is_warmer_at_its_base() -> None:
-    """By `teat_fall` of what it is above the room, evenly: 13 K x 0.1 over its length, and its mean
-    stays.
-    """
+    """By `teat_fall` of what it is above the room: 13 K x 0.1; its mean stays."""
     along = column_of_teat(replace(WARM, teat_fall=0.1))
     flat = column_of_teat(replace(WARM, teat_fall=0.0))
     slope = np.polyfit(np.arange(len(along)) / len(along), along - flat, 1)[0]
@@ -144,9 +136,7 @@ def profile(state: SceneState) -> Image:
 
 
 def test_a_moving_phantom_is_smeared_about_its_place_at_mid_exposure() -> None:
-    """200 mm/s for 40 ms: 8 mm, some 9.6 px, evenly on both sides; the light that the teat takes
-    away stays the same.
-    """
+    """200 mm/s for 40 ms: 8 mm, some 9.6 px, evenly on both sides, with the same sum."""
     # In light that doesn't saturate: what is clipped has no smear to show.
     dim = replace(WARM, exposure=Exposure(0.04), lighting=Lighting(brightness=0.4))
     still = profile(dim)

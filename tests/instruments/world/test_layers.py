@@ -1,6 +1,4 @@
-"""Layers laid over one another against a brute-force account of every pixel; what is kept is what
-would be drawn anew.
-"""
+"""Layers against a brute-force account of every pixel; what is kept is what is drawn anew."""
 
 from __future__ import annotations
 

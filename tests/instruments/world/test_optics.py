@@ -73,9 +73,7 @@ def test_the_teat_ends_lie_in_all_three_images() -> None:
 
 
 def test_motions_chain_as_published() -> None:
-    """X_right = R X_left + T, X_world = R X_right + T: the centres of the cameras, by hand from the
-    file.
-    """
+    """X_right = R X_left + T, X_world = R X_right + T: the cameras' centres by hand."""
     table = shipped()
     left, right, thermal = cameras_from_calibration(table)
     world_R = cv2.Rodrigues(np.array(table["world"]["om"]))[0]

@@ -1,6 +1,4 @@
-"""The heated circuit against its physics, and against the figures of the fact sheet's own
-simulation (section 5); what its controller knows of, and what works without it.
-"""
+"""The heated circuit against its physics and the fact sheet's own simulation (section 5)."""
 
 from __future__ import annotations
 
@@ -95,9 +93,7 @@ def test_no_heat_is_lost_or_made_on_the_way() -> None:
 
 
 def test_full_power_rate_of_12_l_with_1500_w() -> None:
-    """Section 4.3: 12 L take 1.2 K/min a kilowatt, so 1.8 here; losses and the heater's own heat
-    take under 6 %.
-    """
+    """Section 4.3: 1.2 K/min a kilowatt, so 1.8; losses and the heater's heat take under 6 %."""
     plant = Plant(1, constants=NO_CUT_OUT)
     plant.run(60.0)
     plant.advance_to(60.0)
@@ -276,9 +272,7 @@ def test_hoses_delay_by_their_transit_time() -> None:
     ("flow_l_per_min", "drop_mk"), [(1.0, 62.0), (3.0, 21.0), (6.0, 10.0), (10.0, 6.0)]
 )
 def test_hoses_cool_the_water_as_tabled(flow_l_per_min: float, drop_mk: float) -> None:
-    """Section 4.3, foamed hose at 33/20 degC; with no heat through the teats they sit at the
-    supply's temperature.
-    """
+    """Section 4.3, foamed hose at 33/20 degC; teats with no loss have the supply's temperature."""
     plant = settled(constants=PlantConstants(teat_out_w_per_k=0.0, flow_l_per_min=flow_l_per_min))
     assert (plant.bath_c - plant.teat_c[0]) * 1000.0 == pytest.approx(drop_mk, rel=0.05, abs=0.6)
 

@@ -76,9 +76,7 @@ def test_another_camera_seed_is_another_camera() -> None:
 
 
 def thermal_masks() -> tuple[Floats, Floats]:
-    """Sensor pixels well inside the teats, and well outside of anything, from the warm scene before
-    noise.
-    """
+    """Sensor pixels well inside the teats, and well outside of anything."""
     seen = renderer().thermal.expected_k(warm())
     return np.asarray(seen > 273.15 + 31.0), np.asarray(seen < 273.15 + 20.001)
 

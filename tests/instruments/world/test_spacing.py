@@ -15,9 +15,7 @@ T = np.linspace(0.0, 1.0, 101)[:, None]
 
 
 @given(a=point, b=point, c=point, d=point)
-def test_no_pair_of_points_on_two_segments_is_nearer_than_said(
-    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray
-) -> None:
+def test_segments_are_apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> None:
     apart = segments_apart_mm(a, b, c, d)
     searched = float(
         np.linalg.norm((a + T * (b - a))[:, None] - (c + T * (d - c))[None], axis=2).min()
