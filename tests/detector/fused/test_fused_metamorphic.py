@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,13 +13,14 @@ from detector.calibration import Calibration
 from detector.fused.detector import FusedDetector
 from detector.geometry import Camera, Motion
 from detector.protocol import Detection
+from tests.detector.fused.conftest import Body, Draw, Find
 
 Array = NDArray[np.float64]
 M = np.diag([-1.0, 1.0, 1.0])
 
 
 @pytest.fixture(scope="module")
-def frames(draw_scene: Callable[..., Any], udder: list[Any]) -> Any:
+def frames(draw_scene: Draw, udder: list[Body]) -> Any:
     return draw_scene(udder, seed=2)
 
 
@@ -114,12 +114,8 @@ def test_same_frames_give_the_same_answer(frames: Any, plain: Detection, rig: Ca
     )
 
 
-def test_a_shifted_world_of_teats_shifts_the_answers(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
+def test_shifted_teats_shift_the_answers(find: Find, udder: list[Body]) -> None:
     by = np.array([7.3, -11.7, 4.1])
     shifted = [replace(b, end_mm=tuple(np.add(b.end_mm, by))) for b in udder]
-    found, before = (
-        FusedDetector().detect(draw_scene(bodies, noise=0.5), rig) for bodies in (shifted, udder)
-    )
+    found, before = (find(bodies, noise=0.5) for bodies in (shifted, udder))
     assert np.linalg.norm(places(found) - places(before) - by, axis=1).max() < 0.4
