@@ -25,15 +25,7 @@ import json, os, subprocess, sys, time
 def say(thing):
     print(json.dumps(thing), flush=True)
 """
-GOOD = (
-    HEAD
-    + """
-say({"ready": True})
-for line in sys.stdin:
-    asked = json.loads(line)
-    say({"frame": asked["frame"], "teats": [{"world_mm": [1, 2, 3]}], "hidden": 1})
-"""
-)
+NO_TEATS = 'say({"frame": asked["frame"], "teats": []})'
 
 
 def answering(what: str, ready: str = 'say({"ready": True})') -> str:
@@ -42,16 +34,7 @@ def answering(what: str, ready: str = 'say({"ready": True})') -> str:
     return f"{HEAD}\n{ready}\nfor line in sys.stdin:\n    asked = json.loads(line)\n{body}\n"
 
 
-def child(folder: Path, program: str, **limits: float | None) -> ExternalDetector:
-    """A detector that runs ``program``."""
-    path = folder / "program.py"
-    path.write_text(program, encoding="utf-8")
-    return ExternalDetector(
-        "mine",
-        [sys.executable, str(path)],
-        time.perf_counter,
-        limits=Limits(**limits),  # type: ignore[arg-type]
-    )
+GOOD = answering('say({"frame": asked["frame"], "teats": [{"world_mm": [1, 2, 3]}], "hidden": 1})')
 
 
 @pytest.fixture
@@ -59,7 +42,10 @@ def start(tmp_path: Path) -> Iterator[Start]:
     made: list[ExternalDetector] = []
 
     def begin(program: str, **limits: float | None) -> ExternalDetector:
-        made.append(child(tmp_path, program, **limits))
+        path = tmp_path / "program.py"
+        path.write_text(program, encoding="utf-8")
+        command, allowed = [sys.executable, str(path)], Limits(**limits)  # type: ignore[arg-type]
+        made.append(ExternalDetector("mine", command, time.perf_counter, limits=allowed))
         return made[-1]
 
     yield begin

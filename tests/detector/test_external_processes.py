@@ -15,7 +15,7 @@ from detector.external import ExternalDetector
 from detector.external.process import resident_mib
 from detector.protocol import DetectionFailure
 from tests.conftest import ROOT
-from tests.detector.children import GOOD, HEAD, Start, answering, ask, failure, start
+from tests.detector.children import GOOD, HEAD, NO_TEATS, Start, answering, ask, failure, start
 
 __all__ = ["start"]
 linux = pytest.mark.skipif(
@@ -34,9 +34,7 @@ def test_memory_is_watched_during_and_after_a_call(start: Start, rig: Calibratio
     hoard = "kept = bytearray(os.urandom(1)) * (200 << 20)\n"
     during = start(answering(hoard + "time.sleep(60)"), memory_mib=120.0)
     assert "MiB of memory, 120 MiB are allowed" in str(failure(during, rig))
-    after = start(
-        answering('say({"frame": asked["frame"], "teats": []})\n' + hoard), memory_mib=120.0
-    )
+    after = start(answering(f"{NO_TEATS}\n{hoard}"), memory_mib=120.0)
     ask(after, rig)
     with pytest.raises(DetectionFailure, match="MiB of memory"):
         look_for_a_minute(after)
@@ -54,6 +52,19 @@ def alive(pid: int) -> bool:
         return False
 
 
+def kept_in(folder: Path) -> list[int]:
+    """The processes that a program wrote down."""
+    return [int(pid) for pid in (folder / "pids").read_text(encoding="ascii").split()]
+
+
+def left_of(pids: list[int]) -> list[int]:
+    """Those that live on after a minute."""
+    deadline = time.monotonic() + 60
+    while (left := [pid for pid in pids if alive(pid)]) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return left
+
+
 GRANDCHILD = """
 spec = dict(start_new_session=True, stdin=subprocess.DEVNULL)
 grandchild = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], **spec)
@@ -64,23 +75,18 @@ with open(%r, "w") as file: file.write(f"{os.getpid()} {grandchild.pid}")
 @linux
 @pytest.mark.parametrize("ending", ["close", "crash", "timeout"])
 def test_a_grandchild_ends_too(start: Start, rig: Calibration, tmp_path: Path, ending: str) -> None:
-    deed = {
-        "close": 'say({"frame": asked["frame"], "teats": []})',
-        "crash": "sys.exit(1)",
-        "timeout": "time.sleep(60)",
-    }[ending]
-    detector = start(
-        answering(deed, GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})'), answer_s=0.5
-    )
+    deed = {"close": NO_TEATS, "crash": "sys.exit(1)", "timeout": "time.sleep(60)"}[ending]
+    ready = GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})'
+    detector = start(answering(deed, ready), answer_s=0.5)
     if ending == "close":
         ask(detector, rig)
     else:
         failure(detector, rig)
-    pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
-    assert all(alive(pid) for pid in pids) == (ending == "close")
+    pids = kept_in(tmp_path)
+    assert all(map(alive, pids)) == (ending == "close")
     detector.close()
     detector.close()
-    assert not any(alive(pid) for pid in pids)
+    assert not any(map(alive, pids))
 
 
 ESCAPE = """
@@ -101,7 +107,7 @@ os.kill(os.getppid(), signal.SIGKILL)
 @linux
 @pytest.mark.parametrize("goes_on", [True, False], ids=["answers on", "falls silent"])
 def test_a_killed_supervisor(start: Start, rig: Calibration, tmp_path: Path, goes_on: bool) -> None:
-    then = 'say({"frame": asked["frame"], "teats": []})' if goes_on else "time.sleep(600)"
+    then = NO_TEATS if goes_on else "time.sleep(600)"
     detector = start(answering(f"{ESCAPE % str(tmp_path / 'pids')}{then}"), answer_s=600.0)
     told = "has lost its supervisor, which was ended by signal 9"
     if goes_on:
@@ -110,12 +116,8 @@ def test_a_killed_supervisor(start: Start, rig: Calibration, tmp_path: Path, goe
             look_for_a_minute(detector)
     else:
         assert told in str(failure(detector, rig))
-    pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
-    deadline = time.monotonic() + 60
-    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert len(pids) == 4
-    assert [pid for pid in pids if alive(pid)] == []
+    assert len(pids := kept_in(tmp_path)) == 4
+    assert left_of(pids) == []
 
 
 @linux
@@ -154,13 +156,9 @@ time.sleep(600)
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "up\n"
-        pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
-        assert all(alive(pid) for pid in pids)
+        assert all(map(alive, pids := kept_in(tmp_path)))
         process.kill()
-    deadline = time.monotonic() + 60
-    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert not any(alive(pid) for pid in pids)
+    assert left_of(pids) == []
 
 
 def test_it_may_put_its_things_in_order(start: Start, rig: Calibration, tmp_path: Path) -> None:
@@ -179,11 +177,7 @@ def test_one_that_does_not_go_is_made_to(start: Start, rig: Calibration) -> None
 
 def test_closing_removes_the_pictures(start: Start, rig: Calibration, tmp_path: Path) -> None:
     place = tmp_path / "where"
-    what = (
-        f'open({str(place)!r}, "w").write(asked["left"])\nsay({{"frame": asked["frame"], "teats":'
-        " []})"
-    )
-    detector = start(answering(what))
+    detector = start(answering(f'open({str(place)!r}, "w").write(asked["left"])\n{NO_TEATS}'))
     ask(detector, rig)
     left = Path(place.read_text(encoding="utf-8"))
     assert left.is_file()

@@ -8,6 +8,8 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -23,20 +25,24 @@ from detector.registry import create
 from tests.conftest import ROOT
 from tests.detector.conftest import Draw
 
+SERVE = [sys.executable, "-m", "detector.external.serve"]
+
+
+def served(name: str, environment: Sequence[str] = ()) -> ExternalDetector:
+    return ExternalDetector(
+        "there", [*SERVE, name], time.perf_counter, folder=ROOT, environment=environment
+    )
+
 
 def test_thesis_in_a_process(draw: Draw, teats_mm: NDArray[np.float64], rig: Calibration) -> None:
     frames = draw(teats_mm)
-    command = [sys.executable, "-m", "detector.external.serve", "thesis"]
-    there = ExternalDetector("there", command, time.perf_counter, folder=ROOT)
-    try:
+    with closing(served("thesis")) as there:
         for _ in range(2):
             here, far = create("thesis").detect(frames, rig), there.detect(frames, rig)
             assert len(here.teats) == len(far.teats) == 4
             for one, other in zip(here.teats, far.teats, strict=True):
                 # a calibration file has ten digits
                 assert np.allclose(one.world_mm, other.world_mm, atol=1e-4)
-    finally:
-        there.close()
     assert there.said() == ""
 
 
@@ -77,18 +83,9 @@ def test_prints_are_kept(tmp_path: Path, rig: Calibration, monkeypatch: pytest.M
         "[teatbench.detectors]\nloud = loud:Loud\n", encoding="utf-8"
     )
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(ROOT)]))
-    there = ExternalDetector(
-        "there",
-        [sys.executable, "-m", "detector.external.serve", "loud"],
-        time.perf_counter,
-        folder=ROOT,
-        environment=["PYTHONPATH"],
-    )
     frames = Pictures(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
-    try:
+    with closing(served("loud", environment=["PYTHONPATH"])) as there:
         assert [there.detect(frames, rig).hidden for _ in range(2)] == [3, 3]
-    finally:
-        there.close()
     assert there.said().splitlines() == ["debug: here", "debug: here"]
 
 
@@ -97,12 +94,7 @@ def test_prints_are_kept(tmp_path: Path, rig: Calibration, monkeypatch: pytest.M
 )
 def test_serving_nobody_is_a_sentence(words: list[str], told: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "detector.external.serve", *words],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
+        [*SERVE, *words], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert told in done.stderr
