@@ -37,15 +37,20 @@ def answering(what: str, ready: str = 'say({"ready": True})') -> str:
 GOOD = answering('say({"frame": asked["frame"], "teats": [{"world_mm": [1, 2, 3]}], "hidden": 1})')
 
 
+def child(folder: Path, program: str, **limits: float | None) -> ExternalDetector:
+    """A detector that runs ``program``."""
+    path = folder / "program.py"
+    path.write_text(program, encoding="utf-8")
+    command, allowed = [sys.executable, str(path)], Limits(**limits)  # type: ignore[arg-type]
+    return ExternalDetector("mine", command, time.perf_counter, limits=allowed)
+
+
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
     made: list[ExternalDetector] = []
 
     def begin(program: str, **limits: float | None) -> ExternalDetector:
-        path = tmp_path / "program.py"
-        path.write_text(program, encoding="utf-8")
-        command, allowed = [sys.executable, str(path)], Limits(**limits)  # type: ignore[arg-type]
-        made.append(ExternalDetector("mine", command, time.perf_counter, limits=allowed))
+        made.append(child(tmp_path, program, **limits))
         return made[-1]
 
     yield begin
