@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import subprocess
 import sys
 import time
@@ -23,6 +22,7 @@ from detector.external.serve import Pictures, read_pictures, serve
 from detector.protocol import DetectionFailure
 from detector.registry import create
 from tests.conftest import ROOT
+from tests.detector.children import installed
 from tests.detector.conftest import Draw
 
 SERVE = [sys.executable, "-m", "detector.external.serve"]
@@ -73,16 +73,7 @@ class Loud:
 
 
 def test_prints_are_kept(tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "loud.py").write_text(PRINTS, encoding="utf-8")
-    info = tmp_path / "loud-1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: loud\nVersion: 1\n", encoding="utf-8"
-    )
-    (info / "entry_points.txt").write_text(
-        "[teatbench.detectors]\nloud = loud:Loud\n", encoding="utf-8"
-    )
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(ROOT)]))
+    monkeypatch.setenv("PYTHONPATH", installed(tmp_path, "loud", PRINTS, "loud = loud:Loud"))
     frames = Pictures(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
     with closing(served("loud", environment=["PYTHONPATH"])) as there:
         assert [there.detect(frames, rig).hidden for _ in range(2)] == [3, 3]
