@@ -85,9 +85,7 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
-    """Share (m, views) of good points among those of (m, views, k) not hidden; mostly hidden counts
-    as missing.
-    """
+    """Share (m, views) of good points of those not hidden (m, views, k); mostly hidden: missing."""
     return np.asarray(
         (good & open_).sum(axis=2) / np.maximum(open_.sum(axis=2), 0.4 * good.shape[2])
     )
@@ -129,9 +127,7 @@ def warmth_inside(
 def objections(
     teats: Array, evidence: Evidence, surroundings: float, p: Parameters
 ) -> list[str | None]:
-    """Why each of the teats (m, 8) is rejected, or None. ``surroundings``: the picture's level
-    without warmth.
-    """
+    """Why teats (m, 8) are rejected, or None. ``surroundings``: the level without warmth."""
     reasons: list[str | None] = [_objection(teats[i], evidence, i, p) for i in range(len(teats))]
     clean = [i for i, reason in enumerate(reasons) if reason is None]
     least = np.nanmin(evidence.warmth, axis=1, initial=np.inf) if len(teats) else np.zeros(0)

@@ -33,9 +33,7 @@ def _normal_levels() -> Image:
 
 
 def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
-    """Unit normal noise, float32, from a table of quantiles by 16 random bits: to 4.3 sigma, seven
-    times as fast.
-    """
+    """Unit normal noise, float32, from a table of quantiles by 16 random bits: to 4.3 sigma."""
     count = shape[0] * shape[1]
     bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
     level = bits.astype("<u8", copy=False).view("<u2")[:count].reshape(shape)
@@ -114,9 +112,7 @@ class Focus:
             )
 
     def sigma_px(self, depth_mm: NDArray[np.floating] | float, focal_px: float) -> Floats:
-        """Blur at a depth: circle of confusion aperture f |1/z - 1/z_focus|; a disc's sigma is a
-        quarter of it.
-        """
+        """Blur at a depth: a quarter of the circle of confusion, aperture f |1/z - 1/z_focus|."""
         nearer = np.abs(1.0 / np.asarray(depth_mm, dtype=np.float64) - 1.0 / self.distance_mm)
         return np.asarray(0.25 * (self.aperture_mm * focal_px * nearer))
 

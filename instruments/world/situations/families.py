@@ -56,9 +56,7 @@ class Draw:
 def udder(
     draw: Draw, *, lean_deg: tuple[float, float] = (0.0, 2.0), spread: float = 1.0
 ) -> Phantom:
-    """Four teats, the two near ones closer together, as seen from behind; ``lean_deg`` (least,
-    most).
-    """
+    """Four teats as seen from behind, the near ones closer together; ``lean_deg`` (least, most)."""
     middle = draw.between(-165.0, -95.0), draw.between(215.0, 265.0)
     wide, deep = (draw.between(26.0, 42.0), draw.between(52.0, 78.0)), draw.between(30.0, 50.0)
     teats = []
