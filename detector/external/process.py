@@ -90,7 +90,7 @@ class Child:
             raise ChildFault(self._ending()) from None
 
     def line(self, limit_s: float) -> bytes:
-        """Its next line. Raises ChildSilent after ``limit_s``, ChildFault for end, flood, memory."""
+        """Its next line. Raises ChildSilent after ``limit_s``, ChildFault at end, flood, memory."""
         deadline_s = self._stopwatch() + limit_s
         while True:
             left_s = deadline_s - self._stopwatch()
