@@ -1,3 +1,1 @@
-"""Pixels to millimetres: calibration, geometry and the teat detectors. numpy, OpenCV and scipy
-only.
-"""
+"""Pixels to millimetres: calibration, geometry, teat detectors. numpy, OpenCV and scipy only."""

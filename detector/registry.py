@@ -68,9 +68,7 @@ class Plugged:
 
 
 def available(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
-    """Name -> one line on every detector; other packages' are not loaded. ``plugs``: the entry
-    points, by default the group's.
-    """
+    """Name -> one line on every detector; ``plugs``: entry points, by default the group's."""
     usable = [plug for plug in _plugs(plugs) if _NAME.fullmatch(plug.name)]
     others = {plug.name: f"from {_source(plug)}" for plug in reversed(usable)}
     return {**others, **dict(zip(_SHIPPED, _ABOUT.splitlines(), strict=True))}
@@ -106,9 +104,7 @@ def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
 
 
 def create(name: str, plugs: Iterable[EntryPoint] | None = None) -> Detector:
-    """A detector with its own settings. Raises UnknownDetectorError with the nearest name,
-    BrokenDetectorError where it can't be loaded.
-    """
+    """A detector with its own settings. Raises UnknownDetectorError, BrokenDetectorError."""
     if name in _SHIPPED:
         module, maker = _SHIPPED[name]
         return cast("Detector", getattr(import_module(f"detector.{module}"), maker)())

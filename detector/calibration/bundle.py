@@ -186,9 +186,7 @@ def adjust(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Normal:
-    """Normal equations by blocks: ``shared`` (k, k), ``own`` (poses, 6, 6), ``coupling`` (poses, k,
-    6), slopes.
-    """
+    """Normal equations: ``shared`` (k, k), ``own`` (poses, 6, 6), ``coupling`` (poses, k, 6)."""
 
     shared: Array
     own: Array

@@ -57,9 +57,7 @@ MOST_BLOBS = 4  # times the board's circles: more is texture
 
 @dataclass(frozen=True, slots=True)
 class SubPixel:
-    """How corners are refined: half the window's side (None: the largest safe one), and when to
-    stop.
-    """
+    """Half the window's side (None: the largest safe one), and when to stop."""
 
     window_px: int | None = None
     steps: int = 60

@@ -225,9 +225,7 @@ def against_the_arm(world: WorldFit) -> list[Finding]:
 
 
 def _matters(mean: tuple[float, float], least: float, again: Remeasured) -> bool:
-    """Whether a mean over views, with its sd, is above ``least`` and differs from 0 at
-    `SIGNIFICANT`.
-    """
+    """Whether a mean, with its sd, is above ``least`` and differs from 0 at `SIGNIFICANT`."""
     (value, sd), freedom = mean, len(again.views) - 1
     if freedom < 1 or not abs(value) > least:
         return False

@@ -74,9 +74,7 @@ def fit_similarity(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
 
 
 def fit_affine(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
-    """A linear map and a shift; for points in a plane, its normal goes to the other's. Raises
-    ValueError as the rigid fit.
-    """
+    """A linear map and a shift; a plane's normal goes to the other's. Raises ValueError."""
     target, source = _arrays(target_mm, source_mm)
     rigid_fit(target, source)  # refuses what determines no fit, in the same words
     centred_t, centred_s = target - target.mean(axis=0), source - source.mean(axis=0)
@@ -128,9 +126,7 @@ def held_out_mm(
 
 
 def expected_fre_mm(fle_mm: float, n: int) -> float:
-    """Root of <FRE^2> = (1 - 2/N) <FLE^2>; ``fle_mm`` is a fiducial's rms. Raises ValueError below
-    3.
-    """
+    """Root of <FRE^2> = (1 - 2/N) <FLE^2>; ``fle_mm``: rms. Raises ValueError below 3."""
     return fle_mm * float(np.sqrt(1.0 - 2.0 / _enough(n)))
 
 

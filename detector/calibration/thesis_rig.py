@@ -104,9 +104,7 @@ def stereo_pixels(in_right_mm: Array) -> Array:
 
 
 def fit_world() -> Motion:
-    """`world_from_right` whose teat ends lie closest to the printed matrix's, in px over both
-    images.
-    """
+    """`world_from_right` whose teat ends lie closest to the printed matrix's, in px."""
     teats, wanted = np.array(TEAT_ENDS_MM), stereo_pixels(printed_teats_in_right_mm())
     start = rigid_fit(printed_teats_in_right_mm(), teats)
 

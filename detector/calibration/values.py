@@ -163,9 +163,7 @@ class Homographies:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Who, when (ISO date), with what, which cameras (identity by name), which files (SHA-256 by
-    name).
-    """
+    """Who, when (ISO date), with what, cameras (identity by name), files (SHA-256 by name)."""
 
     made: str
     by: str

@@ -134,9 +134,8 @@ class ExternalDetector:
         self._starts += 1
         memory_mib = self._limits.memory_mib
         try:
-            with self._ended_on_faults(
-                f"was not ready within {limit_s:g} s of its start", " before it was ready"
-            ):
+            late = f"was not ready within {limit_s:g} s of its start"
+            with self._ended_on_faults(late, " before it was ready"):
                 self._child = Child(
                     self._command, self._folder, memory_mib, self._stopwatch, self._environment
                 )

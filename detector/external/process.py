@@ -90,9 +90,7 @@ class Child:
             raise ChildFault(self._ending()) from None
 
     def line(self, limit_s: float) -> bytes:
-        """Its next line. Raises ChildSilent after ``limit_s``, ChildFault for an end, flood or
-        memory.
-        """
+        """Its next line. Raises ChildSilent after ``limit_s``, ChildFault at end, flood, memory."""
         deadline_s = self._stopwatch() + limit_s
         while True:
             left_s = deadline_s - self._stopwatch()
@@ -249,9 +247,7 @@ def _read(pipe: IO[bytes], take: Callable[[bytes], bool]) -> None:
 def _spawn(
     command: Sequence[str], folder: Path | None, env: Mapping[str, str], hard_mib: int
 ) -> tuple[subprocess.Popen[bytes], int | None]:
-    """The process, and the supervisor's pipe where there is one. A session of its own: Ctrl-C is
-    the bench's.
-    """
+    """The process, in a session of its own, and its supervisor's pipe where there is one."""
     settings: dict[str, Any] = {"cwd": folder, "env": env}
     settings |= dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
     if os.name != "posix":

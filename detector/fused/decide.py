@@ -27,11 +27,9 @@ _FARTHEST = 0.9
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
-_OUTLINE, _UNSURE, _WORSE = (
-    "its outline isn't that of a teat",
-    "its place is too unsure",
-    "a better one is in the same place",
-)
+_OUTLINE = "its outline isn't that of a teat"
+_UNSURE = "its place is too unsure"
+_WORSE = "a better one is in the same place"
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-0.6, 0.0, 0.6)  # of the radius
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
@@ -87,9 +85,7 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
-    """Share (m, views) of good points among those of (m, views, k) not hidden; mostly hidden counts
-    as missing.
-    """
+    """Share (m, views) of good points of those not hidden (m, views, k); mostly hidden: missing."""
     return np.asarray(
         (good & open_).sum(axis=2) / np.maximum(open_.sum(axis=2), 0.4 * good.shape[2])
     )
@@ -131,9 +127,7 @@ def warmth_inside(
 def objections(
     teats: Array, evidence: Evidence, surroundings: float, p: Parameters
 ) -> list[str | None]:
-    """Why each of the teats (m, 8) is rejected, or None. ``surroundings``: the picture's level
-    without warmth.
-    """
+    """Why teats (m, 8) are rejected, or None. ``surroundings``: the level without warmth."""
     reasons: list[str | None] = [_objection(teats[i], evidence, i, p) for i in range(len(teats))]
     clean = [i for i, reason in enumerate(reasons) if reason is None]
     least = np.nanmin(evidence.warmth, axis=1, initial=np.inf) if len(teats) else np.zeros(0)
@@ -244,11 +238,9 @@ def _held_by_thermal(evidence: Evidence, i: int) -> bool:
     """Whether a teat may lack its sides in a picture: end well seen in both, end and a side in the
     thermal one, less clearly where the other optical picture shows a side.
     """
-    end, side, thermal = (
-        evidence.end[i, :2].min(),
-        evidence.side[i, :2].max(),
-        min(evidence.end[i, 2], evidence.side[i, 2]),
-    )
+    end = evidence.end[i, :2].min()
+    side = evidence.side[i, :2].max()
+    thermal = min(evidence.end[i, 2], evidence.side[i, 2])
     return bool((end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5))
 
 

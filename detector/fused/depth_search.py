@@ -115,9 +115,7 @@ def sweep_bars(
 
 
 def _by_depth(teats: Array, maps: tuple[Map, ...], p: Parameters, *, end: bool) -> Array:
-    """Scores (n, d) of teats (n, d, 8); 0 for a size no teat has, the thermal picture being
-    coarse.
-    """
+    """Scores (n, d) of teats (n, d, 8); 0 for a size that no teat has."""
     score = _joint(teats.reshape(-1, COUNT), maps, _CROSS_PX, 1.0, end=end).max(axis=0)
     radius = teats[..., RADIUS]
     possible = (radius > 0.75 * p.least_radius_mm) & (radius < 1.3 * p.greatest_radius_mm)
@@ -171,9 +169,7 @@ def _scores(teats: Array, each: Map, shifts: Field, swell: float, *, end: bool) 
 
 
 def _across(each: Map, shifts: Field, at: Array, normals: Array) -> Array:
-    """Mean strength (shifts, m) across an outline ``at`` (k, m, 2) along ``normals`` (k or 1, m,
-    2); 0 outside.
-    """
+    """Mean strength (shifts, m) across an outline ``at`` (k, m, 2) along ``normals``; 0 outside."""
     rows, columns = each.gx.shape
     place = at.astype(np.float32)[:, None] + (shifts[None, :, None] + np.float32(1.5))
     # the border holds nothing

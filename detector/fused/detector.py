@@ -75,9 +75,7 @@ class FusedDetector:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Thermal:
-    """The thermal picture as a coarse view in sensor pixels, the lens of the delivered picture, and
-    the cold level.
-    """
+    """The thermal picture in sensor pixels, the delivered picture's lens, the cold level."""
 
     view: View
     lens: Camera

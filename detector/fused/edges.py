@@ -73,9 +73,7 @@ class Profile:
         return np.asarray(np.linalg.qr(np.column_stack(columns))[0])
 
     def _shapes(self, place: float) -> Array:
-        """Columns: level, step (second coefficient), and with ``limb`` the fall and the outer
-        slope.
-        """
+        """Columns: level, step; with ``limb`` the fall and the outer slope."""
         x = self.offsets - place
         step = ndtr(x / self.blur_px)
         columns = [np.ones_like(x), step]
@@ -109,14 +107,10 @@ class Edges:
 
 
 def sample(field: Field, middles_px: Array, normals: Array, offsets_px: Array) -> Field:
-    """Intensities (n, s) at ``offsets_px`` (s,) along ``normals`` (n, 2) from ``middles_px`` (n,
-    2); NaN outside.
-    """
+    """Intensities (n, s) at ``offsets_px`` along ``normals`` from ``middles_px``; NaN outside."""
     rows, columns = field.shape
-    middles, directions = (
-        np.nan_to_num(middles_px, nan=-1e4).astype(np.float32),
-        np.nan_to_num(normals).astype(np.float32),
-    )
+    middles = np.nan_to_num(middles_px, nan=-1e4).astype(np.float32)
+    directions = np.nan_to_num(normals).astype(np.float32)
     along = offsets_px.astype(np.float32)
     x, y = (middles[:, i, None] + along * directions[:, i, None] for i in range(2))
     values = cv2.remap(field, x, y, cv2.INTER_CUBIC)
@@ -190,9 +184,7 @@ def _summed(values: Field) -> Field:
 
 
 def _left_over(lines: Field, profile: Profile) -> tuple[Field, Field, Field]:
-    """Residual sums of squares of lines (n, s): best step at each place (n, g) without and with a
-    limb; straight line (n,).
-    """
+    """Residual sums of squares of lines (n, s): steps (n, g) without, with limb; straight (n,)."""
     y = np.where(np.isnan(lines), np.float32(0), lines)
     y -= y.mean(axis=1, keepdims=True)
     energy = np.einsum("ns,ns->n", y, y)
@@ -208,9 +200,7 @@ def _left_over(lines: Field, profile: Profile) -> tuple[Field, Field, Field]:
 def _likeliest(
     left: Field, straight: Field, floor: np.float32, profile: Profile, lines: int = 1
 ) -> Edges:
-    """Place of least residual (n, g), by a parabola; ``floor``: by noise alone, of so many
-    ``lines``.
-    """
+    """Place of least residual (n, g), by a parabola; ``floor``: by noise alone, of ``lines``."""
     g, s, _ = profile.bases.shape
     scale = np.maximum(left.min(axis=1), floor) / (s * lines)
     cost = left / scale[:, None] + ((profile.places / profile.pull_px) ** 2).astype(np.float32)

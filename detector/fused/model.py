@@ -75,9 +75,7 @@ def apexes(teats: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contour:
-    """Outlines of m teats, camera's frame: points (m, n, 3), unit normals, points from the end's
-    middle.
-    """
+    """Outlines of m teats, camera's frame: points (m, n, 3), normals, points from the middle."""
 
     points: Array
     normals: Array

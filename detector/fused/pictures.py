@@ -57,9 +57,7 @@ def thermal(frames: Frames, camera: ThermalCamera) -> Field:
 def region(
     picture: NDArray[Any], points_px: NDArray[np.float64], margin_px: int
 ) -> tuple[Field, NDArray[np.float64]]:
-    """Linear intensities about points (n, 2), and the first pixel (2,). Raises UnusableError where
-    it is empty.
-    """
+    """Linear intensities about points (n, 2), first pixel (2,). Raises UnusableError if empty."""
     rows, columns = picture.shape
     seen = points_px[np.isfinite(points_px).all(axis=1)]
     if len(seen) == 0:

@@ -101,9 +101,7 @@ def fine(
 def _look_again(
     seen: Seen, teats: Array, change: Array, views: tuple[View, ...], *, fine: bool
 ) -> Seen:
-    """Edges after a small ``change`` (m, 8): optical ones anew where outlines moved; coarse thermal
-    ones stay.
-    """
+    """Edges after a ``change`` (m, 8): optical ones anew where outlines moved, thermal kept."""
     outline = FINE_OUTLINE if fine else ROUGH_OUTLINE
     k = 2 * len(outline.part)
     moves = np.einsum("mki,mi->mk", seen.jacobian, change)
@@ -189,9 +187,7 @@ def _distinct(teats: Array, seen: Seen, least: float, same_mm: Array, most: int)
 
 
 def on_one_bar(teats: Array) -> NDArray[np.bool_]:
-    """Whether fits (m, 8) in rows and columns are of one teat: the one's middle is near the other's
-    axis.
-    """
+    """Whether fits (m, 8) in rows and columns are of one teat: a middle near the other's axis."""
     way, axis = teats[:, None, :3] - teats[:, :3], axes(teats)
     along = np.einsum("ikd,kd->ik", way, axis)
     return np.asarray(np.einsum("ikd,ikd->ik", way, way) - along**2 < (0.4 * teats[:, RADIUS]) ** 2)
@@ -277,9 +273,7 @@ def slide_ends(teats: Array, views: tuple[View, ...]) -> Array:
 
 
 def hidden_points(fitted: Fitted, accepted: list[int], again: list[int]) -> NDArray[np.bool_]:
-    """Which outline points (m, k) lie on or just beside a nearer accepted teat; only for teats
-    ``again``.
-    """
+    """Which outline points (m, k) lie on or beside a nearer accepted teat; of teats ``again``."""
     m, n = len(fitted.teats), len(FINE_OUTLINE.part)
     pixels = fitted.seen.pixels_px.reshape(m, -1, n, 2)
     hidden = np.zeros(pixels.shape[:3], dtype=bool)

@@ -87,9 +87,7 @@ def _unseen_end(fitted: Fitted) -> Array:
 
 
 def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> Array:
-    """(m, 3, 3) mm^2, world: ``own`` (right camera's frame) and the calibration's at ``ends_mm``
-    (m, 3).
-    """
+    """(m, 3, 3) mm^2, world: ``own`` (right camera's frame) and calibration's at ``ends_mm``."""
     R = calibration.world_from_right.R
     total = R @ own @ R.T
     if calibration.covariance is None or len(own) == 0:

@@ -1,3 +1,1 @@
-"""The published algorithm (chapter 4 and appendix A of the thesis), stage by stage: the baseline of
-every comparison.
-"""
+"""The published algorithm (thesis, chapter 4, appendix A), stage by stage: the baseline."""

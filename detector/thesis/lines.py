@@ -22,7 +22,8 @@ stands here:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +69,7 @@ def merge_columns(columns: Sequence[int], reach: int) -> list[int]:
 
     The listing, for each i, j: if |x_i - x_j| <= reach, both become round((x_i + x_j) / 2).
     """
-    runs = list(_runs(columns))
+    runs = [(column, len(list(same))) for column, same in groupby(columns)]
     done = 0
     while done < len(columns):
         at, offset = _locate(runs, done)
@@ -99,9 +100,7 @@ def _draw(runs: list[Run], at: int, offset: int, reach: int) -> list[Run]:
 
 
 def _meet(result: list[Run], mine: int, column: int, many: int, reach: int) -> int:
-    """Let `many` points of one column pass the one at `mine`; appends their places, returns its
-    own.
-    """
+    """Let `many` points of one column pass the one at `mine`; appends their places."""
     while many and column != mine and abs(column - mine) <= reach:
         middle = (mine + column + 1) // 2
         # once the point no longer moves, all the others follow it
@@ -127,14 +126,6 @@ def _locate(runs: list[Run], point: int) -> tuple[int, int]:
     raise IndexError(f"point {point} lies beyond the last run")
 
 
-def _runs(columns: Sequence[int]) -> Iterator[Run]:
-    start = 0
-    for i in range(1, len(columns) + 1):
-        if i == len(columns) or columns[i] != columns[start]:
-            yield columns[start], i - start
-            start = i
-
-
 Whole = NDArray[np.int64]
 
 _WINDOW_SLIP_PX = 1  # see above
@@ -152,9 +143,7 @@ def window_fits(shape: tuple[int, ...], centre: tuple[int, int], p: Parameters) 
 
 
 def horizontal_middles(mask: Mask, centre: tuple[int, int], p: Parameters) -> Array:
-    """Middles (n, 2) px of short horizontal lines in the window at (column, row), by row, then
-    column.
-    """
+    """Middles (n, 2) px of short horizontal lines in the window at (column, row), by row."""
     rows, columns = _points_in_window(mask, centre, p)
     rows = merge_rows(rows, columns, p.horizontal_merge_rows, p.horizontal_merge_columns)
     values, counts = np.unique(rows, return_counts=True)

@@ -124,9 +124,7 @@ def hysteresis(weak: Mask, strong: Mask) -> Mask:
 
 
 def thin_once(mask: Mask) -> Mask:
-    """One pass of parallel thinning, as bwmorph(…, 'thin', 1) (Guo and Hall 1989; Lam, Lee and Suen
-    1992).
-    """
+    """One pass of parallel thinning, bwmorph(…, 'thin', 1) (Guo and Hall 1989; Lam et al. 1992)."""
     # counter-clockwise from the east, as the papers number them: x1 = E, x2 = NE, ... x8 = SE
     around = ((0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0), (1, 1))
     for first in (True, False):  # remove pixels that end and join nothing: south-east, north-west

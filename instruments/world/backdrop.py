@@ -131,9 +131,7 @@ def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
 def draw(
     backdrop: Backdrop, lighting: Lighting, camera: CameraModel, rays: tuple[Floats, Floats]
 ) -> tuple[Image, Image]:
-    """Light of the backdrop at each pixel before lens and sensor, and depth in mm, (height, width)
-    each. Edges by exact coverage.
-    """
+    """Light of the backdrop before lens and sensor, and depth in mm, (height, width) each."""
     room = backdrop.room_albedo * lighting.ambient * lighting.brightness
     image = np.full(camera.height_px * camera.width_px, room, dtype=np.float32)
     depth = np.full_like(image, FAR_MM)
@@ -250,9 +248,7 @@ def shadow_map(lighting: Lighting, solids: Solids) -> ShadowMap | None:
 
 
 def _lamp_left(solids: Solids, casters: Ints, points: Rows, lamp: Lamp) -> Rows:
-    """Share of a round lamp seen from table points (3, n): a ray's gap to each solid, against the
-    penumbra.
-    """
+    """Share of a round lamp seen from table points (3, n): rays' gaps to solids by penumbra."""
     way = np.asarray(lamp.at_mm, dtype=np.float32)[:, None] - points
     far = np.sqrt(dot(way, way))
     way /= far

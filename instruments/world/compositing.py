@@ -46,9 +46,7 @@ def lay_over(
     values: Sequence[NDArray[Any]],
     corner: tuple[int, int] = (0, 0),
 ) -> None:
-    """Lay objects of these ``values`` over ``image`` (h, w) floats in place; first pixel at
-    ``corner``.
-    """
+    """Lay objects of these ``values`` over ``image`` (h, w) in place; first pixel at ``corner``."""
     flat, width = image.reshape(-1), image.shape[1]
     for together in _far_to_near(layers):
         part = [layers[i] for i in together]
@@ -292,9 +290,7 @@ def _bent(plane: Floats, camera: CameraModel, low: Floats, high: Floats) -> Floa
 
 
 def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cover:
-    """Signed areas in one flat buffer of windows; a closed outline's rows sum to zero, so one
-    running sum does.
-    """
+    """Signed areas in one flat buffer of windows; a closed outline's rows sum to zero."""
     low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
     np.minimum.at(low, owner, start)
     np.maximum.at(high, owner, start)

@@ -81,9 +81,7 @@ class ThermalSensor:
 
     @classmethod
     def from_calibration(cls, table: Mapping[str, Any]) -> ThermalSensor:
-        """A parsed calibration's thermal camera, with its size, mirroring and polarity. Raises
-        ValueError.
-        """
+        """A parsed calibration's thermal camera: size, mirroring, polarity. Raises ValueError."""
         entry = table.get("cameras", {}).get("thermal", {})
         width, height = entry.get("sensor_size", (cls().width_px, cls().height_px))
         polarity = entry.get("polarity", "hot_is_black")

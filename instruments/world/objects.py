@@ -125,9 +125,7 @@ def _cooler_body(
     radius_mm: float = 60.0,
     top_radius_mm: float | None = None,
 ) -> tuple[Hull, ...]:
-    """Section 5.2.6: a leg or flank behind the teats, cooler than them: upright, tapered, round on
-    top.
-    """
+    """Section 5.2.6: a cooler leg or flank behind the teats: upright, tapered, round on top."""
     top = 0.85 * radius_mm if top_radius_mm is None else top_radius_mm
     if not height_mm > top:
         raise ValueError(

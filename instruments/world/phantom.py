@@ -129,10 +129,8 @@ class Phantom:
         hulls = []
         for teat, base, axis in zip(self.teats, self.bases_mm, self.axes, strict=True):
             radius = teat.shape.radius_mm
-            foot, top = (
-                base + 0.5 * FLANGE_HEIGHT_MM * axis,
-                base + (teat.shape.length_mm - radius) * axis,
-            )
+            foot = base + 0.5 * FLANGE_HEIGHT_MM * axis
+            top = base + (teat.shape.length_mm - radius) * axis
             hulls.append(Hull(as_point(foot), as_point(top), radius, radius, flat_a=True))
         return tuple(hulls)
 

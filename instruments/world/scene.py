@@ -35,9 +35,7 @@ LEAST_SEEN = 0.5  # of a rounded end's near side
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSet:
-    """``left``, ``right``, ``thermal_8bit`` (as delivered) uint8; ``thermal_ck`` uint16, sensor's
-    grid, un-mirrored.
-    """
+    """``left``, ``right``, ``thermal_8bit`` uint8; ``thermal_ck`` uint16, un-mirrored."""
 
     left: NDArray[np.uint8]
     right: NDArray[np.uint8]
@@ -46,9 +44,7 @@ class RenderedSet:
 
 
 class Renderer:
-    """Three cameras before one scene. ``cameras``: left, right, thermal; ``camera_seed``: their
-    fixed patterns.
-    """
+    """Three cameras (left, right, thermal) before one scene; ``camera_seed``: fixed patterns."""
 
     def __init__(
         self,

@@ -33,9 +33,7 @@ def _normal_levels() -> Image:
 
 
 def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
-    """Unit normal noise, float32, from a table of quantiles by 16 random bits: to 4.3 sigma, seven
-    times as fast.
-    """
+    """Unit normal noise, float32, from a table of quantiles by 16 random bits: to 4.3 sigma."""
     count = shape[0] * shape[1]
     bits = rng.integers(0, 2**64, size=-(-count // 4), dtype=np.uint64, endpoint=False)
     level = bits.astype("<u8", copy=False).view("<u2")[:count].reshape(shape)
@@ -114,9 +112,7 @@ class Focus:
             )
 
     def sigma_px(self, depth_mm: NDArray[np.floating] | float, focal_px: float) -> Floats:
-        """Blur at a depth: circle of confusion aperture f |1/z - 1/z_focus|; a disc's sigma is a
-        quarter of it.
-        """
+        """Blur at a depth: a quarter of the circle of confusion, aperture f |1/z - 1/z_focus|."""
         nearer = np.abs(1.0 / np.asarray(depth_mm, dtype=np.float64) - 1.0 / self.distance_mm)
         return np.asarray(0.25 * (self.aperture_mm * focal_px * nearer))
 
@@ -204,10 +200,8 @@ class OpticalReadout:
         """
         shutter = exposure or Exposure()
         sensor, gain = self.sensor, self.sensor.gain_dn_per_e * shutter.gain
-        full, dark = (
-            np.float32(sensor.full_well_e),
-            np.float32(sensor.dark_e_per_s * shutter.time_s),
-        )
+        full = np.float32(sensor.full_well_e)
+        dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
         filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
         electrons = np.minimum(light * self._response[rows, columns] * filled + dark, full)
         spread = cv2.sqrt(np.float32(gain**2) * (electrons + np.float32(sensor.read_noise_e**2)))

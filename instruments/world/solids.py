@@ -185,9 +185,7 @@ def _meet_block(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floa
 
 
 def _meet_cone(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
-    """The body's endless cone: |p|^2 - h^2 = (r0 + k h)^2, quadratic in depth, camera at the
-    origin.
-    """
+    """The body's endless cone: |p|^2 - h^2 = (r0 + k h)^2, camera at the origin."""
     a, axis, r0, k = solids.a.T, solids.axis.T, solids.radius_0, solids.slope
     h0 = -dot(a, axis)
     bend = 1.0 + k * k
@@ -235,9 +233,7 @@ def _meet_disc(solids: Solids, which: Ints, rays: Floats, below: bool) -> Met:
 
 
 def clearance_mm(one: Hull, other: Hull) -> float:
-    """Least distance of two surfaces, mm; negative: overlap. Of two tapered solids one counts at
-    its widest.
-    """
+    """Least distance of two surfaces, mm; negative: overlap. Of two tapered, one is its widest."""
     (a, b), (c, d) = ((np.array(hull.a_mm), np.array(hull.b_mm)) for hull in (one, other))
     wide, other_wide = (max(hull.radius_a_mm, hull.radius_b_mm) for hull in (one, other))
     coarse = segments_apart_mm(a, b, c, d) - wide - other_wide
@@ -267,9 +263,7 @@ def _tapered_mm(cone: Hull, start: Floats, end: Floats) -> float:
 
 
 def segments_apart_mm(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
-    """Least distance of segments a b and c d: the lines' nearest points if within both, else the
-    nearest of four ends.
-    """
+    """Least distance of segments a b and c d: of nearest points within both, else of four ends."""
     u, v, w = b - a, d - c, a - c
     uu, uv, vv, uw, vw = (float(np.dot(*pair)) for pair in ((u, u), (u, v), (v, v), (u, w), (v, w)))
     det = uu * vv - uv * uv

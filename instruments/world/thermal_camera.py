@@ -1,6 +1,4 @@
-"""The thermal camera: radiance on a grid finer than its sensor, lens, pixels and their time
-constant.
-"""
+"""The thermal camera: radiance on a fine grid, lens, pixels and their time constant."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""Boards before known cameras: corners with noise, by OpenCV's own projection, so that the
-project's geometry has a referee.
-"""
+"""Boards before known cameras: corners with noise, by OpenCV's own projection."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -15,11 +14,23 @@ from detector.calibration import Calibration, load_calibration
 from detector.calibration.boards import Board
 from detector.calibration.cameras import View
 from detector.calibration.diagnosis import PairView
+from detector.calibration.world import fit_world
 from detector.geometry import Array, Camera, Motion
 
 BOARD = Board("chessboard", 9, 6, 40.0)
 SMALL_BOARD = Board("chessboard", 9, 6, 15.0)
 NOISE_PX = 0.1
+# eighteen points on the table, mm
+TOUCHED = np.array(
+    [
+        [x, y, z]
+        for z in (40.0, 120.0)
+        for x in (-300.0, -190.0, -80.0)
+        for y in (150.0, 235.0, 320.0)
+    ]
+)
+# with the noise of pixels and touches
+world_fit = partial(fit_world, pixel_sd_px=NOISE_PX, touch_sd_mm=0.2)
 
 
 def thesis_rig() -> Calibration:
@@ -27,29 +38,20 @@ def thesis_rig() -> Calibration:
 
 
 def poses(seed: int, count: int, board: Board, spread: float) -> list[Motion]:
-    """left_from_board: the board's middle all over ``spread`` of the picture, tilted up to 40
-    degrees to every side, 0.8 to 1.4 m away.
-    """
+    """left_from_board: over ``spread`` of the picture, up to 40 degrees tilted, 0.8 to 1.4 m off."""
     rng = np.random.default_rng([seed, 7])
     found = []
     for at in range(count):
-        tilt, way, turn = (
-            np.radians(rng.uniform(12.0, 40.0)),
-            2 * np.pi * (at + rng.uniform()) / count * 3,
-            np.radians(rng.uniform(-15, 15)),
-        )
+        tilt = np.radians(rng.uniform(12.0, 40.0))
+        way = 2 * np.pi * (at + rng.uniform()) / count * 3
+        turn = np.radians(rng.uniform(-15, 15))
         R = (
             cv2.Rodrigues(tilt * np.array([np.cos(way), np.sin(way), 0.0]))[0]
             @ cv2.Rodrigues(np.array([0.0, 0.0, turn]))[0]
         )
         depth = rng.uniform(800.0, 1400.0)
-        aim = np.array(
-            [
-                spread * rng.uniform(-0.28, 0.28) * depth + 50.0,
-                spread * rng.uniform(-0.2, 0.2) * depth,
-                depth,
-            ]
-        )
+        x, y = spread * rng.uniform(-0.28, 0.28) * depth, spread * rng.uniform(-0.2, 0.2) * depth
+        aim = np.array([x + 50.0, y, depth])
         middle = board.points_mm.mean(axis=0)
         found.append(Motion(R, aim - R @ middle))
     return found
@@ -57,13 +59,8 @@ def poses(seed: int, count: int, board: Board, spread: float) -> list[Motion]:
 
 def project(camera: Camera, camera_from_board: Motion, board_mm: Array) -> Array:
     K = np.array([[camera.fc[0], 0, camera.cc[0]], [0, camera.fc[1], camera.cc[1]], [0, 0, 1.0]])
-    seen = cv2.projectPoints(
-        board_mm.reshape(-1, 1, 3),
-        camera_from_board.om,
-        camera_from_board.T,
-        K,
-        np.array(camera.kc),
-    )[0]
+    points, pose, kc = board_mm.reshape(-1, 1, 3), camera_from_board, np.array(camera.kc)
+    seen = cv2.projectPoints(points, pose.om, pose.T, K, kc)[0]
     return np.asarray(seen.reshape(-1, 2), dtype=np.float64)
 
 
@@ -79,9 +76,7 @@ def seen(
     thermal: bool = False,
     count: int = 24,
 ) -> Mapping[str, list[View]]:
-    """Views by camera, with noise; ``shape`` bends the printed points into the real ones. The
-    thermal camera wants a small board.
-    """
+    """Views by camera, with noise; ``shape`` bends the printed points into the real ones."""
     rng = np.random.default_rng([seed, 8])
     cameras = {"left": (rig.left, Motion.identity()), "right": (rig.right, rig.right_from_left)}
     if thermal and rig.thermal.lens and rig.thermal_from_left:
@@ -92,13 +87,8 @@ def seen(
         for name, (camera, motion) in cameras.items():
             pixels = project(camera, motion @ pose, shape(board.points_mm))
             if inside(camera, pixels):
-                views[name].append(
-                    View(
-                        f"{number:02d}",
-                        board.points_mm,
-                        pixels + rng.normal(0.0, NOISE_PX, pixels.shape),
-                    )
-                )
+                noisy = pixels + rng.normal(0.0, NOISE_PX, pixels.shape)
+                views[name].append(View(f"{number:02d}", board.points_mm, noisy))
     return views
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -14,6 +15,8 @@ from detector.calibration import Calibration
 from detector.external import ExternalDetector, Limits
 from detector.external.serve import Pictures
 from detector.protocol import Detection, DetectionFailure
+from detector.registry import GROUP
+from tests.conftest import ROOT
 
 Start = Callable[..., ExternalDetector]
 PICTURES = Pictures(
@@ -25,15 +28,7 @@ import json, os, subprocess, sys, time
 def say(thing):
     print(json.dumps(thing), flush=True)
 """
-GOOD = (
-    HEAD
-    + """
-say({"ready": True})
-for line in sys.stdin:
-    asked = json.loads(line)
-    say({"frame": asked["frame"], "teats": [{"world_mm": [1, 2, 3]}], "hidden": 1})
-"""
-)
+NO_TEATS = 'say({"frame": asked["frame"], "teats": []})'
 
 
 def answering(what: str, ready: str = 'say({"ready": True})') -> str:
@@ -42,16 +37,26 @@ def answering(what: str, ready: str = 'say({"ready": True})') -> str:
     return f"{HEAD}\n{ready}\nfor line in sys.stdin:\n    asked = json.loads(line)\n{body}\n"
 
 
+GOOD = answering('say({"frame": asked["frame"], "teats": [{"world_mm": [1, 2, 3]}], "hidden": 1})')
+
+
 def child(folder: Path, program: str, **limits: float | None) -> ExternalDetector:
     """A detector that runs ``program``."""
     path = folder / "program.py"
     path.write_text(program, encoding="utf-8")
-    return ExternalDetector(
-        "mine",
-        [sys.executable, str(path)],
-        time.perf_counter,
-        limits=Limits(**limits),  # type: ignore[arg-type]
-    )
+    command, allowed = [sys.executable, str(path)], Limits(**limits)  # type: ignore[arg-type]
+    return ExternalDetector("mine", command, time.perf_counter, limits=allowed)
+
+
+def installed(folder: Path, name: str, code: str, entry_points: str) -> str:
+    """A package with detectors, installed into ``folder``; the PYTHONPATH that finds it."""
+    info = folder / f"{name}-1.dist-info"
+    info.mkdir()
+    metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n"
+    (folder / f"{name}.py").write_text(code, encoding="utf-8")
+    (info / "METADATA").write_text(metadata, encoding="utf-8")
+    (info / "entry_points.txt").write_text(f"[{GROUP}]\n{entry_points}\n", encoding="utf-8")
+    return os.pathsep.join([str(folder), str(ROOT)])
 
 
 @pytest.fixture

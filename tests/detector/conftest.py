@@ -1,6 +1,4 @@
-"""Frame sets and files that the detector's tests share: drawn here with OpenCV, or read from
-../shared where it is there.
-"""
+"""Frame sets and files of the detector's tests: drawn with OpenCV, or read from ../shared."""
 
 from __future__ import annotations
 
@@ -54,9 +52,7 @@ def recorded(folder: Path) -> Pictures:
 
 @pytest.fixture(scope="session")
 def teats_mm() -> NDArray[np.float64]:
-    """Four teat ends (4, 3) in the world, as far apart as the phantom's, all well inside the
-    thermal picture.
-    """
+    """Four teat ends (4, 3) in the world, all well inside the thermal picture."""
     return np.array(
         [
             [-255.0, 275.0, 132.0],
@@ -69,9 +65,7 @@ def teats_mm() -> NDArray[np.float64]:
 
 @pytest.fixture(scope="session")
 def draw(rig: Calibration) -> Draw:
-    """A function that draws dark round-ended teats of 22 mm before a bright ground in all three
-    cameras: flat, without a scene.
-    """
+    """Draws flat dark round-ended teats of 22 mm before a bright ground in all three cameras."""
 
     def pictures(ends_mm: NDArray[np.float64], mirrored: bool = True) -> Pictures:
         assert rig.thermal.lens is not None
@@ -93,9 +87,7 @@ def draw(rig: Calibration) -> Draw:
 def teats_picture(
     size: tuple[int, int], ends_px: NDArray[np.float64], radii_px: NDArray[np.float64]
 ) -> NDArray[np.uint8]:
-    """Dark upright strokes with round tops at ends (n, 2) px, reaching far down, on a bright
-    picture of size (columns, rows).
-    """
+    """Dark upright strokes with round tops at ends (n, 2) px in a picture of (columns, rows)."""
     picture = np.full((size[1], size[0]), 210, dtype=np.uint8)
     for (x, y), radius in zip(ends_px, radii_px, strict=True):
         top, foot = (round(x), round(y + radius)), (round(x), round(y + 10 * radius))

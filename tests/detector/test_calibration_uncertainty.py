@@ -1,6 +1,4 @@
-"""The stated uncertainty of a triangulated point is the one that
-repeating the calibration shows.
-"""
+"""A triangulated point's stated uncertainty is the one that repeated calibrations show."""
 
 from __future__ import annotations
 
@@ -21,19 +19,10 @@ from detector.calibration.bundle import POSE
 from detector.calibration.cameras import calibrate_camera, join_cameras
 from detector.calibration.homographies import fit_homography
 from detector.calibration.values import Pair
-from detector.calibration.world import fit_world
 from detector.geometry import Array, Motion, apply_homography
-from tests.detector.boards_seen import seen, thesis_rig
+from tests.detector.boards_seen import TOUCHED, seen, thesis_rig, world_fit
 
 POINTS = np.array([[-190.0, 235.0, 135.0], [-110.0, 284.0, 134.0], [-300.0, 180.0, 90.0]])
-TOUCHED = np.array(
-    [
-        [x, y, z]
-        for z in (40.0, 120.0)
-        for x in (-300.0, -190.0, -80.0)
-        for y in (150.0, 235.0, 320.0)
-    ]
-)
 
 
 def with_covariance(covariance: ParameterCovariance) -> Calibration:
@@ -52,16 +41,8 @@ def covariance() -> ParameterCovariance:
     names = tuple(("stereo", name) if name in POSE else (owner, name) for owner, name in fit.names)
     left, right = rig.project(TOUCHED)
     given = ParameterCovariance(names, fit.covariance)
-    touched = {"pair_covariance": given, "pixel_sd_px": 0.1, "touch_sd_mm": 0.2}
-    return fit_world(
-        rig.left,
-        rig.right,
-        rig.right_from_left,
-        left,
-        right,
-        TOUCHED,
-        **touched,  # type: ignore[arg-type]
-    ).covariance
+    pair = rig.left, rig.right, rig.right_from_left
+    return world_fit(*pair, left, right, TOUCHED, pair_covariance=given).covariance
 
 
 def drawn(pair: Pair, covariance: ParameterCovariance, count: int, seed: int) -> list[Pair]:
@@ -83,13 +64,9 @@ def test_it_agrees_with_monte_carlo_within_ten_percent(covariance: ParameterCova
     left, right = rig.project(POINTS)
     rng = np.random.default_rng(2)
     pairs = drawn(rig, covariance, 1000, 1)
+    noises = [rng.normal(0, 0.2, (2, *left.shape)) for _ in pairs]
     shots = np.array(
-        [
-            pair.place(
-                left + rng.normal(0, 0.2, left.shape), right + rng.normal(0, 0.2, right.shape)
-            )
-            for pair in pairs
-        ]
+        [pair.place(left + n[0], right + n[1]) for pair, n in zip(pairs, noises, strict=True)]
     )
     stated = rig.covariance_of(POINTS, pixel_sd_px=0.2)
     for point in range(len(POINTS)):
@@ -97,16 +74,14 @@ def test_it_agrees_with_monte_carlo_within_ten_percent(covariance: ParameterCova
         np.testing.assert_allclose(np.sqrt(np.linalg.eigvalsh(stated[point])), seen_sd, rtol=0.1)
 
 
-def test_the_world_follows_the_lenses_so_that_errors_cancel_where_points_were_touched(
+def test_errors_cancel_where_points_were_touched(
     covariance: ParameterCovariance,
 ) -> None:
     apart = covariance.matrix.copy()
     world = np.array([owner == "world" for owner, _ in covariance.names])
     apart[np.ix_(world, ~world)] = apart[np.ix_(~world, world)] = 0.0
-    together, without = (
-        np.trace(with_covariance(c).covariance_of(POINTS)[0])
-        for c in (covariance, ParameterCovariance(covariance.names, apart))
-    )
+    both = covariance, ParameterCovariance(covariance.names, apart)
+    together, without = (np.trace(with_covariance(c).covariance_of(POINTS)[0]) for c in both)
     assert together < 0.5 * without
 
 
@@ -115,16 +90,13 @@ def test_pixels_alone_give_the_depth_of_a_disparity() -> None:
     sd = 0.1
     along = rig.world_from_right.R[:, 2]
     (of_depth,) = rig.covariance_of(POINTS[:1], pixel_sd_px=sd)
-    assert np.sqrt(along @ of_depth @ along) == pytest.approx(
-        np.sqrt(2) * sd * rig.depth_per_disparity_px_mm(POINTS[:1])[0], rel=0.05
-    )
+    by_formula = np.sqrt(2) * sd * rig.depth_per_disparity_px_mm(POINTS[:1])[0]
+    assert np.sqrt(along @ of_depth @ along) == pytest.approx(by_formula, rel=0.05)
     assert np.array_equal(rig.covariance_of(POINTS), np.zeros((3, 3, 3))), "no covariance, no noise"
 
 
 def test_repeated_calibrations_scatter_as_each_says(covariance: ParameterCovariance) -> None:
-    """The whole chain, boards and touches anew each time: in units of what each states, the mean
-    squared error is about 1.
-    """
+    """Boards and touches anew each time: the mean squared normalised error is about 1."""
     rig, squared = thesis_rig(), []
     for seed in range(8):
         rng, views = np.random.default_rng([seed, 5]), seen(rig, 100 + seed)
@@ -132,65 +104,46 @@ def test_repeated_calibrations_scatter_as_each_says(covariance: ParameterCovaria
             name: calibrate_camera(name, views[name], (1360, 1024)) for name in ("left", "right")
         }
         fit = join_cameras(alone, joint_lenses=("left", "right")).fit
-        names = tuple(
-            ("stereo", name) if name in POSE else (owner, name) for owner, name in fit.names
-        )
+        names = tuple(("stereo", n) if n in POSE else (owner, n) for owner, n in fit.names)
         left, right = rig.project(TOUCHED)
         left, right = left + rng.normal(0, 0.1, left.shape), right + rng.normal(0, 0.1, right.shape)
         cameras = fit.rig.cameras["left"], fit.rig.cameras["right"], fit.rig.from_reference["right"]
         given = ParameterCovariance(names, fit.covariance)
         touched = TOUCHED + rng.normal(0, 0.2, TOUCHED.shape)
-        world = fit_world(
-            *cameras, left, right, touched, pair_covariance=given, pixel_sd_px=0.1, touch_sd_mm=0.2
+        world = world_fit(*cameras, left, right, touched, pair_covariance=given)
+        stated = Calibration(
+            *cameras, world.world_from_right, rig.thermal, None, rig.homographies, world.covariance
         )
-        given_names = ("left", "right", "right_from_left", "world_from_right")
-        pair = dict(zip(given_names, (*cameras, world.world_from_right), strict=True))
-        stated = replace(rig, covariance=world.covariance, **pair)  # type: ignore[arg-type]
         off = stated.place(*rig.project(POINTS[:1]))[0] - POINTS[0]
         squared.append(off @ np.linalg.solve(stated.covariance_of(POINTS[:1])[0], off) / 3)
-    assert 0.4 < np.mean(squared) < 2.0, (
-        "chi-square of 24: its mean is 1, its standard deviation 0.29"
-    )
+    # chi-square of 24: its mean is 1, its standard deviation 0.29
+    assert 0.4 < np.mean(squared) < 2.0
+
+
+def uncertainty(parameters: str, rows: str) -> str:
+    return f"[uncertainty]\nparameters = [{parameters}]\ncovariance = [{rows}]"
 
 
 class TestFile:
-    def test_covariance_and_record_come_back(
-        self, covariance: ParameterCovariance, tmp_path: Path
-    ) -> None:
+    def test_round_trip(self, covariance: ParameterCovariance, tmp_path: Path) -> None:
         written = with_covariance(covariance)
         path = tmp_path / "calibration.toml"
         path.write_text(dump_calibration(written), encoding="utf-8")
         read = load_calibration(path)
         assert read.covariance is not None
         assert read.covariance.names == covariance.names
-        np.testing.assert_allclose(
-            read.covariance_of(POINTS), written.covariance_of(POINTS), rtol=1e-3
-        )
+        both = read.covariance_of(POINTS), written.covariance_of(POINTS)
+        np.testing.assert_allclose(*both, rtol=1e-3)
         assert read.record == written.record
 
     @pytest.mark.parametrize(
         ("block", "said"),
         [
-            ('[uncertainty]\nparameters = ["left fx"]\ncovariance = [[-1.0]]', "not a covariance"),
-            (
-                '[uncertainty]\nparameters = ["left fx"]\ncovariance = [[1.0], [0.0, 1.0]]',
-                "1 x 1 finite numbers",
-            ),
-            (
-                '[uncertainty]\nparameters = ["left focus"]\ncovariance = [[1.0]]',
-                "no such parameter: left focus",
-            ),
-            (
-                (
-                    '[uncertainty]\nparameters = ["left fx", "left fx"]\ncovariance = [[1.0], [0.0,'
-                    " 1.0]]"
-                ),
-                "named twice",
-            ),
-            (
-                '[uncertainty]\nparameters = ["left fx"]\ncovariance = [[1.0, 2.0]]',
-                "lower triangle",
-            ),
+            (uncertainty('"left fx"', "[-1.0]"), "not a covariance"),
+            (uncertainty('"left fx"', "[1.0], [0.0, 1.0]"), "1 x 1 finite numbers"),
+            (uncertainty('"left focus"', "[1.0]"), "no such parameter: left focus"),
+            (uncertainty('"left fx", "left fx"', "[1.0], [0.0, 1.0]"), "named twice"),
+            (uncertainty('"left fx"', "[1.0, 2.0]"), "lower triangle"),
             (
                 '[record]\nmade = "yesterday"\nby = ""\nwith_what = ""\ncameras = {}\ninputs = {}',
                 "a day such as",
@@ -234,15 +187,7 @@ def test_a_rotation_near_half_a_turn_keeps_its_covariance() -> None:
     rig = thesis_rig()
     turned = Motion.from_vectors([3.13, 0.01, 0.0], [0.0, 0.0, 0.0])
     left, right = rig.project(TOUCHED)
-    fit = fit_world(
-        rig.left,
-        rig.right,
-        rig.right_from_left,
-        left,
-        right,
-        turned.apply(rig.world_from_right.inverse().apply(TOUCHED)),
-        pair_covariance=None,
-        pixel_sd_px=0.1,
-        touch_sd_mm=0.2,
-    )
+    touched = turned.apply(rig.world_from_right.inverse().apply(TOUCHED))
+    pair = rig.left, rig.right, rig.right_from_left
+    fit = world_fit(*pair, left, right, touched, pair_covariance=None)
     assert max(fit.covariance.sd("world", name) or 0.0 for name in POSE[:3]) < 0.01

@@ -1,8 +1,8 @@
-"""Boards in pictures: found to a fraction of a pixel, told which end is which, or refused with the
-reason.
-"""
+"""Boards in pictures: found to a fraction of a pixel, in order, or refused with the reason."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -25,6 +25,7 @@ SIZE = (640, 480)
 CHESS = Board("chessboard", 8, 5, 30.0)
 CHARUCO = Board("charuco", 8, 5, 30.0, marker_mm=22.0, dictionary="4x4_50")
 CIRCLES = Board("circles", 7, 5, 30.0, circle_mm=15.0)
+MARKERS: dict[str, object] = {"kind": "charuco", "marker_mm": 20.0, "dictionary": "4x4_50"}
 TILTED = np.array([[1.75, 0.25, 110.0], [0.1, 1.9, 100.0], [0.0004, 0.0002, 1.0]])  # board mm -> px
 
 
@@ -32,29 +33,18 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
     """The board's print with a margin, and the map from board mm to its pixels."""
     margin = 30.0
     width, height = board.size_mm
-    paper = np.full(
-        (round((height + 2 * margin) * dots_per_mm), round((width + 2 * margin) * dots_per_mm)),
-        255,
-        np.uint8,
-    )
-    to_paper = np.array(
-        [
-            [dots_per_mm, 0, (margin + board.pitch_mm) * dots_per_mm - 0.5],
-            [0, dots_per_mm, 0],
-            [0, 0, 1.0],
-        ]
-    )
-    to_paper[1, 2] = to_paper[0, 2]
+    dots = [round((side + 2 * margin) * dots_per_mm) for side in (height, width)]
+    paper = np.full(dots, 255, np.uint8)
+    to_paper = np.diag([dots_per_mm, dots_per_mm, 1.0])
+    to_paper[:2, 2] = (margin + board.pitch_mm) * dots_per_mm - 0.5
     if board.kind == "charuco":
         inner = board.aruco.generateImage((round(width * dots_per_mm), round(height * dots_per_mm)))
         edge = round(margin * dots_per_mm)
         paper[edge : edge + inner.shape[0], edge : edge + inner.shape[1]] = inner
         return paper, to_paper
     rows, columns = np.mgrid[0 : paper.shape[0], 0 : paper.shape[1]]
-    x, y = (
-        ((columns + 0.5) / dots_per_mm - margin) / board.pitch_mm,
-        ((rows + 0.5) / dots_per_mm - margin) / board.pitch_mm,
-    )
+    x = ((columns + 0.5) / dots_per_mm - margin) / board.pitch_mm
+    y = ((rows + 0.5) / dots_per_mm - margin) / board.pitch_mm
     if board.kind == "chessboard":
         on = (x >= 0) & (y >= 0) & (x < board.columns + 1) & (y < board.rows + 1)
         paper[on & ((np.floor(x) + np.floor(y)) % 2 == 0)] = 0
@@ -62,10 +52,8 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
     assert board.circle_mm
     radius = board.circle_mm / 2 / board.pitch_mm
     x, y = x - radius, y - radius
-    nearest_x, nearest_y = (
-        np.clip(np.rint(x), 0, board.columns - 1),
-        np.clip(np.rint(y), 0, board.rows - 1),
-    )
+    nearest_x = np.clip(np.rint(x), 0, board.columns - 1)
+    nearest_y = np.clip(np.rint(y), 0, board.rows - 1)
     paper[np.hypot(x - nearest_x, y - nearest_y) < radius] = 0
     to_paper[:2, 2] = (margin + board.circle_mm / 2) * dots_per_mm - 0.5
     return paper, to_paper
@@ -74,24 +62,15 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
 def picture(
     board: Board, H: Array = TILTED, *, blur_px: float = 0.8, moved_px: int = 0, noise: float = 1.0
 ) -> Gray:
-    """The board through a homography from board mm to px, sampled finely, blurred, and with noise;
-    dark 40, bright 210.
-    """
+    """The board through a homography from board mm to px, blurred, noisy; dark 40, bright 210."""
     paper, to_paper = printed(board)
     finer = np.array([[SUPER, 0, (SUPER - 1) / 2], [0, SUPER, (SUPER - 1) / 2], [0, 0, 1.0]])
-    large = cv2.warpPerspective(
-        paper,
-        finer @ H @ np.linalg.inv(to_paper),
-        (SIZE[0] * SUPER, SIZE[1] * SUPER),
-        borderValue=255,
-    )
-    small = cv2.GaussianBlur(
-        cv2.resize(large, SIZE, interpolation=cv2.INTER_AREA).astype(np.float64), (0, 0), blur_px
-    )
-    small = cv2.blur(small, (max(moved_px, 1), 1))
-    return np.clip(
-        40 + small / 255 * 170 + np.random.default_rng(1).normal(0, noise, small.shape), 0, 255
-    ).astype(np.uint8)
+    through, fine = finer @ H @ np.linalg.inv(to_paper), (SIZE[0] * SUPER, SIZE[1] * SUPER)
+    large = cv2.warpPerspective(paper, through, fine, borderValue=255)
+    small = cv2.resize(large, SIZE, interpolation=cv2.INTER_AREA).astype(np.float64)
+    soft = cv2.blur(cv2.GaussianBlur(small, (0, 0), blur_px), (max(moved_px, 1), 1))
+    grain = np.random.default_rng(1).normal(0, noise, soft.shape)
+    return np.clip(40 + soft / 255 * 170 + grain, 0, 255).astype(np.uint8)
 
 
 def missed_px(found: Found, board: Board, H: Array = TILTED) -> Array:
@@ -134,29 +113,31 @@ def test_boards_that_read_the_same_turned_are_counted_alike_in_both_cameras() ->
     assert np.array_equal(order_alike(found, found.turned(board), board).ids, found.ids)
     assert order_alike(found, found, board) is found
     assert not CHESS.reads_the_same_turned
-    assert order_alike(found, found.turned(board), CHESS).ids[0] == 47, (
-        "colours have told it already"
-    )
+    # colours have told it already
+    assert order_alike(found, found.turned(board), CHESS).ids[0] == 47
+
+
+EMPTY = np.full((480, 640), 90, np.uint8)
 
 
 class TestRefusals:
-    def test_no_board(self) -> None:
-        with pytest.raises(
-            ViewRefusedError, match="no 8 x 5 chessboard found: is the whole board in the picture"
-        ):
-            find_board(np.full((480, 640), 90, np.uint8), CHESS)
-
-    def test_blurred(self) -> None:
-        with pytest.raises(ViewRefusedError, match=r"blurred: edges are \d+\.\d px wide"):
-            find_board(picture(CHESS, blur_px=3.5), CHESS)
-
-    def test_moved(self) -> None:
-        with pytest.raises(ViewRefusedError, match="the board moved: edges are"):
-            find_board(picture(CHESS, moved_px=13), CHESS)
-
-    def test_colour_is_the_callers_business(self) -> None:
-        with pytest.raises(ValueError, match="8-bit grey"):
-            find_board(np.zeros((10, 10, 3), np.uint8), CHESS)
+    @pytest.mark.parametrize(
+        ("make", "refusal", "said"),
+        [
+            (lambda: EMPTY, ViewRefusedError, "no 8 x 5 chessboard found: is the whole board in"),
+            (
+                lambda: picture(CHESS, blur_px=3.5),
+                ViewRefusedError,
+                r"blurred: edges are \d+\.\d px",
+            ),
+            (lambda: picture(CHESS, moved_px=13), ViewRefusedError, "the board moved: edges are"),
+            (lambda: np.dstack([EMPTY] * 3), ValueError, "8-bit grey"),
+        ],
+        ids=["no board", "blurred", "moved", "colour"],
+    )
+    def test_pictures(self, make: Callable[[], Gray], refusal: type[Exception], said: str) -> None:
+        with pytest.raises(refusal, match=said):
+            find_board(make(), CHESS)
 
     @pytest.mark.parametrize(
         ("faulty", "said"),
@@ -165,30 +146,16 @@ class TestRefusals:
             ({"columns": 2}, "from 3 x 3"),
             ({"pitch_mm": float("nan")}, "points' distance"),
             ({"marker_mm": 3.0}, "belong to a charuco board"),
-            ({"kind": "charuco", "marker_mm": 40.0, "dictionary": "4x4_50"}, "does not fit"),
-            ({"kind": "charuco", "marker_mm": 20.0, "dictionary": "9x9"}, "no marker dictionary"),
-            (
-                {
-                    "kind": "charuco",
-                    "marker_mm": 20.0,
-                    "dictionary": "4x4_50",
-                    "columns": 20,
-                    "rows": 20,
-                },
-                "needs 220 markers",
-            ),
+            (MARKERS | {"marker_mm": 40.0}, "does not fit"),
+            (MARKERS | {"dictionary": "9x9"}, "no marker dictionary"),
+            (MARKERS | {"columns": 20, "rows": 20}, "needs 220 markers"),
             ({"kind": "circles"}, "circle_mm belongs"),
         ],
     )
     def test_boards_that_are_none(self, faulty: dict[str, object], said: str) -> None:
-        wanted: dict[str, object] = {
-            "kind": "chessboard",
-            "columns": 8,
-            "rows": 5,
-            "pitch_mm": 30.0,
-        } | faulty
+        size: dict[str, object] = {"columns": 8, "rows": 5, "pitch_mm": 30.0}
         with pytest.raises(ValueError, match=said):
-            Board(**wanted)  # type: ignore[arg-type]
+            Board(**({"kind": "chessboard"} | size | faulty))  # type: ignore[arg-type]
 
 
 WIDE = Camera((1360, 1024), (800.0, 800.0), (680.0, 512.0), 0.0, (-0.3, 0.1, 0.0, 0.0, 0.0))
@@ -213,6 +180,5 @@ def test_one_beside_its_place_is_told_and_its_neighbours_are_not(at: tuple[int, 
     beside = grid.copy()
     beside[at] += (15.0, -21.0)
     assert np.argwhere(strays(beside)).tolist() == [list(at)]
-    assert np.linalg.norm(between_neighbours(beside)[at] - grid[at]) < 6.0, (
-        "near enough for a sub-pixel window"
-    )
+    # near enough for a sub-pixel window
+    assert np.linalg.norm(between_neighbours(beside)[at] - grid[at]) < 6.0

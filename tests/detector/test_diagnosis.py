@@ -19,9 +19,17 @@ from detector.calibration.diagnosis import (
     swapped,
 )
 from detector.calibration.values import Pair
-from detector.calibration.world import WorldFit, fit_world
+from detector.calibration.world import WorldFit
 from detector.geometry import Array, Motion
-from tests.detector.boards_seen import BOARD, pair_views, seen, shifted, thesis_rig
+from tests.detector.boards_seen import (
+    BOARD,
+    TOUCHED,
+    pair_views,
+    seen,
+    shifted,
+    thesis_rig,
+    world_fit,
+)
 
 SIZE = (1360, 1024)
 Views = Mapping[str, list[View]]
@@ -38,9 +46,8 @@ def calibrated(views: Views) -> Pair:
 
 
 def found(pair: Pair, views: Views) -> list[str]:
-    return [
-        finding.name for finding in measured_again(remeasure(pair, BOARD, pair_views(views)), pair)
-    ]
+    again = remeasure(pair, BOARD, pair_views(views))
+    return [finding.name for finding in measured_again(again, pair)]
 
 
 def bowl(points: Array) -> Array:
@@ -58,9 +65,8 @@ def test_a_sound_calibration_is_not_accused(pair: Pair, seed: int) -> None:
 
 
 def test_one_percent_of_baseline(pair: Pair) -> None:
-    longer = replace(
-        pair, right_from_left=Motion(pair.right_from_left.R, 1.01 * pair.right_from_left.T)
-    )
+    motion = pair.right_from_left
+    longer = replace(pair, right_from_left=Motion(motion.R, 1.01 * motion.T))
     again = remeasure(longer, BOARD, pair_views(seen(thesis_rig(), 40)))
     (finding,) = measured_again(again, longer)
     assert finding.name == "wrong baseline"
@@ -80,9 +86,8 @@ def test_swapped_cameras(pair: Pair) -> None:
     views = seen(thesis_rig(), 42)
     other_way: Views = {"left": views["right"], "right": views["left"]}
     assert found(pair, other_way) == ["swapped cameras"]
-    assert [finding.name for finding in swapped(calibrated(other_way).right_from_left)] == [
-        "swapped cameras"
-    ]
+    (finding,) = swapped(calibrated(other_way).right_from_left)
+    assert finding.name == "swapped cameras"
 
 
 def test_a_bent_board_is_named_even_by_the_calibration_that_was_made_with_it() -> None:
@@ -91,32 +96,13 @@ def test_a_bent_board_is_named_even_by_the_calibration_that_was_made_with_it() -
 
 
 def world_of(scale: float, seed: int = 3) -> WorldFit:
-    """18 points on the table, touched with 0.2 mm, seen by a pair whose board's squares were told
-    wrongly by ``scale``.
-    """
+    """18 touched points, seen by a pair whose board's squares were wrong by ``scale``."""
     rig, rng = thesis_rig(), np.random.default_rng(seed)
-    touched = np.array(
-        [
-            [x, y, z]
-            for z in (40.0, 120.0)
-            for x in (-300.0, -190.0, -80.0)
-            for y in (150.0, 235.0, 320.0)
-        ]
-    )
-    left, right = (pixels + rng.normal(0, 0.1, pixels.shape) for pixels in rig.project(touched))
+    left, right = (pixels + rng.normal(0, 0.1, pixels.shape) for pixels in rig.project(TOUCHED))
     told = Motion(rig.right_from_left.R, rig.right_from_left.T / scale)
-    seen_mm = touched + rng.normal(0, 0.2, touched.shape)
-    return fit_world(
-        rig.left,
-        rig.right,
-        told,
-        left,
-        right,
-        seen_mm,
-        pair_covariance=None,
-        pixel_sd_px=0.1,
-        touch_sd_mm=0.2,
-    )
+    seen_mm = TOUCHED + rng.normal(0, 0.2, TOUCHED.shape)
+    pair = rig.left, rig.right, told
+    return world_fit(*pair, left, right, seen_mm, pair_covariance=None)
 
 
 def test_a_wrong_square_size_shows_against_the_arm() -> None:
@@ -132,9 +118,7 @@ def test_outlier_views_are_listed() -> None:
     errors = {str(n): 0.1 + 0.01 * n for n in range(8)} | {"7": 0.6}
     said = "view 7 of left misses by 0.60 px, the median view by 0.14 px: look at it, and decide"
     assert outlier_views(errors, "left") == [Finding("outlier view", said)]
-    assert outlier_views({"1": 0.1, "2": 9.0}, "left") == [], (
-        "of two nobody can say which is the outlier"
-    )
+    assert outlier_views({"1": 0.1, "2": 9.0}, "left") == []  # of two either may be it
 
 
 class TestCoverage:
@@ -144,9 +128,8 @@ class TestCoverage:
         shown = coverage([view.pixels_px for view in views], SIZE, poses)
         assert shown.share > 0.7
         assert min(shown.tilted) >= 2
-        assert not any(
-            "tilt" in text or "more views" in text or "nearer" in text for text in shown.missing
-        )
+        words = ("tilt", "more views", "nearer")
+        assert not any(word in text for text in shown.missing for word in words)
 
     @pytest.mark.parametrize(
         ("om", "side"),
@@ -159,12 +142,8 @@ class TestCoverage:
     )
     def test_a_tilt_is_told_by_the_edge_that_comes_nearer(self, om: list[float], side: str) -> None:
         pose = Motion.from_vectors(om, [0.0, 0.0, 1000.0])
-        edges = {
-            "left": [-100.0, 0, 0],
-            "right": [100.0, 0, 0],
-            "upper": [0, -100.0, 0],
-            "lower": [0, 100.0, 0],
-        }
+        edges = {"left": [-100.0, 0, 0], "right": [100.0, 0, 0]}
+        edges |= {"upper": [0, -100.0, 0], "lower": [0, 100.0, 0]}
         depth = {name: float(pose.apply(np.array(point))[2]) for name, point in edges.items()}
         assert min(depth, key=lambda name: depth[name]) == side, "the referee: which edge is nearer"
         still = coverage([np.zeros((4, 2))] * 2, SIZE, [pose] * 2).missing

@@ -1,6 +1,4 @@
-"""Whatever frames and calibration any shipped detector meets: it works, or says in one sentence why
-not.
-"""
+"""Whatever frames and calibration a shipped detector gets: it works, or gives a reason."""
 
 from __future__ import annotations
 
@@ -101,9 +99,7 @@ def test_it_works_or_says_why_not(name: str, what: str, frames: Pictures, rig: C
 
 
 @pytest.mark.parametrize("what", sorted(DECEPTIVE))
-def test_the_published_chain_takes_anything_for_teats(
-    what: str, frames: Pictures, rig: Calibration
-) -> None:
+def test_the_published_chain_is_deceived(what: str, frames: Pictures, rig: Calibration) -> None:
     """Its faults are the original's: docs/detectors.md tells of this one."""
     assert len(create("thesis", []).detect(MET[what](frames), rig).teats) == 4
 
@@ -125,9 +121,7 @@ def test_16_bit_pictures_are_the_8_bit_ones(name: str, frames: Pictures, rig: Ca
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_pictures_that_cannot_be_written_to_are_enough(
-    name: str, frames: Pictures, rig: Calibration
-) -> None:
+def test_read_only_pictures_are_enough(name: str, frames: Pictures, rig: Calibration) -> None:
     for picture in (frames.left, frames.right, frames.thermal):
         assert picture is not None
         picture.setflags(write=False)

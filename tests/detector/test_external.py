@@ -1,6 +1,4 @@
-"""Detectors in processes of their own, good and bad: each is what it is, none hangs, none outlives
-whoever asked.
-"""
+"""Detectors in processes of their own: every fault has its outcome, none hangs, none is left."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ import pytest
 from detector.calibration import Calibration
 from detector.external import ExternalDetector
 from detector.protocol import DetectionFailure, Detector, Outcome, Served
-from tests.detector.children import GOOD, PICTURES, Start, answering, ask, failure, start
+from tests.detector.children import GOOD, NO_TEATS, PICTURES, Start, answering, ask, failure, start
 
 __all__ = ["start"]
 
@@ -36,54 +34,33 @@ def test_it_answers_and_its_start_stands_apart(start: Start, rig: Calibration) -
     assert detector.start_up_s is None, "it runs already"
 
 
-def test_it_gets_the_pictures_and_the_calibration_as_they_are(
-    start: Start, rig: Calibration, tmp_path: Path
-) -> None:
+def test_it_gets_pictures_and_calibration(start: Start, rig: Calibration, tmp_path: Path) -> None:
     kept = tmp_path / "seen"
     kept.mkdir()
-    copies = (
-        f"import shutil\n[shutil.copy(p, {str(kept)!r}) for k, p in asked.items() if k !="
-        ' "frame"]\n'
-    )
-    what = copies + 'say({"frame": asked["frame"], "teats": []})'
-    ask(start(answering(what)), rig)
-    left, kelvin = (
-        cv2.imread(str(kept / f"1-{name}.png"), cv2.IMREAD_UNCHANGED)
-        for name in ("left", "thermal_radiometric")
-    )
-    assert left is not None
-    assert kelvin is not None
-    assert np.array_equal(left, PICTURES.left)
+    copies = f"[shutil.copy(p, {str(kept)!r}) for k, p in asked.items() if k != 'frame']"
+    ask(start(answering(f"import shutil\n{copies}\n{NO_TEATS}")), rig)
+    names = ("left", "right", "thermal_radiometric")
+    assert sorted(path.name for path in kept.iterdir()) == [
+        *(f"1-{name}.png" for name in names), "calibration.toml"
+    ]  # fmt: skip
+    seen = {n: cv2.imread(str(kept / f"1-{n}.png"), cv2.IMREAD_UNCHANGED) for n in names}
+    assert np.array_equal(np.asarray(seen["left"]), PICTURES.left)
+    kelvin = np.asarray(seen["thermal_radiometric"])
     assert kelvin.dtype == np.uint16
     assert (kelvin == 30515).all()
-    assert sorted(path.name for path in kept.iterdir()) == [
-        "1-left.png",
-        "1-right.png",
-        "1-thermal_radiometric.png",
-        "calibration.toml",
-    ]
 
 
 @pytest.mark.parametrize(
     "deed", ["shutil.rmtree(os.path.dirname(asked['left']))", "os.unlink(asked['calibration'])"]
 )
-def test_a_program_that_removes_what_it_was_given_gets_it_again(
-    start: Start, rig: Calibration, deed: str
-) -> None:
-    there = (
-        'import shutil\nthere = all(os.path.isfile(p) for k, p in asked.items() if k != "frame")\n'
-    )
-    detector = start(
-        answering(
-            f'{there}{deed}\nsay({{"frame": asked["frame"], "teats": [], "hidden": int(there)}})'
-        )
-    )
+def test_what_a_program_removes_it_gets_again(start: Start, rig: Calibration, deed: str) -> None:
+    there = "all(os.path.isfile(p) for k, p in asked.items() if k != 'frame')"
+    says = 'say({"frame": asked["frame"], "teats": [], "hidden": int(there)})'
+    detector = start(answering(f"import shutil\nthere = {there}\n{deed}\n{says}"))
     assert [ask(detector, rig).hidden for _ in range(3)] == [1, 1, 1]
 
 
-def test_pictures_that_no_disk_takes_are_told(
-    start: Start, rig: Calibration, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk(start: Start, rig: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
     detector = start(GOOD)
 
     def full(*_: object, **__: object) -> int:
@@ -97,6 +74,8 @@ def test_pictures_that_no_disk_takes_are_told(
 
 
 SILENT, PARTIAL = "time.sleep(60)", 'print("{\\"frame\\": ", end="", flush=True)\ntime.sleep(60)'
+CUT = 'print("{\\"fra", end="", flush=True)\nsys.exit(1)'
+FLOOD = 'print("{}\\n" * 500, flush=True)'
 
 
 @pytest.mark.parametrize(
@@ -105,27 +84,15 @@ SILENT, PARTIAL = "time.sleep(60)", 'print("{\\"frame\\": ", end="", flush=True)
         (SILENT, Outcome.TIMEOUT, "it gave no answer within 1.5 s"),
         (PARTIAL, Outcome.TIMEOUT, 'stuck in the middle of a line that begins "{"frame":"'),
         ("sys.exit(3)", Outcome.FAILED, "it ended with exit code 3"),
-        (
-            'print("{\\"fra", end="", flush=True)\nsys.exit(1)',
-            Outcome.FAILED,
-            'exit code 1 in the middle of a line that begins "{"fra"',
-        ),
+        (CUT, Outcome.FAILED, 'exit code 1 in the middle of a line that begins "{"fra"'),
         ("raise KeyError('no teat')", Outcome.FAILED, "it ended with exit code 1"),
         ("os.kill(os.getpid(), 11)", Outcome.FAILED, "it was ended by signal 11"),
         ("os.close(1)\ntime.sleep(60)", Outcome.FAILED, "it closed its output"),
         ('print("debug: here", flush=True)', Outcome.FAILED, 'its line is not JSON: "debug: here"'),
         ('say({"frame": "0", "teats": []})', Outcome.FAILED, "it was asked about frame"),
         ('say({"frame": asked["frame"], "teats": 4})', Outcome.FAILED, 'no list "teats"'),
-        (
-            'sys.stdout.write("x" * (1 << 21))\nsys.stdout.flush()',
-            Outcome.FAILED,
-            "wrote a line of more than",
-        ),
-        (
-            'sys.stdout.write("{}\\n" * 500)\nsys.stdout.flush()',
-            Outcome.FAILED,
-            "it was asked about frame|without being asked",
-        ),
+        ('print("x" * (1 << 21), flush=True)', Outcome.FAILED, "wrote a line of more than"),
+        (FLOOD, Outcome.FAILED, "it was asked about frame|without being asked"),
     ],
 )
 def test_a_bad_call_is_what_it_is(
@@ -133,9 +100,8 @@ def test_a_bad_call_is_what_it_is(
 ) -> None:
     if os.name == "nt" and "kill" in what:
         pytest.skip("no such signal")
-    found = failure(
-        start(answering(what), answer_s=1.5 if outcome is Outcome.TIMEOUT else 60.0), rig
-    )
+    answer_s = 1.5 if outcome is Outcome.TIMEOUT else 60.0
+    found = failure(start(answering(what), answer_s=answer_s), rig)
     assert found.outcome is outcome
     assert any(part in str(found) for part in told.split("|")), found
 
@@ -166,11 +132,7 @@ def test_a_program_that_is_not_there(rig: Calibration) -> None:
 
 
 def test_after_a_fault_it_is_started_again(start: Start, rig: Calibration) -> None:
-    every_other = (
-        'sys.exit(1) if asked["frame"] in ("2", "3") else say({"frame": asked["frame"], "teats":'
-        " []})"
-    )
-    detector = start(answering(every_other))
+    detector = start(answering(f'sys.exit(1) if asked["frame"] in ("2", "3") else {NO_TEATS}'))
     outcomes = []
     for _ in range(5):
         try:
@@ -183,23 +145,16 @@ def test_after_a_fault_it_is_started_again(start: Start, rig: Calibration) -> No
 def test_it_is_given_up_in_the_end_with_a_sentence(start: Start, rig: Calibration) -> None:
     detector = start(answering("sys.exit(1)"), in_a_row=2)
     assert "switched off" not in str(failure(detector, rig))
-    assert "exit code 1. After 2 faults in a row it is switched off for the rest of the run" in str(
-        failure(detector, rig)
-    )
+    why, given_up = "2 faults in a row", "switched off for the rest of the run"
+    assert f"exit code 1. After {why} it is {given_up}" in str(failure(detector, rig))
     for _ in range(2):
         off = failure(detector, rig)
         assert off.outcome is Outcome.OFF
-        assert (
-            str(off)
-            == "switched off for the rest of the run after 2 faults in a row; the last: it ended"
-            " with exit code 1"
-        )
+        assert str(off) == f"{given_up} after {why}; the last: it ended with exit code 1"
 
 
 def test_starts_are_bounded_also_with_answers_between(start: Start, rig: Calibration) -> None:
-    detector = start(
-        answering('say({"frame": asked["frame"], "teats": []})\nsys.exit(0)'), restarts=1
-    )
+    detector = start(answering(f"{NO_TEATS}\nsys.exit(0)"), restarts=1)
     ask(detector, rig)
     failure(detector, rig)
     ask(detector, rig)
@@ -207,24 +162,17 @@ def test_starts_are_bounded_also_with_answers_between(start: Start, rig: Calibra
 
 
 def test_wrong_values_cost_the_answer_but_not_the_process(start: Start, rig: Calibration) -> None:
-    what = (
-        'say({"frame": asked["frame"], "teats": 4 if asked["frame"] == "1" else [], "hidden":'
-        " os.getpid()})"
-    )
-    detector = start(answering(what))
+    teats = '4 if asked["frame"] == "1" else []'
+    detector = start(answering(f'say({{"frame": asked["frame"], "teats": {teats}}})'))
     failure(detector, rig)
     ask(detector, rig)
     assert detector.start_up_s is None, "it was not started again"
 
 
-def test_what_it_writes_to_standard_error_is_kept_within_bounds(
-    start: Start, rig: Calibration
-) -> None:
-    what = (
-        'print("seen", asked["frame"], file=sys.stderr, flush=True)\nif asked["frame"] == "2":'
-        ' raise ValueError("no teat")\n'
-    )
-    detector = start(answering(what + 'say({"frame": asked["frame"], "teats": []})'))
+def test_standard_error_is_kept_within_bounds(start: Start, rig: Calibration) -> None:
+    writes = 'print("seen", asked["frame"], file=sys.stderr, flush=True)'
+    fails = 'if asked["frame"] == "2": raise ValueError("no teat")'
+    detector = start(answering(f"{writes}\n{fails}\n{NO_TEATS}"))
     ask(detector, rig)
     failure(detector, rig)
     said = detector.said()

@@ -1,6 +1,4 @@
-"""What holds a detector's processes: memory watched, and an end for all of them, whoever ends
-first.
-"""
+"""What supervises a detector's processes: memory watched, and an end for all of them."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from detector.external import ExternalDetector
 from detector.external.process import resident_mib
 from detector.protocol import DetectionFailure
 from tests.conftest import ROOT
-from tests.detector.children import GOOD, HEAD, Start, answering, ask, failure, start
+from tests.detector.children import GOOD, HEAD, NO_TEATS, Start, answering, ask, failure, start
 
 __all__ = ["start"]
 linux = pytest.mark.skipif(
@@ -36,9 +34,7 @@ def test_memory_is_watched_during_and_after_a_call(start: Start, rig: Calibratio
     hoard = "kept = bytearray(os.urandom(1)) * (200 << 20)\n"
     during = start(answering(hoard + "time.sleep(60)"), memory_mib=120.0)
     assert "MiB of memory, 120 MiB are allowed" in str(failure(during, rig))
-    after = start(
-        answering('say({"frame": asked["frame"], "teats": []})\n' + hoard), memory_mib=120.0
-    )
+    after = start(answering(f"{NO_TEATS}\n{hoard}"), memory_mib=120.0)
     ask(after, rig)
     with pytest.raises(DetectionFailure, match="MiB of memory"):
         look_for_a_minute(after)
@@ -56,6 +52,19 @@ def alive(pid: int) -> bool:
         return False
 
 
+def kept_in(folder: Path) -> list[int]:
+    """The processes that a program wrote down."""
+    return [int(pid) for pid in (folder / "pids").read_text(encoding="ascii").split()]
+
+
+def left_of(pids: list[int]) -> list[int]:
+    """Those that live on after a minute."""
+    deadline = time.monotonic() + 60
+    while (left := [pid for pid in pids if alive(pid)]) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return left
+
+
 GRANDCHILD = """
 spec = dict(start_new_session=True, stdin=subprocess.DEVNULL)
 grandchild = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], **spec)
@@ -65,26 +74,19 @@ with open(%r, "w") as file: file.write(f"{os.getpid()} {grandchild.pid}")
 
 @linux
 @pytest.mark.parametrize("ending", ["close", "crash", "timeout"])
-def test_a_grandchild_in_a_session_of_its_own_ends_too(
-    start: Start, rig: Calibration, tmp_path: Path, ending: str
-) -> None:
-    deed = {
-        "close": 'say({"frame": asked["frame"], "teats": []})',
-        "crash": "sys.exit(1)",
-        "timeout": "time.sleep(60)",
-    }[ending]
-    detector = start(
-        answering(deed, GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})'), answer_s=0.5
-    )
+def test_a_grandchild_ends_too(start: Start, rig: Calibration, tmp_path: Path, ending: str) -> None:
+    deed = {"close": NO_TEATS, "crash": "sys.exit(1)", "timeout": "time.sleep(60)"}[ending]
+    ready = GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})'
+    detector = start(answering(deed, ready), answer_s=0.5)
     if ending == "close":
         ask(detector, rig)
     else:
         failure(detector, rig)
-    pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
-    assert all(alive(pid) for pid in pids) == (ending == "close")
+    pids = kept_in(tmp_path)
+    assert all(map(alive, pids)) == (ending == "close")
     detector.close()
     detector.close()
-    assert not any(alive(pid) for pid in pids)
+    assert not any(map(alive, pids))
 
 
 ESCAPE = """
@@ -104,10 +106,8 @@ os.kill(os.getppid(), signal.SIGKILL)
 
 @linux
 @pytest.mark.parametrize("goes_on", [True, False], ids=["answers on", "falls silent"])
-def test_one_that_kills_its_supervisor_leaves_nothing_behind(
-    start: Start, rig: Calibration, tmp_path: Path, goes_on: bool
-) -> None:
-    then = 'say({"frame": asked["frame"], "teats": []})' if goes_on else "time.sleep(600)"
+def test_a_killed_supervisor(start: Start, rig: Calibration, tmp_path: Path, goes_on: bool) -> None:
+    then = NO_TEATS if goes_on else "time.sleep(600)"
     detector = start(answering(f"{ESCAPE % str(tmp_path / 'pids')}{then}"), answer_s=600.0)
     told = "has lost its supervisor, which was ended by signal 9"
     if goes_on:
@@ -116,18 +116,12 @@ def test_one_that_kills_its_supervisor_leaves_nothing_behind(
             look_for_a_minute(detector)
     else:
         assert told in str(failure(detector, rig))
-    pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
-    deadline = time.monotonic() + 60
-    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert len(pids) == 4
-    assert [pid for pid in pids if alive(pid)] == []
+    assert len(pids := kept_in(tmp_path)) == 4
+    assert left_of(pids) == []
 
 
 @linux
-def test_the_system_refuses_a_process_far_more_memory_than_allowed(
-    start: Start, rig: Calibration
-) -> None:
+def test_the_system_refuses_far_more_memory_than_allowed(start: Start, rig: Calibration) -> None:
     """Memory that was never touched is not resident, so that only the hard limit can see it."""
     what = """import mmap
 try:
@@ -162,13 +156,9 @@ time.sleep(600)
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "up\n"
-        pids = [int(pid) for pid in (tmp_path / "pids").read_text(encoding="ascii").split()]
-        assert all(alive(pid) for pid in pids)
+        assert all(map(alive, pids := kept_in(tmp_path)))
         process.kill()
-    deadline = time.monotonic() + 60
-    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert not any(alive(pid) for pid in pids)
+    assert left_of(pids) == []
 
 
 def test_it_may_put_its_things_in_order(start: Start, rig: Calibration, tmp_path: Path) -> None:
@@ -187,11 +177,7 @@ def test_one_that_does_not_go_is_made_to(start: Start, rig: Calibration) -> None
 
 def test_closing_removes_the_pictures(start: Start, rig: Calibration, tmp_path: Path) -> None:
     place = tmp_path / "where"
-    what = (
-        f'open({str(place)!r}, "w").write(asked["left"])\nsay({{"frame": asked["frame"], "teats":'
-        " []})"
-    )
-    detector = start(answering(what))
+    detector = start(answering(f'open({str(place)!r}, "w").write(asked["left"])\n{NO_TEATS}'))
     ask(detector, rig)
     left = Path(place.read_text(encoding="utf-8"))
     assert left.is_file()

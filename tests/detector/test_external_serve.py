@@ -1,15 +1,14 @@
-"""A detector in Python behind the protocol: the same answers as without it, over pipes and over
-files.
-"""
+"""A detector in Python behind the protocol: the same answers as without it."""
 
 from __future__ import annotations
 
 import io
 import json
-import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -23,24 +22,27 @@ from detector.external.serve import Pictures, read_pictures, serve
 from detector.protocol import DetectionFailure
 from detector.registry import create
 from tests.conftest import ROOT
+from tests.detector.children import installed
 from tests.detector.conftest import Draw
 
+SERVE = [sys.executable, "-m", "detector.external.serve"]
 
-def test_the_thesis_gives_the_same_ends_from_a_process_of_its_own(
-    draw: Draw, teats_mm: NDArray[np.float64], rig: Calibration
-) -> None:
+
+def served(name: str, environment: Sequence[str] = ()) -> ExternalDetector:
+    return ExternalDetector(
+        "there", [*SERVE, name], time.perf_counter, folder=ROOT, environment=environment
+    )
+
+
+def test_thesis_in_a_process(draw: Draw, teats_mm: NDArray[np.float64], rig: Calibration) -> None:
     frames = draw(teats_mm)
-    command = [sys.executable, "-m", "detector.external.serve", "thesis"]
-    there = ExternalDetector("there", command, time.perf_counter, folder=ROOT)
-    try:
+    with closing(served("thesis")) as there:
         for _ in range(2):
             here, far = create("thesis").detect(frames, rig), there.detect(frames, rig)
             assert len(here.teats) == len(far.teats) == 4
             for one, other in zip(here.teats, far.teats, strict=True):
                 # a calibration file has ten digits
                 assert np.allclose(one.world_mm, other.world_mm, atol=1e-4)
-    finally:
-        there.close()
     assert there.said() == ""
 
 
@@ -70,31 +72,11 @@ class Loud:
 """
 
 
-def test_what_a_served_detector_prints_is_no_line_of_ours(
-    tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "loud.py").write_text(PRINTS, encoding="utf-8")
-    info = tmp_path / "loud-1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: loud\nVersion: 1\n", encoding="utf-8"
-    )
-    (info / "entry_points.txt").write_text(
-        "[teatbench.detectors]\nloud = loud:Loud\n", encoding="utf-8"
-    )
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(ROOT)]))
-    there = ExternalDetector(
-        "there",
-        [sys.executable, "-m", "detector.external.serve", "loud"],
-        time.perf_counter,
-        folder=ROOT,
-        environment=["PYTHONPATH"],
-    )
+def test_prints_are_kept(tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", installed(tmp_path, "loud", PRINTS, "loud = loud:Loud"))
     frames = Pictures(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
-    try:
+    with closing(served("loud", environment=["PYTHONPATH"])) as there:
         assert [there.detect(frames, rig).hidden for _ in range(2)] == [3, 3]
-    finally:
-        there.close()
     assert there.said().splitlines() == ["debug: here", "debug: here"]
 
 
@@ -103,12 +85,7 @@ def test_what_a_served_detector_prints_is_no_line_of_ours(
 )
 def test_serving_nobody_is_a_sentence(words: list[str], told: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "detector.external.serve", *words],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
+        [*SERVE, *words], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert told in done.stderr
@@ -131,7 +108,7 @@ def test_kelvin_come_as_hundredths(tmp_path: Path) -> None:
         read_pictures({"left": str(tmp_path / "left.png")})
 
 
-def test_pictures_that_png_cannot_hold_are_a_failure_before_anything_starts(
+def test_pictures_that_png_cannot_hold_are_a_failure(
     rig: Calibration,
 ) -> None:
     detector = ExternalDetector("never", ["/no/such/program"], time.perf_counter)

@@ -168,10 +168,8 @@ def test_triangulation_gives_table_5_2_back(shared: Path) -> None:
 
 
 def test_triangulation_is_the_midpoint_of_the_shortest_bridge() -> None:
-    left_px, right_px = (
-        np.array([[800.0, 500.0], [650.0, 410.0]]),
-        np.array([[660.0, 540.0], [520.0, 420.0]]),
-    )
+    left_px = np.array([[800.0, 500.0], [650.0, 410.0]])
+    right_px = np.array([[660.0, 540.0], [520.0, 420.0]])
     found, gap = triangulate(left_px, right_px, LEFT, RIGHT, STEREO)
     left_rays, right_rays = LEFT.rays(left_px) @ STEREO.R.T, RIGHT.rays(right_px)
     for i in range(2):

@@ -1,6 +1,4 @@
-"""The thesis's detector on frames that another program rendered: it must answer every one, well or
-badly.
-"""
+"""The thesis's detector on path-traced frames: it must answer every one, well or badly."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The table of detectors: cheap to list, exact about what it doesn't have, and in peace with what
-other packages bring.
-"""
+"""The table of detectors: cheap to list, exact about what is missing, with packages' own."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ from detector.registry import (
     broken,
     create,
 )
-from tests.conftest import ROOT
+from tests.detector.children import installed
 
 PACKAGE = """
 import numpy
@@ -62,21 +60,8 @@ def plugs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, EntryPoi
     (tmp_path / "udders.py").write_text(PACKAGE, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "udders", raising=False)
-    values = [
-        "Plain",
-        "Told",
-        "ready",
-        "made",
-        "fails",
-        "number",
-        "Leaves",
-        "Panics",
-        "Speechless",
-        "Odd",
-        "Round",
-        "nothing",
-    ]
-    return {value: EntryPoint(value.lower(), f"udders:{value}", GROUP) for value in values}
+    values = "Plain Told ready made fails number Leaves Panics Speechless Odd Round nothing"
+    return {value: EntryPoint(value.lower(), f"udders:{value}", GROUP) for value in values.split()}
 
 
 def test_every_name_can_be_created_and_knows_itself() -> None:
@@ -102,15 +87,10 @@ def test_listing_loads_no_picture_library() -> None:
 
 
 @pytest.mark.parametrize("how", ["Told", "ready", "made"])
-def test_a_package_may_bring_an_object_a_class_or_what_makes_one(
-    plugs: dict[str, EntryPoint], rig: Calibration, how: str
-) -> None:
+def test_what_packages_bring(plugs: dict[str, EntryPoint], rig: Calibration, how: str) -> None:
     detector = create(how.lower(), plugs.values())
-    assert (detector.name, detector.version, dict(detector.parameters)) == (
-        how.lower(),
-        "7",
-        {"gain": 2},
-    )
+    assert (detector.name, detector.version) == (how.lower(), "7")
+    assert dict(detector.parameters) == {"gain": 2}
     assert detector.detect(Pictures(None, None), rig).reason == "plain"  # type: ignore[arg-type]
 
 
@@ -120,9 +100,7 @@ def test_what_it_does_not_say_of_itself_is_filled_in(plugs: dict[str, EntryPoint
 
 
 def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) -> None:
-    """Names, versions and settings go into the record and into a hash, whatever a package made them
-    of.
-    """
+    """Names, versions and settings go into the record and into a hash."""
     detector = create("odd", plugs.values())
     assert detector.version == "1 2 ?"
     assert detector.parameters == {"1": 2, "a": {"3": 4, "b": [[1.0, 0.0], [0.0, 1.0]]}, "c": "{5}"}
@@ -142,10 +120,8 @@ def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) ->
     ],
 )
 def test_a_broken_one_is_told_by_name(plugs: dict[str, EntryPoint], how: str, told: str) -> None:
-    with pytest.raises(
-        BrokenDetectorError,
-        match=f"detector '{how.lower()}' of .*udders:{how}.* can't be loaded: .*{told}",
-    ):
+    said = f"detector '{how.lower()}' of .*udders:{how}.* can't be loaded: .*{told}"
+    with pytest.raises(BrokenDetectorError, match=said):
         create(how.lower(), plugs.values())
     assert told in broken(plugs.values())[how.lower()]
     assert "plain" not in broken(plugs.values())
@@ -153,11 +129,8 @@ def test_a_broken_one_is_told_by_name(plugs: dict[str, EntryPoint], how: str, to
 
 
 def test_a_shipped_name_and_a_second_of_one_name_are_left_out(plugs: dict[str, EntryPoint]) -> None:
-    given = [
-        EntryPoint("thesis", "udders:Plain", GROUP),
-        plugs["Plain"],
-        EntryPoint("plain", "udders:Told", GROUP),
-    ]
+    shipped, second = (("thesis", "udders:Plain"), ("plain", "udders:Told"))
+    given = [EntryPoint(*shipped, GROUP), plugs["Plain"], EntryPoint(*second, GROUP)]
     assert create("thesis", given).parameters["canny_sigma_px"] == 12.0
     assert create("plain", given).version == "unknown"
     assert "the name of one that ships" in broken(given)["thesis"]
@@ -172,23 +145,13 @@ def test_a_name_that_no_file_could_bear_is_left_out() -> None:
         create("../up", given)
 
 
-def test_an_installed_package_is_found_and_a_broken_one_does_not_stop_the_list(
+def test_an_installed_package_is_found_and_a_broken_one_told(
     tmp_path: Path,
 ) -> None:
-    (tmp_path / "udders.py").write_text(PACKAGE, encoding="utf-8")
-    info = tmp_path / "udders-1.5.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: udders\nVersion: 1.5\n", encoding="utf-8"
-    )
-    (info / "entry_points.txt").write_text(
-        f"[{GROUP}]\nmine = udders:Plain\nbad = udders:fails\n", encoding="utf-8"
-    )
-    path = os.pathsep.join([str(tmp_path), str(ROOT)])
-    environment = {**os.environ, "PYTHONPATH": path}
+    path = installed(tmp_path, "udders", PACKAGE, "mine = udders:Plain\nbad = udders:fails")
     done = subprocess.run(
         [sys.executable, "-m", "bench.cli", "detectors"],
-        env=environment,
+        env={**os.environ, "PYTHONPATH": path},
         cwd=tmp_path,
         capture_output=True,
         text=True,
@@ -196,11 +159,8 @@ def test_an_installed_package_is_found_and_a_broken_one_does_not_stop_the_list(
         timeout=60,
     )
     lines = done.stdout.splitlines()
-    assert "mine: from udders 1.5 (udders:Plain)" in lines
+    assert "mine: from udders 1 (udders:Plain)" in lines
     (fault,) = [line for line in lines if "BROKEN" in line]
-    assert (
-        fault
-        == "bad: BROKEN: detector 'bad' of udders 1.5 (udders:fails) can't be loaded: RuntimeError:"
-        " no licence"
-    )
+    who = "detector 'bad' of udders 1 (udders:fails)"
+    assert fault == f"bad: BROKEN: {who} can't be loaded: RuntimeError: no licence"
     assert any(line.startswith("thesis: ") for line in lines)

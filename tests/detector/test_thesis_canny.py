@@ -1,6 +1,4 @@
-"""The edge detector on pictures whose edges are known, and its parts against direct evaluations of
-what they stand for.
-"""
+"""The edge detector on pictures whose edges are known, its parts against direct evaluations."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The whole chain: on drawn frames, on frames that can't be used, and under changes whose effect is
-known beforehand.
-"""
+"""The whole chain: on drawn frames, on unusable frames, and under changes of known effect."""
 
 from __future__ import annotations
 
@@ -22,17 +20,8 @@ from detector.thesis.thermal import eight_bit, picture_from_kelvin, unmirror
 
 Array = NDArray[np.float64]
 STAGES = [
-    "thermal",
-    "edges",
-    "verticals",
-    "horizontals",
-    "vertical ends",
-    "horizontal middles",
-    "teat ends",
-    "nominations",
-    "regions",
-    "ends",
-    "triangulation",
+    *("thermal", "edges", "verticals", "horizontals", "vertical ends", "horizontal middles"),
+    *("teat ends", "nominations", "regions", "ends", "triangulation"),
 ]
 
 
@@ -45,6 +34,19 @@ def places(detection: Detection) -> Array:
     return np.array([teat.world_mm for teat in detection.teats]).reshape(-1, 3)
 
 
+@pytest.fixture(scope="module")
+def plain(frames: Any, rig: Calibration) -> Detection:
+    return ThesisDetector().detect(frames, rig)
+
+
+def refused(frames: Any, calibration: Calibration, **changes: Any) -> str:
+    """Why nothing is found in the frames with these changes."""
+    found = ThesisDetector().detect(replace(frames, **changes), calibration)
+    assert found.teats == ()
+    assert found.reason is not None
+    return found.reason
+
+
 def test_it_is_a_detector() -> None:
     detector: Detector = ThesisDetector()
     assert detector.name == "thesis"
@@ -52,17 +54,17 @@ def test_it_is_a_detector() -> None:
     assert ThesisDetector(Parameters(binary_level=0.5)).parameters != detector.parameters
 
 
-def test_four_plain_teats_are_found(frames: Any, rig: Calibration, teats_mm: Array) -> None:
-    found = ThesisDetector().detect(frames, rig)
-    assert (len(found.teats), found.hidden, found.reason) == (4, 0, None)
+def test_four_plain_teats_are_found(plain: Detection, teats_mm: Array) -> None:
+    assert (len(plain.teats), plain.hidden, plain.reason) == (4, 0, None)
     # not a claim of accuracy: each is nearer to its own teat than to any other, and the method's
     # dilations sink every end
-    assert np.linalg.norm(places(found) - teats_mm, axis=1).max() < 25
-    assert ((places(found) - teats_mm)[:, 2] < 0).all()
+    off = places(plain) - teats_mm
+    assert np.linalg.norm(off, axis=1).max() < 25
+    assert (off[:, 2] < 0).all()
 
 
-def test_every_stage_is_kept(frames: Any, rig: Calibration) -> None:
-    found = ThesisDetector().detect(frames, rig)
+def test_every_stage_is_kept(plain: Detection, rig: Calibration) -> None:
+    found = plain
     assert [stage.name for stage in found.trace] == STAGES
     regions = found.stage("regions")
     assert regions is not None
@@ -85,56 +87,45 @@ def test_every_stage_is_kept(frames: Any, rig: Calibration) -> None:
     assert found.stage("no such stage") is None
 
 
-def test_a_turned_world_turns_the_answers(frames: Any, rig: Calibration) -> None:
+def test_a_turned_world_turns_the_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
     turned_from_world = Motion.from_vectors([0.3, -0.8, 1.1], [40.0, -500.0, 7.0])
     turned = replace(rig, world_from_right=turned_from_world @ rig.world_from_right)
-    expected = turned_from_world.apply(places(ThesisDetector().detect(frames, rig)))
+    expected = turned_from_world.apply(places(plain))
     assert np.allclose(places(ThesisDetector().detect(frames, turned)), expected, atol=1e-9)
 
 
-def test_an_unmirrored_camera_gives_the_same_answer(frames: Any, rig: Calibration) -> None:
+def test_an_unmirrored_camera(frames: Any, plain: Detection, rig: Calibration) -> None:
     straight = replace(frames, thermal=np.ascontiguousarray(frames.thermal[:, ::-1]))
     calibration = replace(rig, thermal=replace(rig.thermal, mirrored=False))
-    assert np.array_equal(
-        places(ThesisDetector().detect(straight, calibration)),
-        places(ThesisDetector().detect(frames, rig)),
-    )
+    same = ThesisDetector().detect(straight, calibration)
+    assert np.array_equal(places(same), places(plain))
 
 
-def test_what_surrounds_the_regions_does_not_matter(frames: Any, rig: Calibration) -> None:
+def test_only_the_regions_matter(frames: Any, plain: Detection, rig: Calibration) -> None:
     left = frames.left.copy()
     left[:300] = 0
-    assert np.array_equal(
-        places(ThesisDetector().detect(replace(frames, left=left), rig)),
-        places(ThesisDetector().detect(frames, rig)),
-    )
+    same = ThesisDetector().detect(replace(frames, left=left), rig)
+    assert np.array_equal(places(same), places(plain))
 
 
-def test_shifted_optical_pictures_shift_the_ends(frames: Any, rig: Calibration) -> None:
-    shifted = replace(
-        frames, left=np.roll(frames.left, 2, axis=0), right=np.roll(frames.right, 2, axis=0)
-    )
-    before, after = ThesisDetector().detect(frames, rig), ThesisDetector().detect(shifted, rig)
-    for a, b in zip(before.teats, after.teats, strict=True):
+def test_shifted_pictures_shift_the_ends(frames: Any, plain: Detection, rig: Calibration) -> None:
+    left, right = (np.roll(picture, 2, axis=0) for picture in (frames.left, frames.right))
+    after = ThesisDetector().detect(replace(frames, left=left, right=right), rig)
+    for a, b in zip(plain.teats, after.teats, strict=True):
         assert a.left_px is not None
         assert b.left_px is not None
         assert (b.left_px - a.left_px).tolist() == [0, 2]
 
 
-def test_a_radiometric_frame_alone_will_do(frames: Any, rig: Calibration) -> None:
+def test_a_radiometric_frame_alone_will_do(frames: Any, plain: Detection, rig: Calibration) -> None:
     straight = cv2.resize(unmirror(frames.thermal), (160, 120), interpolation=cv2.INTER_AREA)
     kelvin = 306.0 - straight.astype(np.float64) * 0.05
     found = ThesisDetector().detect(replace(frames, thermal=None, thermal_k=kelvin), rig)
     assert len(found.teats) == 4
-    assert (
-        np.linalg.norm(places(found) - places(ThesisDetector().detect(frames, rig)), axis=1).max()
-        < 8
-    )
+    assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 8
 
 
-def test_the_original_stopped_where_the_window_left_the_picture(
-    frames: Any, rig: Calibration
-) -> None:
+def test_a_window_outside_may_be_refused(frames: Any, rig: Calibration) -> None:
     strict = ThesisDetector(Parameters(window_outside="refuse")).detect(frames, rig)
     assert strict.teats == ()
     assert strict.reason is not None
@@ -145,25 +136,19 @@ def noise(shape: tuple[int, int]) -> NDArray[np.uint8]:
     return np.random.default_rng(11).integers(0, 256, shape).astype(np.uint8)
 
 
-def flat(shape: tuple[int, int], grey: int) -> NDArray[np.uint8]:
-    return np.full(shape, grey, dtype=np.uint8)
+def flat(shape: tuple[int, int], grey: int, warm: Any = np.s_[:0]) -> NDArray[np.uint8]:
+    picture = np.full(shape, grey, dtype=np.uint8)
+    picture[warm] = 30
+    return picture
 
 
+GREY, FOR = "the left picture must be a grey picture", "the calibration is for"
 BAD: list[tuple[dict[str, Any], str]] = [
-    (
-        {"thermal": flat((1, 1), 0)},
-        "the thermal picture is 1 x 1, the calibration is for 640 x 480",
-    ),
-    ({"left": flat((1, 1), 0)}, "the left picture is 1 x 1, the calibration is for 1360 x 1024"),
-    (
-        {"right": flat((1360, 1024), 0)},
-        "the right picture is 1024 x 1360, the calibration is for 1360 x 1024",
-    ),
-    (
-        {"left": np.zeros((1024, 1360, 3), dtype=np.uint8)},
-        "the left picture must be a grey picture",
-    ),
-    ({"left": np.zeros((0,), dtype=np.uint8)}, "the left picture must be a grey picture"),
+    ({"thermal": flat((1, 1), 0)}, f"the thermal picture is 1 x 1, {FOR} 640 x 480"),
+    ({"left": flat((1, 1), 0)}, f"the left picture is 1 x 1, {FOR} 1360 x 1024"),
+    ({"right": flat((1360, 1024), 0)}, f"the right picture is 1024 x 1360, {FOR} 1360 x 1024"),
+    ({"left": np.zeros((1024, 1360, 3), dtype=np.uint8)}, GREY),
+    ({"left": np.zeros((0,), dtype=np.uint8)}, GREY),
     ({"right": np.zeros((1024, 1360))}, "must have 8-bit or 16-bit pixels"),
     ({"thermal": None}, "there is no thermal picture"),
     ({"thermal": None, "thermal_k": np.full((120, 160), np.nan)}, "finite kelvin"),
@@ -178,58 +163,32 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"thermal": None, "thermal_k": np.full((120, 160), 300.0)}, "no vertical line"),
     ({"thermal": flat((480, 640), 0)}, "no vertical line"),
     ({"thermal": flat((480, 640), 255)}, "no vertical line"),
+    ({"thermal": flat((480, 640), 200, np.s_[240:])}, ""),
 ]
 
 
 @pytest.mark.parametrize(("change", "reason"), BAD)
-def test_frames_that_cannot_be_used_give_a_reason(
-    frames: Any, rig: Calibration, change: dict[str, Any], reason: str
-) -> None:
-    found = ThesisDetector().detect(replace(frames, **change), rig)
-    assert found.teats == ()
-    assert found.reason is not None
-    assert reason in found.reason
-
-
-def test_a_horizontal_edge_alone_is_no_teat(frames: Any, rig: Calibration) -> None:
-    thermal = flat((480, 640), 200)
-    thermal[240:] = 30
-    found = ThesisDetector().detect(replace(frames, thermal=thermal), rig)
-    assert found.teats == ()
-    assert found.reason is not None
+def test_bad_frames(frames: Any, rig: Calibration, change: dict[str, Any], reason: str) -> None:
+    assert reason in refused(frames, rig, **change)
 
 
 def test_tall_edges_without_tops_are_no_teats(frames: Any, rig: Calibration) -> None:
-    thermal = flat((480, 640), 200)
-    thermal[:, 200:260] = 30
-    found = ThesisDetector().detect(replace(frames, thermal=thermal), rig)
-    assert found.teats == ()
-    assert (
-        found.reason
-        == "the thermal picture shows no short horizontal line near the ends of the vertical ones"
-    )
-    assert found.hidden == 4
+    tall = flat((480, 640), 200, np.s_[:, 200:260])
+    found = ThesisDetector().detect(replace(frames, thermal=tall), rig)
+    why = "the thermal picture shows no short horizontal line near the ends of the vertical ones"
+    assert (found.teats, found.hidden, found.reason) == ((), 4, why)
 
 
-def test_a_nomination_outside_of_an_optical_picture_is_left_out(
-    frames: Any, rig: Calibration
-) -> None:
+def test_a_nomination_outside_of_a_picture_is_left_out(frames: Any, rig: Calibration) -> None:
     far = rig.homographies.left.copy()
     far[0, 2] -= 5000
-    found = ThesisDetector().detect(
-        frames, replace(rig, homographies=replace(rig.homographies, left=far))
-    )
-    assert found.teats == ()
-    assert found.reason == "4 of 4 nominated teats lie outside of an optical picture"
+    reason = refused(frames, replace(rig, homographies=replace(rig.homographies, left=far)))
+    assert reason == "4 of 4 nominated teats lie outside of an optical picture"
 
 
 def test_a_homography_that_leads_nowhere_is_survived(frames: Any, rig: Calibration) -> None:
     nowhere = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 1]])
-    found = ThesisDetector().detect(
-        frames, replace(rig, homographies=replace(rig.homographies, left=nowhere))
-    )
-    assert found.teats == ()
-    assert found.reason is not None
+    assert refused(frames, replace(rig, homographies=replace(rig.homographies, left=nowhere)))
 
 
 def test_kelvin_becomes_grey_with_the_hottest_black() -> None:

@@ -1,6 +1,4 @@
-"""Verticals, horizontals and teat ends: against the thesis's tables, and against its loops written
-out one step at a time.
-"""
+"""Verticals, horizontals and teat ends: against the thesis's tables and its loops written out."""
 
 from __future__ import annotations
 
@@ -49,13 +47,9 @@ def test_table_4_1_gives_a_window_that_just_fits_the_picture() -> None:
 
 
 def test_lines_drawn_from_the_tables_come_out_as_the_tables() -> None:
-    """Sides that begin at table 4.1's ends, tops at table 4.2's middles: all the steps between the
-    filters and section 4.1.7.
-    """
-    verticals, horizontals = (
-        np.zeros((480, 640), dtype=np.bool_),
-        np.zeros((480, 640), dtype=np.bool_),
-    )
+    """All steps between the filters and section 4.1.7."""
+    verticals = np.zeros((480, 640), dtype=np.bool_)
+    horizontals = np.zeros((480, 640), dtype=np.bool_)
     for x, y in (TABLE_4_1 - 1).astype(int):
         verticals[y : y + 150, x] = True
     for x, y in (TABLE_4_2 - 1).astype(int):
@@ -104,9 +98,7 @@ def test_merging_columns_is_the_double_loop_at_full_size() -> None:
     st.integers(0, 20),
 )
 @settings(max_examples=300)
-def test_merging_rows_is_the_double_loop(
-    points: list[tuple[int, int]], row_reach: int, column_reach: int
-) -> None:
+def test_merging_rows(points: list[tuple[int, int]], row_reach: int, column_reach: int) -> None:
     points = sorted(points)
     rows, columns = (np.array([p[k] for p in points], dtype=np.int64) for k in (0, 1))
     y = rows.tolist()

@@ -25,9 +25,7 @@ FIGURE_4_12 = np.array(
 
 
 def matlab_dilation(image: NDArray[np.uint8], element: NDArray[np.int_]) -> NDArray[np.uint8]:
-    """max over the element of image(x - b), b counted from the element's origin floor((size + 1) /
-    2), outside of the picture nothing.
-    """
+    """max over the element of image(x - b), b counted from floor((size + 1) / 2); outside is 0."""
     rows, columns = element.shape
     origin = (rows + 1) // 2 - 1, (columns + 1) // 2 - 1
     result = np.zeros_like(image)
@@ -86,9 +84,7 @@ def test_a_line_may_reach_the_regions_edge() -> None:
 
 
 def literal_search(dark: NDArray[np.bool_]) -> tuple[int, int, int] | None:
-    """The listing's search, in its own count from 1: row, first column, column after the last (or
-    the last of the region).
-    """
+    """The listing's search, counted from 1: row, first column, column after the last."""
 
     def at(row: int, column: int) -> bool:
         return bool(dark[row - 1, column - 1])

@@ -1,6 +1,4 @@
-"""The emulated rig's calibration: made from published figures, shipped as made, and as close to
-them as it says.
-"""
+"""The emulated rig's calibration: made from published figures, and as close to them as it says."""
 
 from __future__ import annotations
 
@@ -12,9 +10,14 @@ import pytest
 
 from detector.calibration import Calibration, load_calibration, plane_homography
 from detector.calibration import thesis_rig as made
-from detector.geometry import Motion, apply_homography
+from detector.geometry import Array, Motion, apply_homography
 
 CORNERS = np.array([[0.0, 0], [639, 0], [0, 479], [639, 479], [319.5, 239.5]])
+
+
+def mapped(calibration: Calibration, side: str) -> Array:
+    """Where the homography puts the thermal picture's corners and middle."""
+    return apply_homography(getattr(calibration.homographies, side), CORNERS)
 
 
 def test_constants_are_the_published_ones(shared: Path) -> None:
@@ -23,39 +26,31 @@ def test_constants_are_the_published_ones(shared: Path) -> None:
         entry = p["cameras"][name]
         for key in ("image_size", "fc", "cc", "kc"):
             assert list(getattr(camera, key)) == entry[key]
-    assert [list(made.STEREO_OM_RAD), list(made.STEREO_T_MM)] == [
-        p["stereo"]["om"],
-        p["stereo"]["T"],
-    ]
+    assert list(made.STEREO_OM_RAD) == p["stereo"]["om"]
+    assert list(made.STEREO_T_MM) == p["stereo"]["T"]
     assert np.array_equal(made.HOMOGRAPHY_LEFT, p["homography"]["left"])
     assert np.array_equal(made.HOMOGRAPHY_RIGHT, p["homography"]["right"])
-    assert np.array_equal(
-        np.column_stack([made.WORLD_MATRIX, made.WORLD_T_MM]), p["world"]["transformation"][:3]
-    )
+    world = np.column_stack([made.WORLD_MATRIX, made.WORLD_T_MM])
+    assert np.array_equal(world, p["world"]["transformation"][:3])
     assert np.array_equal(made.TEAT_ENDS_MM, p["table_5_2"]["teat_ends_mm"])
 
 
 def test_the_shipped_file_is_what_the_fits_give(rig: Calibration) -> None:
     fresh = made.thesis_rig()
     assert (rig.left, rig.right) == (fresh.left, fresh.right)
-    for shipped, again in (
-        (rig.world_from_right, fresh.world_from_right),
-        (rig.right_from_left, fresh.right_from_left),
-    ):
+    for name in ("world_from_right", "right_from_left"):
+        shipped, again = getattr(rig, name), getattr(fresh, name)
         assert np.allclose(shipped.R, again.R, atol=1e-7)
         assert np.allclose(shipped.T, again.T, atol=1e-4)
     assert rig.thermal.lens is not None
     assert fresh.thermal.lens is not None
     assert np.allclose(rig.thermal.lens.fc, fresh.thermal.lens.fc, atol=1e-3)
     for side in ("left", "right"):
-        shipped_px = apply_homography(getattr(rig.homographies, side), CORNERS)
-        assert (
-            np.abs(shipped_px - apply_homography(getattr(fresh.homographies, side), CORNERS)).max()
-            < 1e-3
-        )
+        one, other = mapped(rig, side), mapped(fresh, side)
+        assert np.abs(one - other).max() < 1e-3
 
 
-def test_the_world_is_rigid_and_shows_the_teats_where_the_printed_matrix_does(
+def test_the_world_is_rigid_and_shows_the_teats_as_printed(
     rig: Calibration,
 ) -> None:
     assert np.linalg.det(rig.world_from_right.R) == pytest.approx(1.0, abs=1e-12)
@@ -64,12 +59,8 @@ def test_the_world_is_rigid_and_shows_the_teats_where_the_printed_matrix_does(
     in_right = (np.linalg.inv(A) @ (teats - t).T).T
     left_px, right_px = rig.project(teats)
     assert np.linalg.norm(right_px - rig.right.project(in_right), axis=1).max() < 0.7
-    assert (
-        np.linalg.norm(
-            left_px - rig.left.project(rig.right_from_left.inverse().apply(in_right)), axis=1
-        ).max()
-        < 0.7
-    )
+    printed_left_px = rig.left.project(rig.right_from_left.inverse().apply(in_right))
+    assert np.linalg.norm(left_px - printed_left_px, axis=1).max() < 0.7
 
 
 def test_the_thermal_camera_meets_the_printed_homographies_as_derived() -> None:
@@ -82,9 +73,8 @@ def test_the_thermal_camera_meets_the_printed_homographies_as_derived() -> None:
     assert vertical[0] - vertical[1] == pytest.approx(6.3, abs=0.1)
     assert max(fit.rms_without_constant_px) < 0.9
     centre = fit.thermal_from_right.inverse().T
-    assert np.linalg.norm(centre) == pytest.approx(
-        np.linalg.norm(centre - made.right_from_left().T)
-    )
+    to_left = np.linalg.norm(centre - made.right_from_left().T)
+    assert np.linalg.norm(centre) == pytest.approx(to_left)
 
 
 def test_homographies_are_right_on_their_plane_and_wrong_off_it(rig: Calibration) -> None:
@@ -94,17 +84,14 @@ def test_homographies_are_right_on_their_plane_and_wrong_off_it(rig: Calibration
     rng = np.random.default_rng(5)
     for off_mm, least, most in ((0.0, 0.0, 0.8), (60.0, 2.0, 6.0)):
         depth_mm = np.full(900, rig.homographies.plane_depth_mm + off_mm)
-        points = np.column_stack(
-            [rng.uniform(-300, 150, 900), rng.uniform(-200, 150, 900), depth_mm]
-        )
+        x, y = rng.uniform(-300, 150, 900), rng.uniform(-200, 150, 900)
+        points = np.column_stack([x, y, depth_mm])
         thermal_px = rig.thermal.lens.project(rig.thermal_from_right.apply(points))
         shown = np.all((thermal_px >= 0) & (thermal_px <= [639, 479]), axis=1)
         thermal_px, points = thermal_px[shown], points[shown]
         assert len(points) > 100
-        wrong = np.linalg.norm(
-            apply_homography(rig.homographies.right, thermal_px) - rig.right.project(points), axis=1
-        )
-        assert least <= wrong.max() <= most
+        off_px = apply_homography(rig.homographies.right, thermal_px) - rig.right.project(points)
+        assert least <= np.linalg.norm(off_px, axis=1).max() <= most
 
 
 def test_the_plane_of_the_homographies_is_that_of_the_teats(rig: Calibration) -> None:
@@ -119,22 +106,14 @@ def test_the_plane_of_the_homographies_is_that_of_the_teats(rig: Calibration) ->
 def test_a_plane_behind_the_camera_is_refused(rig: Calibration) -> None:
     assert rig.thermal.lens is not None
     assert rig.thermal_from_right is not None
+    lens, pose = rig.thermal.lens, rig.thermal_from_right
     with pytest.raises(ValueError, match="isn't in front"):
-        plane_homography(
-            rig.thermal.lens, rig.right, rig.thermal_from_right, Motion.identity(), -500.0
-        )
+        plane_homography(lens, rig.right, pose, Motion.identity(), -500.0)
 
 
-def test_an_independent_fit_of_the_same_rig_agrees_to_a_few_pixels(
-    rig: Calibration, shared: Path
-) -> None:
+def test_an_independent_fit_agrees_to_a_few_pixels(rig: Calibration, shared: Path) -> None:
     other = load_calibration(shared / "data" / "path_traced" / "calibration.toml")
-    for ours, theirs in zip(
-        rig.project(made.TEAT_ENDS_MM), other.project(made.TEAT_ENDS_MM), strict=True
-    ):
-        assert np.abs(ours - theirs).max() < 1.5
+    ours, theirs = (np.array(c.project(made.TEAT_ENDS_MM)) for c in (rig, other))
+    assert np.abs(ours - theirs).max() < 1.5
     for side in ("left", "right"):
-        ours, theirs = (
-            apply_homography(getattr(c.homographies, side), CORNERS) for c in (rig, other)
-        )
-        assert np.abs(ours - theirs).max() < 3.0
+        assert np.abs(mapped(rig, side) - mapped(other, side)).max() < 3.0

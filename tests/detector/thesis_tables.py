@@ -64,9 +64,7 @@ def frames() -> Pictures:
 
 
 def stage_pictures() -> dict[str, Picture]:
-    """What the stages make of the frames, by name: masks white on black, and the four left regions
-    above what is bright in them.
-    """
+    """The stages' masks white on black, and the four left regions above what is bright in them."""
     found = published_homography().detect(frames(), thesis_published())
     masks = {stage.name: stage.data["mask"] for stage in found.trace if stage.name in MASKS}
     pictures = {name: np.where(masks[name], np.uint8(255), np.uint8(0)) for name in MASKS}

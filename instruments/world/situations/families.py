@@ -56,9 +56,7 @@ class Draw:
 def udder(
     draw: Draw, *, lean_deg: tuple[float, float] = (0.0, 2.0), spread: float = 1.0
 ) -> Phantom:
-    """Four teats, the two near ones closer together, as seen from behind; ``lean_deg`` (least,
-    most).
-    """
+    """Four teats as seen from behind, the near ones closer together; ``lean_deg`` (least, most)."""
     middle = draw.between(-165.0, -95.0), draw.between(215.0, 265.0)
     wide, deep = (draw.between(26.0, 42.0), draw.between(52.0, 78.0)), draw.between(30.0, 50.0)
     teats = []
@@ -98,10 +96,7 @@ def lighting(draw: Draw, brightness: tuple[float, float] = (0.95, 1.35)) -> Ligh
 
 
 def _lamp(
-    draw: Draw,
-    usual_mm: Point,
-    off_mm: tuple[tuple[float, float], ...],
-    power: tuple[float, float],
+    draw: Draw, usual_mm: Point, off_mm: tuple[tuple[float, float], ...], power: tuple[float, float]
 ) -> Lamp:
     x, y, z = (at + draw.between(*off) for at, off in zip(usual_mm, off_mm, strict=True))
     return Lamp((x, y, z), draw.between(*power))
@@ -411,14 +406,8 @@ def _clutter(draw: Draw) -> SceneObject:
             {"height_mm": (80.0, 420.0), "radius_mm": (5.0, 14.0), "albedo": (0.05, 0.7)}
             | {"y_mm": (420.0, 900.0)},
         ),
-        (
-            "cold_teat",
-            {"y_mm": (150.0, 700.0), "length_mm": (100.0, 160.0), "albedo": (0.05, 0.5)},
-        ),
-        (
-            "hot_cup",
-            {"y_mm": (400.0, 700.0), "height_mm": (50.0, 120.0), "offset_k": (-8.0, 3.0)},
-        ),
+        ("cold_teat", {"y_mm": (150.0, 700.0), "length_mm": (100.0, 160.0), "albedo": (0.05, 0.5)}),
+        ("hot_cup", {"y_mm": (400.0, 700.0), "height_mm": (50.0, 120.0), "offset_k": (-8.0, 3.0)}),
     )[kind]
     drawn = {key: draw.between(*each) for key, each in ranges.items()}
     return make_object(name, x_mm=x_mm, **drawn)

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.external.serve import Pictures
+from detector.fused.detector import FusedDetector
 from detector.geometry import Camera, Motion
+from detector.protocol import Detection
 
 Array = NDArray[np.float64]
 FINE = 12  # sub-pixels a pixel and axis
@@ -25,9 +27,7 @@ FINE = 12  # sub-pixels a pixel and axis
 
 @dataclass(frozen=True)
 class Body:
-    """A teat in the world: its end (3,) mm, the way to its base, its shape, its grey and its
-    temperature. ``seen_by``: L, R, T.
-    """
+    """A teat in the world: its end (3,) mm, lean, shape, grey and temperature."""
 
     end_mm: tuple[float, float, float]
     lean: tuple[float, float] = (0.0, 0.0)  # along world x and y, a unit downwards
@@ -66,13 +66,8 @@ def coverage(
     hull = cv2.convexHull(flat.astype(np.float32)).reshape(-1, 2).astype(np.float64)
     steps = np.linspace(0, 1, 20, endpoint=False)[None, :, None]  # lines bend in the lens
     edge = (hull[:, None] + steps * (np.roll(hull, -1, axis=0) - hull)[:, None]).reshape(-1, 2)
-    pixels = cv2.projectPoints(
-        np.column_stack([edge, np.ones(len(edge))]),
-        np.zeros(3),
-        np.zeros(3),
-        lens,
-        np.array(camera.kc),
-    )[0].reshape(-1, 2)
+    rays, still = np.column_stack([edge, np.ones(len(edge))]), np.zeros(3)
+    pixels = cv2.projectPoints(rays, still, still, lens, np.array(camera.kc))[0].reshape(-1, 2)
     columns, rows = camera.image_size
     low = np.clip(np.floor(pixels.min(axis=0)).astype(int) - 2, 0, None)
     high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + 3, [columns, rows])
@@ -89,13 +84,12 @@ def coverage(
 
 
 Draw = Callable[..., Pictures]
+Find = Callable[..., Detection]
 
 
 @pytest.fixture(scope="session")
 def draw_scene(rig: Calibration) -> Draw:
-    """A function that draws bodies, the farthest first, in all three cameras, with noise from a
-    seed.
-    """
+    """Draws bodies, the farthest first, in all three cameras, with noise from a seed."""
     assert rig.thermal.lens is not None
     assert rig.thermal_from_right is not None
     right_from_world = rig.world_from_right.inverse()
@@ -113,17 +107,11 @@ def draw_scene(rig: Calibration) -> Draw:
         "T": (sensor, rig.thermal_from_right @ right_from_world),
     }
 
-    def scene(
-        bodies: list[Body],
-        seed: int = 0,
-        ground: float = 190.0,
-        noise: float = 1.5,
-        netd_k: float = 0.08,
-    ) -> Pictures:
+    def scene(bodies: list[Body], seed: int = 0, noise: float = 1.5) -> Pictures:
         rng = np.random.default_rng(seed)
         pictures = {}
         for eye, (camera, motion) in eyes.items():
-            picture = np.full(camera.image_size[::-1], 292.0 if eye == "T" else ground)
+            picture = np.full(camera.image_size[::-1], 292.0 if eye == "T" else 190.0)
             for body in sorted(bodies, key=lambda b: -b.end_mm[1]):
                 if eye in body.seen_by:
                     at, cover = coverage(body, camera, motion)
@@ -132,11 +120,17 @@ def draw_scene(rig: Calibration) -> Draw:
                     )
             picture = cv2.GaussianBlur(picture, (0, 0), 0.6)
             grain = rng.standard_normal(picture.shape, dtype=np.float32)
-            pictures[eye] = picture + (netd_k if eye == "T" else noise) * grain
+            pictures[eye] = picture + (0.08 if eye == "T" else noise) * grain
         left, right = (np.clip(np.rint(pictures[eye]), 0, 255).astype(np.uint8) for eye in "LR")
         return Pictures(left, right, None, np.rint(pictures["T"] * 100) / 100)
 
     return scene
+
+
+@pytest.fixture(scope="session")
+def find(draw_scene: Draw, rig: Calibration) -> Find:
+    """What the detector finds in a drawn scene."""
+    return lambda *scene, **drawn: FusedDetector().detect(draw_scene(*scene, **drawn), rig)
 
 
 @pytest.fixture(scope="session")

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from detector.calibration import Calibration
-from detector.fused.detector import FusedDetector
 from detector.fused.refine import _inside
+from tests.detector.fused.conftest import Body, Find
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -33,17 +30,13 @@ def test_points_inside_of_an_outline_are_those_of_opencv(seed: int) -> None:
         assert (_inside(points, outline, room)[sure] == (off > -room)[sure]).all()
 
 
-def test_a_bright_dome_isnt_taken_for_the_whole_teat(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
-    """Light on the shaft alone: a flatter rim below the end has far more contrast, before a thing
-    as warm as the teat.
-    """
+def test_a_bright_dome_isnt_the_whole_teat(find: Find, udder: list[Body]) -> None:
+    """A flatter rim below the end has more contrast, before a thing as warm as the teat."""
     teat = replace(udder[2], end_mm=(-140.0, 205.0, 136.0), height=1.0, radius_mm=11.0, grey=60.0)
     rim = replace(teat, end_mm=(-140.0, 204.9, 130.0), height=0.4, grey=150.0, seen_by="LR")
     arm = replace(teat, end_mm=(-140.0, 330.0, 220.0), radius_mm=60.0, grey=85.0, kelvin=305.5)
     bodies = [teat, rim, arm, udder[0], udder[3]]
-    found = FusedDetector().detect(draw_scene(bodies, noise=1.0), rig)
+    found = find(bodies, noise=1.0)
     ways = [float(np.linalg.norm(one.world_mm - np.array(teat.end_mm))) for one in found.teats]
     near = [way for way in ways if way < 25.0]
     assert len(near) == 1

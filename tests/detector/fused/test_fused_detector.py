@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -15,16 +14,30 @@ from detector.calibration import Calibration, ParameterCovariance
 from detector.fused.detector import FusedDetector
 from detector.fused.parameters import Parameters
 from detector.protocol import Detection, Detector, Teat
+from tests.detector.fused.conftest import Body, Draw, Find
 
 Array = NDArray[np.float64]
 
 
-def errors(found: Detection, bodies: list[Any]) -> Array:
+def errors(found: Detection, bodies: list[Body]) -> Array:
     """Each answer's way (n, 3) from the nearest body's end."""
     ends = np.array([b.end_mm for b in bodies])
     return np.array(
         [t.world_mm - ends[np.linalg.norm(ends - t.world_mm, axis=1).argmin()] for t in found.teats]
     ).reshape(-1, 3)
+
+
+def held(found: Detection, bodies: list[Body], most_mm: float) -> None:
+    """One answer for each body, all within ``most_mm``."""
+    assert len(found.teats) == len(bodies)
+    assert np.linalg.norm(errors(found, bodies), axis=1).max() < most_mm
+
+
+def refused(found: Detection) -> str:
+    """Why there is no answer."""
+    assert found.teats == ()
+    assert found.reason is not None
+    return found.reason
 
 
 def covariance(teat: Teat) -> Array:
@@ -40,26 +53,22 @@ def test_it_is_a_detector() -> None:
 
 
 def test_teats_of_any_lean_and_shape_are_found(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
+    find: Find, udder: list[Body], rig: Calibration
 ) -> None:
-    found = FusedDetector().detect(draw_scene(udder), rig)
-    assert (len(found.teats), found.hidden, found.reason) == (4, 0, None)
-    assert np.linalg.norm(errors(found, udder), axis=1).max() < 0.4
+    found = find(udder)
+    held(found, udder, 0.4)
+    assert (found.hidden, found.reason) == (0, None)
     for teat in found.teats:
-        left_px, right_px = rig.project(teat.world_mm[None])
-        assert teat.left_px is not None
-        assert teat.right_px is not None
-        assert np.allclose(teat.left_px, left_px[0])
-        assert np.allclose(teat.right_px, right_px[0])
+        for seen, projected in zip(
+            (teat.left_px, teat.right_px), rig.project(teat.world_mm[None]), strict=True
+        ):
+            assert seen is not None
+            assert np.allclose(seen, projected[0])
         assert np.linalg.eigvalsh(covariance(teat)).min() > 0
 
 
-def test_covariances_are_honest(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
-    """Normalised squared errors within the chi-square bounds of one set, on scenes apart in place
-    and noise (Bar-Shalom, section 5.4).
-    """
+def test_covariances_are_honest(find: Find, udder: list[Body]) -> None:
+    """Normalised squared errors within chi-square's bounds (Bar-Shalom, section 5.4)."""
     rng = np.random.default_rng(5)
     normalised = []
     for seed in range(5):
@@ -67,89 +76,62 @@ def test_covariances_are_honest(
         bodies = [
             replace(b, end_mm=tuple(np.add(b.end_mm, shift + rng.uniform(-5, 5, 3)))) for b in udder
         ]
-        found = FusedDetector().detect(draw_scene(bodies, seed, noise=3.0), rig)
+        found = find(bodies, seed, noise=3.0)
         assert len(found.teats) == 4
         for teat, error in zip(found.teats, errors(found, bodies), strict=True):
             normalised.append(float(error @ np.linalg.solve(covariance(teat), error)))
     n = len(normalised)
     # claims hold what paint and shadow add in real pictures, so drawn ones may do better; they may
     # not do worse than chi-square allows
-    assert np.mean(normalised) < chi2.ppf(0.975, 3 * n) / n
-    assert np.mean(normalised) > 0.1
+    assert 0.1 < np.mean(normalised) < chi2.ppf(0.975, 3 * n) / n
     assert max(normalised) < chi2.ppf(1 - 0.01 / n, 3)
 
 
 def test_calibration_uncertainty_is_added(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
+    draw_scene: Draw, udder: list[Body], rig: Calibration
 ) -> None:
     frames = draw_scene(udder)
     shaky = replace(rig, covariance=ParameterCovariance((("world", "T1"),), np.array([[4.0]])))
-    for plain, added in zip(
-        FusedDetector().detect(frames, rig).teats,
-        FusedDetector().detect(frames, shaky).teats,
-        strict=True,
-    ):
+    found = [FusedDetector().detect(frames, calibration).teats for calibration in (rig, shaky)]
+    for plain, added in zip(*found, strict=True):
         assert np.array_equal(plain.world_mm, added.world_mm)
-        assert np.allclose(
-            covariance(added) - covariance(plain), np.diag([4.0, 0.0, 0.0]), atol=1e-6
-        )
+        more = covariance(added) - covariance(plain)
+        assert np.allclose(more, np.diag([4.0, 0.0, 0.0]), atol=1e-6)
 
 
 @pytest.mark.parametrize("gap_mm", [0.0, 1.5])
-def test_touching_teats_are_told_apart(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration, gap_mm: float
-) -> None:
-    """The thermal picture shows one broad thing; greys differ a little, as paint in other light
-    does.
-    """
-    pair = [
-        replace(udder[2], end_mm=(-150.0, 205.0, 130.0), height=1.0, grey=22.0),
-        replace(
-            udder[3],
-            end_mm=(-150.0 + 9.5 + 11.0 + gap_mm, 215.0, 138.0),
-            lean=(0.0, 0.0),
-            grey=34.0,
-        ),
-    ]
-    bodies = [*pair, udder[0]]
-    found = FusedDetector().detect(draw_scene(bodies), rig)
-    assert len(found.teats) == 3
-    assert np.linalg.norm(errors(found, bodies), axis=1).max() < 1.5
+def test_touching_teats_are_told_apart(find: Find, udder: list[Body], gap_mm: float) -> None:
+    """The thermal picture shows one broad thing; greys differ a little."""
+    one = replace(udder[2], end_mm=(-150.0, 205.0, 130.0), height=1.0, grey=22.0)
+    place = (-150.0 + 9.5 + 11.0 + gap_mm, 215.0, 138.0)
+    other = replace(udder[3], end_mm=place, lean=(0.0, 0.0), grey=34.0)
+    bodies = [one, other, udder[0]]
+    held(find(bodies), bodies, 1.5)
 
 
-def test_a_cold_teat_is_none(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
-    decoy = replace(udder[0], end_mm=(-170.0, 300.0, 140.0), kelvin=293.0)
-    found = FusedDetector().detect(draw_scene([*udder, decoy]), rig)
-    assert len(found.teats) == 4
-    assert np.linalg.norm(errors(found, udder), axis=1).max() < 1.0
-
-
-def test_a_warm_thing_of_another_size_is_none(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
-    leg = replace(udder[0], end_mm=(-170.0, 420.0, 180.0), radius_mm=40.0, kelvin=305.0, grey=90.0)
-    found = FusedDetector().detect(draw_scene([*udder, leg]), rig)
-    assert len(found.teats) == 4
-    assert np.linalg.norm(errors(found, udder), axis=1).max() < 1.0
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"end_mm": (-170.0, 300.0, 140.0), "kelvin": 293.0},
+        {"end_mm": (-170.0, 420.0, 180.0), "radius_mm": 40.0, "kelvin": 305.0, "grey": 90.0},
+    ],
+    ids=["cold", "warm, of another size"],
+)
+def test_another_thing_is_no_teat(find: Find, udder: list[Body], change: dict[str, Any]) -> None:
+    held(find([*udder, replace(udder[0], **change)]), udder, 1.0)
 
 
 @pytest.mark.parametrize("camera", ["L", "R"])
 def test_a_teat_that_one_camera_doesnt_see_is_hidden(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration, camera: str
+    find: Find, udder: list[Body], camera: str
 ) -> None:
-    bodies = [*udder[:3], replace(udder[3], seen_by="LRT".replace(camera, ""))]
-    found = FusedDetector().detect(draw_scene(bodies), rig)
-    assert len(found.teats) == 3
-    assert np.linalg.norm(errors(found, udder[:3]), axis=1).max() < 0.5
+    found = find([*udder[:3], replace(udder[3], seen_by="LRT".replace(camera, ""))])
+    held(found, udder[:3], 0.5)
     assert found.hidden == 1
 
 
-def test_the_trace_tells_every_rejected_candidate_and_why(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
-    found = FusedDetector().detect(draw_scene([*udder[:3], replace(udder[3], seen_by="LT")]), rig)
+def test_the_trace_gives_every_rejected_candidates_reason(find: Find, udder: list[Body]) -> None:
+    found = find([*udder[:3], replace(udder[3], seen_by="LT")])
     assert [stage.name for stage in found.trace] == ["thermal", "starts", "decisions"]
     decisions = found.stage("decisions")
     assert decisions is not None
@@ -158,85 +140,59 @@ def test_the_trace_tells_every_rejected_candidate_and_why(
     assert len(reasons) == len(decisions.data["teats"])
 
 
-def test_warm_grey_levels_do_in_place_of_kelvin(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
+def test_warm_grey_levels_do(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:
     frames = draw_scene(udder)
+    assert frames.thermal_k is not None
     grey = np.clip(255 - (frames.thermal_k - 290.0) * 14.0, 0, 255)  # hot is black
     # as delivered: mirrored, at 640 x 480
     large = np.kron(grey, np.ones((4, 4))).astype(np.uint8)[:, ::-1]
-    found = FusedDetector().detect(replace(frames, thermal=large, thermal_k=None), rig)
-    assert len(found.teats) == 4
-    assert np.linalg.norm(errors(found, udder), axis=1).max() < 0.4
+    held(FusedDetector().detect(replace(frames, thermal=large, thermal_k=None), rig), udder, 0.4)
 
 
-def odd_frames(frames: Any) -> dict[str, tuple[Any, str]]:
-    """Frame sets that can't be used, and what must be said."""
-    dot, black, white = (
-        np.zeros((1, 1), np.uint8),
-        np.zeros_like(frames.left),
-        np.full_like(frames.left, 255),
-    )
-    noise = np.random.default_rng(0).integers(0, 256, frames.left.shape).astype(np.uint8)
-    cold = np.random.default_rng(0).normal(295, 0.05, frames.thermal_k.shape)
-    nan = np.where(np.eye(*frames.thermal_k.shape) > 0, np.nan, frames.thermal_k)
+def odd_frames(frames: Any) -> dict[str, tuple[dict[str, Any], str]]:
+    """Pictures that can't be used, and what must be said."""
+    dot, noise = np.zeros((1, 1), np.uint8), np.random.default_rng(0)
+    left, right, kelvin = frames.left, frames.right, frames.thermal_k
+    black, white = np.zeros_like(left), np.full_like(left, 255)
+    grain = noise.integers(0, 256, left.shape).astype(np.uint8)
+    cold = np.random.default_rng(0).normal(295, 0.05, kelvin.shape)
+    nan = np.where(np.eye(*kelvin.shape) > 0, np.nan, kelvin)
+    of = "picture is 1 x 1, the calibration is for"
     return {
-        "dot left": (
-            replace(frames, left=dot),
-            "the left picture is 1 x 1, the calibration is for 1360 x 1024",
-        ),
-        "dot right": (replace(frames, right=dot), "the right picture is 1 x 1"),
-        "dot thermal": (
-            replace(frames, thermal_k=dot),
-            "the radiometric thermal picture is 1 x 1, the calibration is for 160 x 120",
-        ),
-        "small": (replace(frames, left=frames.left[::2, ::2]), "the left picture is 680 x 512"),
-        "no thermal": (replace(frames, thermal_k=None), "there is no thermal picture"),
-        "volume": (replace(frames, left=np.zeros((4, 4, 4, 4))), "the left picture has the shape"),
-        "text": (replace(frames, right=np.full((1024, 1360), "x")), "numbers are needed"),
-        "nan": (replace(frames, thermal_k=nan), "no numbers"),
-        "black": (replace(frames, left=black, right=black), "show no outline"),
-        "saturated": (replace(frames, left=white, right=white), "show no outline"),
-        "swapped": (replace(frames, left=frames.right, right=frames.left), "outline"),
-        "optical noise": (replace(frames, left=noise, right=noise[::-1]), "outline"),
-        "thermal noise": (replace(frames, thermal_k=cold), "teat"),
-        "one temperature": (
-            replace(frames, thermal_k=np.full_like(frames.thermal_k, 300.0)),
-            "nothing like a teat",
-        ),
+        "dot left": ({"left": dot}, f"the left {of} 1360 x 1024"),
+        "dot right": ({"right": dot}, "the right picture is 1 x 1"),
+        "dot thermal": ({"thermal_k": dot}, f"the radiometric thermal {of} 160 x 120"),
+        "small": ({"left": left[::2, ::2]}, "the left picture is 680 x 512"),
+        "no thermal": ({"thermal_k": None}, "there is no thermal picture"),
+        "volume": ({"left": np.zeros((4, 4, 4, 4))}, "the left picture has the shape"),
+        "text": ({"right": np.full((1024, 1360), "x")}, "numbers are needed"),
+        "nan": ({"thermal_k": nan}, "no numbers"),
+        "black": ({"left": black, "right": black}, "show no outline"),
+        "saturated": ({"left": white, "right": white}, "show no outline"),
+        "swapped": ({"left": right, "right": left}, "outline"),
+        "optical noise": ({"left": grain, "right": grain[::-1]}, "outline"),
+        "thermal noise": ({"thermal_k": cold}, "teat"),
+        "one temperature": ({"thermal_k": np.full_like(kelvin, 300.0)}, "nothing like a teat"),
     }
 
 
-def test_frames_without_teats_give_none_and_a_reason(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
-    for name, (frames, words) in odd_frames(draw_scene(udder)).items():
-        found = FusedDetector().detect(frames, rig)
-        assert found.teats == (), name
-        assert found.reason is not None, name
-        assert words in found.reason, name
-
-
-def test_a_calibration_without_a_thermal_pose_gets_one_sentence(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
-    bare = replace(rig, thermal=replace(rig.thermal, lens=None), thermal_from_left=None)
-    found = FusedDetector().detect(draw_scene(udder), bare)
-    assert found.teats == ()
-    assert found.reason is not None
-    assert "lens and pose of the thermal camera" in found.reason
-
-
-def test_colour_and_sixteen_bits_are_taken_as_they_come(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
+def test_frames_without_teats(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:
     frames = draw_scene(udder)
-    plain = FusedDetector().detect(frames, rig)
-    deep = replace(
-        frames, left=frames.left.astype(np.uint16) * 257, right=frames.right.astype(np.uint16) * 257
-    )
-    colour = replace(frames, left=np.dstack([frames.left] * 3), right=np.dstack([frames.right] * 3))
-    for other in (deep, colour):
+    for name, (changes, words) in odd_frames(frames).items():
+        assert words in refused(FusedDetector().detect(replace(frames, **changes), rig)), name
+
+
+def test_without_a_thermal_pose(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:
+    bare = replace(rig, thermal=replace(rig.thermal, lens=None), thermal_from_left=None)
+    reason = refused(FusedDetector().detect(draw_scene(udder), bare))
+    assert "lens and pose of the thermal camera" in reason
+
+
+def test_colour_and_sixteen_bits(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:
+    frames = draw_scene(udder)
+    plain = errors(FusedDetector().detect(frames, rig), udder)
+    for change in (lambda p: p.astype(np.uint16) * 257, lambda p: np.dstack([p] * 3)):
+        other = replace(frames, left=change(frames.left), right=change(frames.right))
         found = FusedDetector().detect(other, rig)
         assert len(found.teats) == 4
-        assert np.abs(errors(found, udder) - errors(plain, udder)).max() < 0.01
+        assert np.abs(errors(found, udder) - plain).max() < 0.01

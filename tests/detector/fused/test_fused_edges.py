@@ -1,6 +1,4 @@
-"""Edges to a small part of a pixel: steps at known places, on paint that shades towards the limb,
-in noise, and where there is none.
-"""
+"""Edges to a part of a pixel: at known places, on shading paint, in noise, and where none is."""
 
 from __future__ import annotations
 
@@ -26,9 +24,7 @@ RNG = np.random.default_rng(3)
 def steps(
     places: NDArray[np.float64], inner: float, outer: float, noise: float, limb: float = 0.0
 ) -> Lines:
-    """Lines (1, n, s) with a blurred step at each place; ``limb``: how far the inside rises within
-    4 px of the edge.
-    """
+    """Lines (1, n, s) with a blurred step at each place; the inside rises by ``limb`` in 4 px."""
     spread = np.linspace(-3.2, 3.2, 129)
     weight = np.exp(-0.5 * (spread / 0.8) ** 2)
     x = OPTICAL_FINE.offsets[None, :, None] - places[:, None, None] - spread
@@ -80,9 +76,7 @@ def test_noise_alone_is_seldom_an_edge() -> None:
 
 
 def test_faint_edges_are_found_together() -> None:
-    """Seven grey levels of step in noise of two: a line alone misses many, neighbours together
-    hardly any.
-    """
+    """Seven grey levels in noise of two: a line alone misses many, neighbours hardly any."""
     lines = steps(np.full(200, 0.4), 50.0, 57.0, 2.0)
     together = find_edges(lines, OPTICAL_FINE, 2.0)
     # each line an outline of its own: it has no neighbours but itself
@@ -96,10 +90,8 @@ def test_faint_edges_are_found_together() -> None:
 def test_lines_beyond_the_picture_have_no_edge() -> None:
     field = np.zeros((40, 40), dtype=np.float32)
     field[:, 20:] = 100.0
-    middles, normals = (
-        np.array([[19.5, 20.0], [1.0, 20.0], [np.nan, 3.0]]),
-        np.tile([1.0, 0.0], (3, 1)),
-    )
+    middles = np.array([[19.5, 20.0], [1.0, 20.0], [np.nan, 3.0]])
+    normals = np.tile([1.0, 0.0], (3, 1))
     lines = sample(field, middles, normals, OPTICAL_FINE.offsets)
     assert np.isfinite(lines[0]).all()
     assert np.isnan(lines[1:]).all()

@@ -39,9 +39,7 @@ class Taken:
 
 @dataclass(frozen=True)
 class Seen:
-    """What was answered on a member of a family, its ends (n, 3) mm, and which of them every camera
-    sees.
-    """
+    """An answer on a member of a family, its ends (n, 3) mm, and which of them all cameras see."""
 
     family: str
     answer: Detection
@@ -67,9 +65,7 @@ def seen(families: tuple[str, ...], seeds: tuple[int, ...]) -> Iterator[Seen]:
 
 
 def normalised(one: Seen) -> list[float]:
-    """Normalised squared errors of the answers on visible ends: gross errors among them, none left
-    out.
-    """
+    """Normalised squared errors of the answers on visible ends, gross errors included."""
     found = np.array([teat.world_mm for teat in one.answer.teats]).reshape(-1, 3)
     pairs = match(found, one.ends_mm, one.visible, gate_mm(one.ends_mm)).pairs
     return [
@@ -96,9 +92,7 @@ def test_nothing_false_is_said_of_any_family(members: list[Seen]) -> None:
 
 
 def test_normalised_squared_errors_are_within_the_bounds_of_chi_square(members: list[Seen]) -> None:
-    """Their mean over all families, both sides (Bar-Shalom, Li, Kirubarajan, "Estimation with
-    applications", section 5.4.2).
-    """
+    """Bar-Shalom, Li, Kirubarajan, "Estimation with applications", section 5.4.2."""
     sums = np.concatenate([normalised(one) for one in members])
     n = len(sums)
     assert n > 80

@@ -1,10 +1,7 @@
-"""Changes whose effect on the answers is known beforehand: mirrors, brightness, gain, another
-world, another order.
-"""
+"""Changes of known effect: mirrors, brightness, gain, another world, another order."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -16,13 +13,14 @@ from detector.calibration import Calibration
 from detector.fused.detector import FusedDetector
 from detector.geometry import Camera, Motion
 from detector.protocol import Detection
+from tests.detector.fused.conftest import Body, Draw, Find
 
 Array = NDArray[np.float64]
 M = np.diag([-1.0, 1.0, 1.0])
 
 
 @pytest.fixture(scope="module")
-def frames(draw_scene: Callable[..., Any], udder: list[Any]) -> Any:
+def frames(draw_scene: Draw, udder: list[Body]) -> Any:
     return draw_scene(udder, seed=2)
 
 
@@ -53,9 +51,7 @@ def mirrored_motion(motion: Motion) -> Motion:
 
 
 def mirrored_rig(rig: Calibration) -> Calibration:
-    """The rig in a mirror: what was the left camera is the right one, and the world's x runs the
-    other way.
-    """
+    """The rig in a mirror: left and right cameras change places, the world's x changes sign."""
     assert rig.thermal.lens is not None
     assert rig.thermal_from_right is not None
     return replace(
@@ -69,13 +65,9 @@ def mirrored_rig(rig: Calibration) -> Calibration:
     )
 
 
-def test_a_mirrored_scene_has_mirrored_answers(
-    frames: Any, plain: Detection, rig: Calibration
-) -> None:
-    left, right = (
-        np.ascontiguousarray(frames.right[:, ::-1]),
-        np.ascontiguousarray(frames.left[:, ::-1]),
-    )
+def test_a_mirrored_scene_mirrors_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
+    left = np.ascontiguousarray(frames.right[:, ::-1])
+    right = np.ascontiguousarray(frames.left[:, ::-1])
     mirrored = replace(
         frames, left=left, right=right, thermal_k=np.ascontiguousarray(frames.thermal_k[:, ::-1])
     )
@@ -100,9 +92,7 @@ def test_a_warmer_room_moves_nothing(frames: Any, plain: Detection, rig: Calibra
     assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.01
 
 
-def test_another_world_frame_turns_the_answers(
-    frames: Any, plain: Detection, rig: Calibration
-) -> None:
+def test_another_world_turns_the_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
     turn = Motion.from_vectors([0.3, -0.5, 1.1], [10.0, -200.0, 35.0])
     found = FusedDetector().detect(
         frames, replace(rig, world_from_right=turn @ rig.world_from_right)
@@ -116,9 +106,7 @@ def test_another_world_frame_turns_the_answers(
         )
 
 
-def test_the_same_frames_give_the_same_answer(
-    frames: Any, plain: Detection, rig: Calibration
-) -> None:
+def test_same_frames_give_the_same_answer(frames: Any, plain: Detection, rig: Calibration) -> None:
     again = FusedDetector().detect(frames, rig)
     assert all(
         np.array_equal(a.world_mm, b.world_mm)
@@ -126,12 +114,8 @@ def test_the_same_frames_give_the_same_answer(
     )
 
 
-def test_a_shifted_world_of_teats_shifts_the_answers(
-    draw_scene: Callable[..., Any], udder: list[Any], rig: Calibration
-) -> None:
+def test_shifted_teats_shift_the_answers(find: Find, udder: list[Body]) -> None:
     by = np.array([7.3, -11.7, 4.1])
     shifted = [replace(b, end_mm=tuple(np.add(b.end_mm, by))) for b in udder]
-    found, before = (
-        FusedDetector().detect(draw_scene(bodies, noise=0.5), rig) for bodies in (shifted, udder)
-    )
+    found, before = (find(bodies, noise=0.5) for bodies in (shifted, udder))
     assert np.linalg.norm(places(found) - places(before) - by, axis=1).max() < 0.4

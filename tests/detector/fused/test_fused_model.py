@@ -1,6 +1,4 @@
-"""The closed-form outlines of the model against brute force: hulls of densely sampled surfaces,
-projected by OpenCV.
-"""
+"""The model's closed-form outlines against hulls of sampled surfaces, projected by OpenCV."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The figures reached on frames that another program rendered: a path tracer that shares no code
-with the bench.
-"""
+"""The figures reached on frames of a path tracer that shares no code with the bench."""
 
 from __future__ import annotations
 
@@ -54,9 +52,7 @@ def tallies(path_traced: Path) -> dict[str, Tally]:
 def count(
     tally: Tally, rows: list[dict[str, str]], answers: list[tuple[Array, Array | None]]
 ) -> None:
-    """Optimal assignment within half the least spacing, 25 mm at most; hidden teats count neither
-    way.
-    """
+    """Optimal assignment within half the least spacing, 25 mm at most; hidden teats don't count."""
     ends = np.array([[float(row[axis]) for axis in ("x_mm", "y_mm", "z_mm")] for row in rows])
     visible = np.array([row["visible"] == "1" for row in rows])
     apart = np.linalg.norm(ends[:, None] - ends, axis=2)
@@ -98,9 +94,7 @@ LIMITS = {
 
 
 def test_the_errors_are_those_reached(tallies: dict[str, Tally]) -> None:
-    """Mean and greatest distance, mm, with some room for other builds of the libraries; the figures
-    themselves are in the README.
-    """
+    """Mean and greatest distance, mm, with room for other builds of the libraries."""
     for name, tally in tallies.items():
         mean, greatest = LIMITS.get(name, (0.6, 2.0))
         assert np.mean(tally.errors_mm) < mean, name

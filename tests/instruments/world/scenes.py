@@ -1,12 +1,10 @@
-"""What the tests of the scene share: the emulated rig's cameras, an empty scene, and OpenCV as the
-referee of geometry.
-"""
+"""What the scene's tests share: the emulated rig's cameras, an empty scene, OpenCV as referee."""
 
 from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +12,11 @@ import cv2
 import numpy as np
 
 from instruments.world.backdrop import Backdrop
+from instruments.world.optical_camera import OpticalCamera
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import Phantom
 from instruments.world.scene import Renderer
-from instruments.world.sensor import OpticalSensor
+from instruments.world.sensor import Image, OpticalSensor
 from instruments.world.state import SceneState
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -38,10 +37,37 @@ def renderer(**changes: Any) -> Renderer:
     )
 
 
+def eye(which: str, **changes: Any) -> OpticalCamera:
+    """Its left or right camera."""
+    eyes = renderer(**changes)
+    return {"left": eyes.left, "right": eyes.right}[which]
+
+
+@cache
+def empty(which: str) -> Image:
+    """The empty scene before noise."""
+    return eye(which).expected(NOBODY)
+
+
+def matrix(camera: CameraModel) -> Floats:
+    """OpenCV's camera matrix."""
+    (fx, fy), (cx, cy) = camera.fc, camera.cc
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
 def by_opencv(camera: CameraModel, points_mm: Floats) -> Floats:
-    """Pixels (n, 2) of world points (n, 3), by `cv2.projectPoints`."""
-    K = np.array(
-        [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
-    )
-    pixels, _ = cv2.projectPoints(points_mm, cv2.Rodrigues(camera.R)[0], camera.t_mm, K, camera.kc)
-    return np.asarray(pixels[:, 0], dtype=np.float64)
+    """Pixels (n, 2) of world points (n, 3), by `cv2.projectPoints`; Bouguet's skew, which OpenCV
+    hasn't, is fc[0] alpha_c times the distorted y.
+    """
+    turn, K = cv2.Rodrigues(camera.R)[0], matrix(camera)
+    pixels, _ = cv2.projectPoints(points_mm, turn, camera.t_mm, K, camera.kc)
+    u, v = np.asarray(pixels[:, 0], dtype=np.float64).T
+    skew = camera.fc[0] * camera.alpha_c * (v - camera.cc[1]) / camera.fc[1]
+    return np.column_stack([u + skew, v])
+
+
+def centroid(picture: Image | Floats, at: tuple[int, int], reach: int) -> Floats:
+    """Column and row (2,) of what is bright within ``reach`` of (column, row)."""
+    u, v = (np.arange(each - reach, each + reach + 1) for each in at)
+    patch = picture[np.ix_(v, u)]
+    return np.asarray(np.array([patch.sum(axis=0) @ u, patch.sum(axis=1) @ v]) / patch.sum())

@@ -1,6 +1,4 @@
-"""Calibration boards in the scene: their corners against OpenCV's projection and detectors, by
-light and by heat, still and moving.
-"""
+"""Calibration boards in the scene, by light and by heat, still and moving, against OpenCV."""
 
 from __future__ import annotations
 
@@ -9,12 +7,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from instruments.world.boards import Board, Pattern, dark_parts_mm, poses
 from instruments.world.optics import Floats
 from instruments.world.sensor import Exposure, Image
 from instruments.world.state import SceneState
-from tests.instruments.world.scenes import NOBODY, by_opencv, renderer
+from tests.instruments.world.scenes import NOBODY, by_opencv, centroid, eye, matrix, renderer
 
 CHESS = Pattern("chessboard", 10, 7, 25.0, 20.0)
 CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
@@ -29,13 +28,14 @@ def held(pattern: Pattern) -> tuple[Board, ...]:
     return poses(pattern, renderer().cameras[:2], (450.0, 1200.0), seed=3)
 
 
+def grey(picture: Image) -> NDArray[np.uint8]:
+    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+
+
 def refined(picture: Image, corners_px: Floats, window: int = 4) -> Floats:
-    grey = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
     start = corners_px.astype(np.float32).reshape(-1, 1, 2) + np.float32(0.3)
-    return np.asarray(
-        cv2.cornerSubPix(grey, start, (window, window), (-1, -1), CRITERIA).reshape(-1, 2),
-        dtype=np.float64,
-    )
+    found = cv2.cornerSubPix(grey(picture), start, (window, window), (-1, -1), CRITERIA)
+    return np.asarray(found.reshape(-1, 2), dtype=np.float64)
 
 
 @pytest.mark.parametrize("which", ["left", "right"])
@@ -48,11 +48,11 @@ def test_corners_lie_where_opencv_projects_them(which: str, number: int) -> None
     pictures that are exact, as the next test shows that these are.
     """
     board = held(replace(CHESS, square_mm=40.0))[number]
-    eye = renderer(blur_px=1.0).left if which == "left" else renderer(blur_px=1.0).right
-    expected = by_opencv(eye.view.camera, board.corners_mm)
+    soft = eye(which, blur_px=1.0)
+    expected = by_opencv(soft.view.camera, board.corners_mm)
     inside = np.all((expected > 16.0) & (expected < np.array([1343.0, 1007.0])), axis=1)
     assert inside.sum() >= 30
-    seen = refined(eye.expected(with_board(board)), expected[inside], window=10)
+    seen = refined(soft.expected(with_board(board)), expected[inside], window=10)
     off = np.linalg.norm(seen - expected[inside], axis=1)
     assert np.sqrt((off**2).mean()) < 0.05
     assert off.max() < 0.1
@@ -72,43 +72,33 @@ def test_every_pixel_has_its_exact_share_of_dark(pattern: Pattern) -> None:
     u, v = np.meshgrid(u0 + fine, v0 + fine)
     dark = _dark_at(board, np.column_stack([u.ravel(), v.ravel()])).reshape(u.shape)
     expected = dark.reshape(2 * half + 1, samples, 2 * half + 1, samples).mean(axis=(1, 3))
-    assert (
-        np.abs(expected - share[v0 - half : v0 + half + 1, u0 - half : u0 + half + 1]).max() < 0.003
-    )
+    around = share[v0 - half : v0 + half + 1, u0 - half : u0 + half + 1]
+    assert np.abs(expected - around).max() < 0.003
+
+
+def charuco(pattern: Pattern) -> cv2.aruco.CharucoBoard:
+    """OpenCV's own board."""
+    size, marker_mm = (pattern.columns, pattern.rows), 0.75 * pattern.square_mm
+    dictionary = cv2.aruco.getPredefinedDictionary(pattern.dictionary)
+    return cv2.aruco.CharucoBoard(size, pattern.square_mm, marker_mm, dictionary)
 
 
 def _dark_at(board: Board, pixels: Floats) -> Floats:
-    """1 where the board is dark, at pixels (n, 2), by OpenCV's inverse of the lens and one ray
-    each.
-    """
+    """1 where the board is dark, at pixels (n, 2), by OpenCV's inverse of the lens."""
     camera = renderer().left.view.camera
-    K = np.array(
-        [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
-    )
-    plane = cv2.undistortPoints(pixels[:, None, :], K, camera.kc)[:, 0]
+    pattern, corner = board.pattern, np.asarray(board.corner_mm)
+    plane = cv2.undistortPoints(pixels[:, None, :], matrix(camera), camera.kc)[:, 0]
     rays = np.column_stack([plane, np.ones(len(plane))]) @ camera.R
-    depth = ((np.asarray(board.corner_mm) - camera.centre_mm) @ board.normal) / (
-        rays @ board.normal
-    )
-    on = camera.centre_mm + depth[:, None] * rays - np.asarray(board.corner_mm)
-    flat = np.column_stack([on @ np.asarray(board.across), on @ np.asarray(board.along)])
-    if board.pattern.kind == "chessboard":
-        squares = np.floor((flat - board.pattern.margin_mm) / board.pattern.square_mm)
+    depth = ((corner - camera.centre_mm) @ board.normal) / (rays @ board.normal)
+    on = camera.centre_mm + depth[:, None] * rays - corner
+    flat = np.column_stack([on @ board.across, on @ board.along]) - pattern.margin_mm
+    if pattern.kind == "chessboard":
+        squares = np.floor(flat / pattern.square_mm)
         return np.asarray(squares.sum(axis=1) % 2 == 0, dtype=np.float64)
     scale = 20  # a ChArUco board is OpenCV's own drawing, 20 px a mm
-    size = (
-        round(board.pattern.columns * board.pattern.square_mm * scale),
-        round(board.pattern.rows * board.pattern.square_mm * scale),
-    )
-    dictionary = cv2.aruco.getPredefinedDictionary(board.pattern.dictionary)
-    drawn = cv2.aruco.CharucoBoard(
-        (board.pattern.columns, board.pattern.rows),
-        board.pattern.square_mm,
-        0.75 * board.pattern.square_mm,
-        dictionary,
-    )
-    picture = drawn.generateImage(size)
-    at = np.floor((flat - board.pattern.margin_mm) * scale).astype(int)
+    size = tuple(round(n * pattern.square_mm * scale) for n in (pattern.columns, pattern.rows))
+    picture = charuco(pattern).generateImage(size)
+    at = np.floor(flat * scale).astype(int)
     inside = np.all((at >= 0) & (at < np.array(size)), axis=1)
     dark = np.zeros(len(at))
     dark[inside] = picture[at[inside, 1], at[inside, 0]] < 128
@@ -116,10 +106,8 @@ def _dark_at(board: Board, pixels: Floats) -> Floats:
 
 
 def test_opencv_finds_the_chessboard_and_its_order() -> None:
-    picture = np.clip(np.rint(renderer().left.expected(with_board(UPRIGHT))), 0, 255).astype(
-        np.uint8
-    )
-    found, corners = cv2.findChessboardCorners(picture, (9, 6))
+    picture = renderer().left.expected(with_board(UPRIGHT))
+    found, corners = cv2.findChessboardCorners(grey(picture), (9, 6))
     assert found
     expected = by_opencv(renderer().cameras[0], UPRIGHT.corners_mm)
     assert np.abs(corners.reshape(-1, 2) - expected).max() < 1.0
@@ -129,19 +117,15 @@ def test_opencv_reads_the_charuco_board() -> None:
     """Markers, their numbers and the corners between them, as OpenCV lays such a board out."""
     pattern = Pattern("charuco", 8, 6, 40.0, 15.0)
     board = Board((-360.0, 150.0, 275.0), pattern=pattern)
-    dictionary = cv2.aruco.getPredefinedDictionary(pattern.dictionary)
-    referee = cv2.aruco.CharucoBoard((8, 6), 40.0, 30.0, dictionary)
-    picture = np.clip(np.rint(renderer().left.expected(with_board(board))), 0, 255).astype(np.uint8)
+    referee, picture = charuco(pattern), grey(renderer().left.expected(with_board(board)))
     corners, ids, _, marker_ids = cv2.aruco.CharucoDetector(referee).detectBoard(picture)
     assert len(marker_ids) == 24
     assert sorted(int(i) for i in ids.ravel()) == list(range(35))
     expected = by_opencv(renderer().cameras[0], board.corners_mm)[ids.ravel()]
-    assert (
-        np.linalg.norm(corners.reshape(-1, 2) - expected, axis=1).max() < 0.25
-    )  # the detector's own refinement; order and place are the point
-    assert board.pattern.corners_mm - pattern.margin_mm == pytest.approx(
-        np.asarray(referee.getChessboardCorners())[:, :2]
-    )
+    # the detector's own refinement; order and place are the point
+    assert np.linalg.norm(corners.reshape(-1, 2) - expected, axis=1).max() < 0.25
+    laid_out = np.asarray(referee.getChessboardCorners())[:, :2]
+    assert board.pattern.corners_mm - pattern.margin_mm == pytest.approx(laid_out)
 
 
 def test_dark_parts_are_half_of_a_chessboard_and_circles_are_round() -> None:
@@ -157,25 +141,15 @@ def test_dark_parts_are_half_of_a_chessboard_and_circles_are_round() -> None:
 
 
 def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
-    """A heated board of circles: the middle of each one's heat against `cv2.projectPoints`, in
-    thermal pixels.
-    """
+    """The middle of each circle's heat, in thermal pixels."""
     pattern = Pattern("circles", 4, 3, 36.0, 9.0, feature_mm=18.0)
     board = Board((-175.0, 240.0, 155.0), pattern=pattern, light=20.0, dark=36.0)
     camera = renderer().cameras[2].resized(160, 120)
     warmth = renderer().thermal.expected_k(with_board(board)) - 293.15
     reach = round(18.0 * camera.fc[0] / 1080.0)
     for u, v in by_opencv(camera, board.corners_mm):
-        rows, columns = (
-            slice(round(v) - reach, round(v) + reach + 1),
-            slice(round(u) - reach, round(u) + reach + 1),
-        )
-        patch = warmth[rows, columns]
-        at = [
-            (patch.sum(axis=0) @ np.arange(columns.start, columns.stop)),
-            (patch.sum(axis=1) @ np.arange(rows.start, rows.stop)),
-        ]
-        assert np.array(at) / patch.sum() == pytest.approx([u, v], abs=0.05)
+        at = centroid(warmth, (round(u), round(v)), reach)
+        assert at == pytest.approx([u, v], abs=0.05)
 
 
 def test_light_is_shared_between_dark_and_light_by_area() -> None:
@@ -204,33 +178,21 @@ def test_a_heated_board_shows_its_squares_to_the_thermal_camera() -> None:
     camera = renderer().cameras[2].resized(160, 120)
     seen = renderer().thermal.expected_k(with_board(board))
     corners = by_opencv(camera, board.corners_mm)
-    grey = cv2.resize(
-        ((seen - seen.min()) / np.ptp(seen) * 255.0).astype(np.float32),
-        None,
-        fx=4,
-        fy=4,
-        interpolation=cv2.INTER_CUBIC,
-    )
-    at = refined(np.asarray(grey), 4.0 * corners + 1.5, window=10)
+    bright = ((seen - seen.min()) / np.ptp(seen) * 255.0).astype(np.float32)
+    large = cv2.resize(bright, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+    at = refined(np.asarray(large), 4.0 * corners + 1.5, window=10)
     off = (at - 1.5) / 4.0 - corners
     assert np.sqrt((off**2).sum(axis=1).mean()) < 0.06  # of a thermal pixel of 8 mm
     assert np.abs(off.mean(axis=0)).max() < 0.04
-    middle = (
-        by_opencv(
-            camera, board.placed(np.array([[10.0 + 22.5, 10.0 + 22.5], [10.0 + 67.5, 10.0 + 22.5]]))
-        )
-        .round()
-        .astype(int)
-    )
+    two = board.placed(np.array([[10.0 + 22.5, 10.0 + 22.5], [10.0 + 67.5, 10.0 + 22.5]]))
+    middle = by_opencv(camera, two).round().astype(int)
     dark, light = (seen[v, u] - 273.15 for u, v in middle)
     assert dark == pytest.approx(0.93 * 36.0 + 0.07 * 20.0, abs=0.25)
     assert light == pytest.approx(0.93 * 28.0 + 0.07 * 20.0, abs=0.25)
 
 
 def test_a_board_that_moves_is_smeared_along_its_way() -> None:
-    """At 50 mm/s and 0.1 s an upright edge is smeared over 5 mm, some 5.7 px; and stays where it is
-    at mid-exposure.
-    """
+    """At 50 mm/s and 0.1 s: over 5 mm, some 5.7 px, about the place at mid-exposure."""
     board = replace(UPRIGHT, pattern=Pattern("plain", 6, 6, 25.0, 0.0))
     still, moving = (
         renderer().left.expected(with_board(b, exposure=Exposure(0.1, 0.2)))

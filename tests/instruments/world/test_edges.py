@@ -1,6 +1,4 @@
-"""Geometry and edges of rendered solids against OpenCV, at every orientation and sub-pixel phase;
-the lens's MTF; focus.
-"""
+"""Rendered solids against OpenCV, at every orientation and sub-pixel phase; MTF; focus."""
 
 from __future__ import annotations
 
@@ -16,91 +14,71 @@ from instruments.world.optical_camera import OpticalCamera
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import Focus, Image, blurred, blurred_by_depth, kernel, transfer
 from instruments.world.shading import Lighting, Paint
-from instruments.world.solids import Hull, ball
-from tests.instruments.world.scenes import NOBODY, by_opencv, renderer
+from instruments.world.solids import Hull, Ints, ball
+from tests.instruments.world.scenes import NOBODY, by_opencv, centroid, empty, eye, renderer
 
 BLACK = Paint(albedo=0.0)
 PANEL = Pattern("plain", 6, 6, 25.0, 0.0)
 
 
 @cache
-def empty(which: str) -> Image:
-    return _eye(which).expected(NOBODY)
-
-
-@cache
 def covered(which: str) -> Image:
     """The frame before noise with the lights off: what the sensor gives of its own."""
-    return _eye(which).expected(replace(NOBODY, lighting=Lighting(brightness=0.0)))
-
-
-def _eye(which: str) -> OpticalCamera:
-    return {"left": renderer().left, "right": renderer().right}[which]
+    return eye(which).expected(replace(NOBODY, lighting=Lighting(brightness=0.0)))
 
 
 def hidden_share(which: str, *hulls: Hull) -> Floats:
     """Share of the board's light that black solids take from each pixel, (h, w), before noise."""
-    thing = SceneObject("black", hulls, BLACK, "ambient")
-    dark = covered(which)
-    return np.asarray(
-        1.0
-        - (_eye(which).expected(replace(NOBODY, objects=(thing,))) - dark) / (empty(which) - dark),
-        dtype=np.float64,
-    )
+    thing, dark = SceneObject("black", hulls, BLACK, "ambient"), covered(which)
+    seen = eye(which).expected(replace(NOBODY, objects=(thing,)))
+    return np.asarray(1.0 - (seen - dark) / (empty(which) - dark), dtype=np.float64)
+
+
+def bounds(share: Floats, rows: Ints, columns: Ints) -> Floats:
+    """Left and right edge (2, n) of what is covered in these rows, px."""
+    profile = share[np.ix_(rows, columns)]
+    width, centre = profile.sum(axis=1), profile @ columns / profile.sum(axis=1)
+    return np.array([centre - width / 2.0, centre + width / 2.0])
+
+
+def at_rows(limb: Floats, rows: Ints) -> Floats:
+    """Columns of a limb (n, 2) px at these rows."""
+    limb = limb[np.argsort(limb[:, 1])]
+    return np.asarray(np.interp(rows, limb[:, 1], limb[:, 0]))
 
 
 @pytest.mark.parametrize("which", ["left", "right"])
 def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
-    camera = _eye(which).view.camera
-    places = [
-        (x, y, z) for x in (-620.0, -200.0, 250.0) for y, z in ((150.0, 130.0), (700.0, 420.0))
-    ]
+    depths = ((150.0, 130.0), (700.0, 420.0))
+    places = [(x, y, z) for x in (-620.0, -200.0, 250.0) for y, z in depths]
     share = hidden_share(which, *(ball(place, 4.0) for place in places))
-    for u, v in by_opencv(camera, np.array(places)):
-        rows, columns = slice(round(v) - 14, round(v) + 15), slice(round(u) - 14, round(u) + 15)
-        patch = share[rows, columns]
-        at = np.array(
-            [
-                (patch.sum(axis=0) @ np.arange(columns.start, columns.stop)),
-                (patch.sum(axis=1) @ np.arange(rows.start, rows.stop)),
-            ]
-        )
-        assert at / patch.sum() == pytest.approx([u, v], abs=0.03)
+    for u, v in by_opencv(eye(which).view.camera, np.array(places)):
+        assert centroid(share, (round(u), round(v)), 14) == pytest.approx([u, v], abs=0.03)
 
 
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("lean_mm", [0.0, 20.0])
 def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
-    """Both edges of a post, in rows of pixels, against the limb of the post by `cv2.projectPoints`:
-    below 0.01 px before noise.
-    """
-    camera, worst = _eye(which).view.camera, 0.0
+    """Both edges of a post in rows of pixels, against its limb: below 0.01 px before noise."""
+    camera, worst = eye(which).view.camera, 0.0
     for phase in np.linspace(0.0, 0.85, 9):
-        a, b = (
-            np.array([-180.0 + phase, 230.0, 60.0]),
-            np.array([-180.0 + phase + lean_mm, 230.0, 180.0]),
-        )
+        a = np.array([-180.0 + phase, 230.0, 60.0])
+        b = np.array([-180.0 + phase + lean_mm, 230.0, 180.0])
         share = hidden_share(which, Hull(tuple(a), tuple(b), 11.0, 11.0))
         middle = by_opencv(camera, 0.5 * (a + b)[None, :])[0]
         rows = np.arange(round(middle[1]) - 30, round(middle[1]) + 30)
         columns = np.arange(round(middle[0]) - 40, round(middle[0]) + 41)
-        profile = share[np.ix_(rows, columns)]
-        width, centre = profile.sum(axis=1), profile @ columns / profile.sum(axis=1)
-        for side in (-1.0, 1.0):
+        for side, seen in zip((-1.0, 1.0), bounds(share, rows, columns), strict=True):
             limb = by_opencv(camera, _limb(camera, a, b, 11.0, side))
-            order = np.argsort(limb[:, 1])
-            expected = np.interp(rows, limb[order, 1], limb[order, 0])
-            worst = max(worst, float(np.abs(centre + side * width / 2.0 - expected).max()))
+            worst = max(worst, float(np.abs(seen - at_rows(limb, rows)).max()))
     assert worst < 0.01, f"worst edge error {worst:.4f} px"
 
 
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("angle_deg", [0.0, 1.0, 5.0, 17.0, 30.0, 45.0, 60.0, 73.0, 89.0, 90.0])
 def test_edges_of_every_orientation(which: str, angle_deg: float) -> None:
-    """Both edges of a post turned in the picture's plane, sampled along its normal: their mean
-    place over each stretch, below 0.01 px.
-    """
-    camera = _eye(which).view.camera
+    """Both edges of a turned post: their mean place over each stretch, below 0.01 px."""
+    camera = eye(which).view.camera
     angle = np.radians(angle_deg)
     way = np.array([np.cos(angle), 0.0, np.sin(angle)])
     middle, worst = np.array([-190.0, 420.0, 320.0]), 0.0
@@ -115,30 +93,16 @@ def test_edges_of_every_orientation(which: str, angle_deg: float) -> None:
         ]
         along = 0.5 * (limbs[0][:, 1] + limbs[1][:, 1])
         rows = np.arange(int(np.quantile(along, 0.25)), int(np.quantile(along, 0.75)))
-        expected = [
-            np.interp(rows, limb[np.argsort(limb[:, 1]), 1], limb[np.argsort(limb[:, 1]), 0])
-            for limb in limbs
-        ]
-        low, high = (
-            int(min(e.min() for e in expected)) - 12,
-            int(max(e.max() for e in expected)) + 13,
-        )
-        columns = np.arange(low, high)
-        profile = flat[np.ix_(rows, columns)]
-        width, centre = profile.sum(axis=1), profile @ columns / profile.sum(axis=1)
-        for side, limb in zip(
-            (-1.0, 1.0), sorted(expected, key=lambda e: float(e.mean())), strict=True
-        ):
-            # A row's edge is a mean over the lens's blur of rows: a mean over many rows is the
-            # edge's.
-            worst = max(worst, abs(float(np.mean(centre + side * width / 2.0 - limb))))
+        expected = np.array(sorted((at_rows(limb, rows) for limb in limbs), key=np.mean))
+        columns = np.arange(int(expected.min()) - 12, int(expected.max()) + 13)
+        # A row's edge is a mean over the lens's blur of rows: a mean over many rows is the edge's.
+        off = (bounds(flat, rows, columns) - expected).mean(axis=1)
+        worst = max(worst, float(np.abs(off).max()))
     assert worst < 0.01, f"worst edge error {worst:.4f} px"
 
 
 def _limb(camera: CameraModel, a: Floats, b: Floats, radius: float, side: float) -> Floats:
-    """Points where rays touch a cylinder on its left or right: the normal is square to the axis and
-    to the ray.
-    """
+    """Points where rays touch a cylinder: the normal is square to the axis and to the ray."""
     axis = (b - a) / np.linalg.norm(b - a)
     away = a - camera.centre_mm
     away -= (away @ axis) * axis
@@ -149,13 +113,10 @@ def _limb(camera: CameraModel, a: Floats, b: Floats, radius: float, side: float)
 
 
 def test_the_rounded_end_reaches_its_apex() -> None:
-    """The picture of a teat ends where its hemisphere's limb does: highest covered row against
-    geometry.
-    """
+    """The highest covered row is the hemisphere's limb."""
     camera = renderer().cameras[0]
-    share = hidden_share(
-        "left", Hull((-180.0, 230.0, 30.0), (-180.0, 230.0, 125.0), 11.0, 11.0, flat_a=True)
-    )
+    teat = Hull((-180.0, 230.0, 30.0), (-180.0, 230.0, 125.0), 11.0, 11.0, flat_a=True)
+    share = hidden_share("left", teat)
     angle = np.linspace(0.0, 2.0 * np.pi, 4000)
     centre = np.array([-180.0, 230.0, 125.0])
     away = centre - camera.centre_mm
@@ -166,9 +127,8 @@ def test_the_rounded_end_reaches_its_apex() -> None:
     v = np.cross(u, forward)
     rim = centre - 11.0**2 / distance * forward
     radius = 11.0 * np.sqrt(1.0 - (11.0 / distance) ** 2)
-    limb = by_opencv(
-        camera, rim + radius * (np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v)
-    )
+    ring = np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
+    limb = by_opencv(camera, rim + radius * ring)
     outline = limb[np.abs(limb[:, 0] - limb[:, 0].mean()) < 13.0]
     top = outline[:, 1].min()
     column = round(float(outline[outline[:, 1].argmin(), 0]))
@@ -189,9 +149,7 @@ def test_nothing_seen_beside_the_outline() -> None:
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("blur_px", [0.5, 0.9])
 def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> None:
-    """ISO 12233: the edge spread along the edge's normal, finely binned; its derivative's spectrum
-    is the declared transfer.
-    """
+    """ISO 12233: the edge spread along the normal, finely binned; its derivative's spectrum."""
     eye = renderer(blur_px=blur_px, prnu=0.0, dsnu_e=0.0, vignetting=0.0).left
     angle = np.radians(5.0)
     across, along = (np.cos(angle), 0.0, np.sin(angle)), (np.sin(angle), 0.0, -np.cos(angle))
@@ -216,13 +174,11 @@ def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> No
     fine = 0.1
     bins = np.round(distance / fine).astype(int)
     edge = np.array([values[bins == k].mean() for k in range(-160, 161)])
-    line = (
-        np.diff(edge) * np.hanning(len(edge) - 1) / abs(np.diff(edge) @ np.hanning(len(edge) - 1))
-    )
+    line = np.diff(edge) * np.hanning(len(edge) - 1)
+    line /= abs(line.sum())
     for f in (0.05, 0.1, 0.2, 0.3, 0.4, 0.5):
-        seen = abs(np.sum(line * np.exp(-2j * np.pi * f * fine * np.arange(len(line))))) / (
-            np.sinc(f * fine) ** 2
-        )
+        spectrum = line @ np.exp(-2j * np.pi * f * fine * np.arange(len(line)))
+        seen = abs(spectrum) / np.sinc(f * fine) ** 2
         declared = np.prod(transfer(blur_px, f * np.abs(normal)))
         assert seen == pytest.approx(declared, abs=0.01), f"{f} cycles a pixel"
 
@@ -230,12 +186,7 @@ def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> No
 def _between(panel: Board, turned: bool) -> Floats:
     part = np.linspace(0.05, 0.95, 19)[:, None]
     width, height = panel.pattern.size_mm
-    flat = (
-        np.hstack([part * width, np.zeros_like(part)])
-        if turned
-        else np.hstack([np.zeros_like(part), part * height])
-    )
-    return panel.placed(flat)
+    return panel.placed(part * ([width, 0.0] if turned else [0.0, height]))
 
 
 @pytest.mark.parametrize("sigma", [0.2, 0.5, 0.9, 2.0, 6.0])
@@ -250,23 +201,16 @@ def test_the_kernel_has_its_variance_and_its_transfer(sigma: float) -> None:
 
 
 def test_out_of_focus_widens_edges_as_the_thin_lens_says() -> None:
-    """A panel at twice the focused distance, through a wide lens: its edge spreads by the circle of
-    confusion; one in focus doesn't.
-    """
+    """At twice the focused distance an edge spreads by the circle of confusion; in focus not."""
     focus = Focus(aperture_mm=8.0, distance_mm=1040.0)
-    sharp, soft = (
-        renderer(prnu=0.0, dsnu_e=0.0).left,
-        renderer(prnu=0.0, dsnu_e=0.0, focus=focus).left,
-    )
-    for y, expected_px in (
-        (200.0, 0.0),
-        (960.0, 0.25 * 8.0 * 1293.1 * abs(1.0 / 1799.5 - 1.0 / 1040.0)),
-    ):
+    sharp = renderer(prnu=0.0, dsnu_e=0.0).left
+    soft = renderer(prnu=0.0, dsnu_e=0.0, focus=focus).left
+    spread_px = 0.25 * 8.0 * 1293.1 * abs(1.0 / 1799.5 - 1.0 / 1040.0)
+    for y, expected_px in ((200.0, 0.0), (960.0, spread_px)):
         panel = Board((-200.0, y, 430.0), pattern=PANEL, light_albedo=0.0)
         widths = [_edge_width(eye, panel) for eye in (sharp, soft)]
-        assert np.sqrt(max(widths[1] ** 2 - widths[0] ** 2, 0.0)) == pytest.approx(
-            expected_px, abs=0.12
-        )
+        wider = np.sqrt(max(widths[1] ** 2 - widths[0] ** 2, 0.0))
+        assert wider == pytest.approx(expected_px, abs=0.12)
 
 
 def _edge_width(eye: OpticalCamera, panel: Board) -> float:
@@ -279,16 +223,8 @@ def _edge_width(eye: OpticalCamera, panel: Board) -> float:
     lines = np.diff(cover, axis=1)
     at = np.arange(lines.shape[1])
     means = lines @ at / lines.sum(axis=1)
-    return float(
-        np.sqrt(
-            np.mean(
-                [
-                    (line / line.sum()) @ (at - mean) ** 2
-                    for line, mean in zip(lines, means, strict=True)
-                ]
-            )
-        )
-    )
+    squares = (lines * (at - means[:, None]) ** 2).sum(axis=1) / lines.sum(axis=1)
+    return float(np.sqrt(squares.mean()))
 
 
 def test_a_blur_that_varies_agrees_with_even_ones() -> None:

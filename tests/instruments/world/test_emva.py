@@ -1,6 +1,4 @@
-"""EMVA 1288's own referee, the package `emva1288`, run on rendered flat fields: it returns what the
-sensor was given.
-"""
+"""EMVA 1288's referee `emva1288` on rendered flat fields: it returns what the sensor was given."""
 
 from __future__ import annotations
 
@@ -87,9 +85,7 @@ def test_gain_multiplies_the_gain_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_eight_bits_keep_gain_and_patterns(tmp_path: Path) -> None:
-    """The shipped camera. Its dark noise of 0.39 grey levels is below the 0.49 that EMVA 1288 (6.5)
-    asks for to tell it from rounding.
-    """
+    """Its dark noise of 0.39 grey levels is below the 0.49 that EMVA 1288 (6.5) asks for."""
     sensor = replace(OpticalSensor(), vignetting=0.0)
     seen = measured(sensor, tmp_path)
     assert pytest.approx(sensor.gain_dn_per_e, rel=0.03) == seen.K

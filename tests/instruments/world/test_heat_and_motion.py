@@ -1,6 +1,4 @@
-"""Heat along teats and at grazing angles, the backdrop's warmth; motion during exposure and the
-thermal camera's lag; exposure.
-"""
+"""Heat of teats and backdrop; motion during exposure; the thermal camera's lag; exposure."""
 
 from __future__ import annotations
 
@@ -9,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.optimize import brentq
 
 from instruments.world.backdrop import Backdrop, Poster
 from instruments.world.objects import make_object
@@ -31,47 +30,29 @@ WARM = SceneState(UPRIGHT, (33.0,), 33.0, 20.0, backdrop=PLAIN)
 
 
 def test_the_power_law_stands_for_the_band() -> None:
-    """Against Planck's law over 8 to 13 um, solved for the apparent temperature: within 0.1 K from
-    10 to 45 degC, room 20.
-    """
+    """Against Planck's law over 8 to 13 um: within 0.1 K from 10 to 45 degC, room 20."""
 
-    def band(kelvin: float) -> float:
-        return float(
-            quad(lambda um: um**-5 / (np.exp(14387.77 / (um * kelvin)) - 1.0), 8.0, 13.0)[0]
-        )
+    def band(k: float) -> float:
+        return float(quad(lambda um: um**-5 / np.expm1(14387.77 / (um * k)), 8.0, 13.0)[0])
 
     for celsius in (10.0, 20.0, 33.0, 45.0):
         mixed = 0.95 * band(celsius + 273.15) + 0.05 * band(293.15)
-        low, high = 250.0, 340.0
-        while high - low > 1e-6:
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if band(middle) < mixed else (low, middle)
-        ours = float(
-            kelvin_from_radiance(0.95 * radiance_from_c(celsius) + 0.05 * radiance_from_c(20.0))
-        )
-        assert ours == pytest.approx(low, abs=0.1)
+        exact = brentq(lambda k, mixed=mixed: band(k) - mixed, 250.0, 340.0)
+        ours = kelvin_from_radiance(0.95 * radiance_from_c(celsius) + 0.05 * radiance_from_c(20.0))
+        assert float(ours) == pytest.approx(exact, abs=0.1)
 
 
 def column_of_teat(state: SceneState) -> Floats:
-    """degC up the middle of the teat, from near the base to below
-    its rounded end, sensor pixels.
-    """
+    """degC up the middle of the teat, from near the base to below its rounded end."""
     seen = renderer().thermal.expected_k(state) - 273.15
-    (u, top), (_, foot) = (
-        by_opencv(
-            renderer().cameras[2].resized(160, 120),
-            np.array([[-150.0, 240.0, 135.0], [-150.0, 240.0, 30.0]]),
-        )
-        .round()
-        .astype(int)
-    )
+    camera = renderer().cameras[2].resized(160, 120)
+    ends = np.array([[-150.0, 240.0, 135.0], [-150.0, 240.0, 30.0]])
+    (u, top), (_, foot) = by_opencv(camera, ends).round().astype(int)
     return np.asarray(seen[top:foot, u - 1 : u + 2].mean(axis=1)[::-1])
 
 
 def test_a_teat_is_warmer_at_its_base() -> None:
-    """By `teat_fall` of what it is above the room, evenly: 13 K x 0.1 over its length, and its mean
-    stays.
-    """
+    """By `teat_fall` of what it is above the room: 13 K x 0.1; its mean stays."""
     along = column_of_teat(replace(WARM, teat_fall=0.1))
     flat = column_of_teat(replace(WARM, teat_fall=0.0))
     slope = np.polyfit(np.arange(len(along)) / len(along), along - flat, 1)[0]
@@ -91,29 +72,16 @@ def test_emissivity_falls_off_at_grazing_angles() -> None:
 
 def test_a_shiny_thing_shows_the_room() -> None:
     """Bare aluminium, emissivity 0.07: 13 K above the room look like less than one."""
-    thing = replace(
-        make_object(
-            "ball",
-            x_mm=-150.0,
-            y_mm=300.0,
-            z_mm=90.0,
-            radius_mm=50.0,
-            temperature=33.0,
-            offset_k=0.0,
-        ),
-        paint=Paint(0.5, 0.5, 0.07),
-    )
+    place = {"x_mm": -150.0, "y_mm": 300.0, "z_mm": 90.0, "radius_mm": 50.0}
+    ball = make_object("ball", **place, temperature=33.0, offset_k=0.0)
+    thing = replace(ball, paint=Paint(0.5, 0.5, 0.07))
     seen = renderer().thermal.expected_k(replace(NOBODY, objects=(thing,))) - 273.15
     assert 20.3 < seen.max() < 21.2
 
 
 def test_board_and_table_have_temperatures_of_their_own() -> None:
-    seen = (
-        renderer().thermal.expected_k(
-            replace(NOBODY, backdrop=replace(PLAIN, board_k=0.5, table_k=-0.4))
-        )
-        - 273.15
-    )
+    state = replace(NOBODY, backdrop=replace(PLAIN, board_k=0.5, table_k=-0.4))
+    seen = renderer().thermal.expected_k(state) - 273.15
     assert seen[10].mean() == pytest.approx(20.5, abs=0.01)
     assert seen[-6].mean() == pytest.approx(19.6, abs=0.01)
 
@@ -123,9 +91,8 @@ def test_posters_hang_where_they_are_told_in_both_cameras() -> None:
     for eye in (renderer().left, renderer().right):
         seen = eye.expected(replace(NOBODY, backdrop=replace(PLAIN, posters=(poster,))))
         gone = np.asarray(1.0 - seen / eye.expected(NOBODY), dtype=np.float64)
-        low, high = by_opencv(
-            eye.view.camera, np.array([[-300.0, 1000.0, 360.0], [-210.0, 1000.0, 300.0]])
-        )
+        corners = np.array([[-300.0, 1000.0, 360.0], [-210.0, 1000.0, 300.0]])
+        low, high = by_opencv(eye.view.camera, corners)
         rows, columns = np.indices(gone.shape)
         at = np.array([(gone * columns).sum(), (gone * rows).sum()]) / gone.sum()
         assert at == pytest.approx(0.5 * (low + high), abs=0.1)
@@ -137,16 +104,13 @@ def test_posters_hang_where_they_are_told_in_both_cameras() -> None:
 
 def profile(state: SceneState) -> Image:
     """A row across the teat, half-way up."""
-    u, v = (
-        by_opencv(renderer().cameras[0], np.array([[-150.0, 240.0, 90.0]])).round().astype(int)[0]
-    )
+    at = np.array([[-150.0, 240.0, 90.0]])
+    u, v = by_opencv(renderer().cameras[0], at).round().astype(int)[0]
     return np.asarray(renderer().left.expected(state)[v - 5 : v + 6, u - 60 : u + 61].mean(axis=0))
 
 
 def test_a_moving_phantom_is_smeared_about_its_place_at_mid_exposure() -> None:
-    """200 mm/s for 40 ms: 8 mm, some 9.6 px, evenly on both sides; the light that the teat takes
-    away stays the same.
-    """
+    """200 mm/s for 40 ms: 8 mm, some 9.6 px, evenly on both sides, with the same sum."""
     # In light that doesn't saturate: what is clipped has no smear to show.
     dim = replace(WARM, exposure=Exposure(0.04), lighting=Lighting(brightness=0.4))
     still = profile(dim)
@@ -156,9 +120,8 @@ def test_a_moving_phantom_is_smeared_about_its_place_at_mid_exposure() -> None:
         for x in np.linspace(-3.9, 3.9, 40)
     ]
     assert np.abs(moving - np.mean(shifted, axis=0)).max() < 1.5
-    assert (moving - still).sum() == pytest.approx(
-        0.0, abs=0.02 * float(np.abs(still - still.max()).sum())
-    )
+    taken = float(np.abs(still - still.max()).sum())
+    assert (moving - still).sum() == pytest.approx(0.0, abs=0.02 * taken)
     assert np.abs(np.diff(moving)).max() < 0.35 * np.abs(np.diff(still)).max()
 
 
@@ -188,21 +151,14 @@ def test_longer_exposure_and_gain_brighten_and_saturate() -> None:
     dim = usual < 120.0
     assert np.allclose(half[dim], 0.5 * usual[dim], rtol=0.01, atol=0.05)
     assert np.allclose(loud[dim], 1.5 * usual[dim], rtol=0.01, atol=0.05)
-    flooded = (
-        Renderer(renderer().cameras, 7)
-        .render(replace(NOBODY, exposure=Exposure(0.2)), np.random.default_rng(1))
-        .left
-    )
+    state = replace(NOBODY, exposure=Exposure(0.2))
+    flooded = Renderer(renderer().cameras, 7).render(state, np.random.default_rng(1)).left
     assert np.mean(flooded == 255) > 0.4
     with pytest.raises(ValueError, match="an exposure takes up to 10 s"):
         Exposure(0.0)
 
 
 def test_drift_follows_the_scene_s_clock() -> None:
-    frames = [
-        renderer()
-        .thermal.expose(replace(WARM, time_s=t), np.random.default_rng(3))[1]
-        .astype(float)
-        for t in (0.0, 299.0, 301.0)
-    ]
+    camera, states = renderer().thermal, [replace(WARM, time_s=t) for t in (0.0, 299.0, 301.0)]
+    frames = [camera.expose(s, np.random.default_rng(3))[1].astype(float) for s in states]
     assert np.abs(frames[1] - frames[0]).mean() > 3.0 * np.abs(frames[2] - frames[0]).mean()

@@ -1,6 +1,4 @@
-"""Layers laid over one another against a brute-force account of every pixel; what is kept is what
-would be drawn anew.
-"""
+"""Layers against a brute-force account of every pixel; what is kept is what is drawn anew."""
 
 from __future__ import annotations
 
@@ -25,11 +23,9 @@ SHAPE = (6, 7)
 
 def some_layer(rng: np.random.Generator, near: float, far: float) -> Layer:
     pixel = rng.choice(42, size=rng.integers(0, 30), replace=False)
-    share, depth, value = (
-        rng.random(len(pixel)),
-        rng.uniform(near, far, len(pixel)),
-        rng.random(len(pixel)),
-    )
+    share = rng.random(len(pixel))
+    depth = rng.uniform(near, far, len(pixel))
+    value = rng.random(len(pixel))
     return Layer(pixel // 7, pixel % 7, share, depth, value)
 
 
@@ -118,10 +114,8 @@ def test_a_kept_arm_looks_as_one_drawn_anew() -> None:
     for x in (0.0, 3.0, 7.5):
         kept.render(scene(PlatePose(x)), np.random.default_rng(1))
     last = scene(PlatePose(11.0))
-    one, two = (
-        kept.render(last, np.random.default_rng(2)),
-        Renderer(renderer().cameras, camera_seed=7).render(last, np.random.default_rng(2)),
-    )
+    one = kept.render(last, np.random.default_rng(2))
+    two = Renderer(renderer().cameras, camera_seed=7).render(last, np.random.default_rng(2))
     for name in ("left", "right", "thermal_8bit", "thermal_ck"):
         assert np.array_equal(getattr(one, name), getattr(two, name))
 

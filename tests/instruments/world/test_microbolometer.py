@@ -1,6 +1,4 @@
-"""The thermal sensor gives back what was put in: noise along every direction, drift, flat-field
-events, the 8-bit picture.
-"""
+"""The thermal sensor returns its parameters: noise, drift, flat-field events; the 8-bit picture."""
 
 from __future__ import annotations
 
@@ -41,9 +39,7 @@ def clip(camera: ThermalReadout, count: int, time_s: float = 0.0) -> NDArray[np.
 
 
 def three_d_noise(frames: NDArray[np.float64]) -> dict[str, float]:
-    """The seven components of a clip (t, v, h): every mean's spread, less what smaller components
-    leave in it (Driggers et al.).
-    """
+    """The seven components of a clip (t, v, h), as spreads of means (Driggers et al.)."""
     t, v, h = frames.shape
     frames = frames - frames.mean()
 
@@ -51,18 +47,14 @@ def three_d_noise(frames: NDArray[np.float64]) -> dict[str, float]:
         return np.asarray(frames.mean(axis=axes, keepdims=True))
 
     level, row, column = mean_over(1, 2), mean_over(0, 2), mean_over(0, 1)
-    row_flicker, column_flicker, fixed = (
-        mean_over(2) - level - row,
-        mean_over(1) - level - column,
-        mean_over(0) - row - column,
-    )
+    row_flicker = mean_over(2) - level - row
+    column_flicker = mean_over(1) - level - column
+    fixed = mean_over(0) - row - column
     fresh = frames - level - row - column - row_flicker - column_flicker - fixed
     s_tvh = fresh.var()
-    s_tv, s_th, s_vh = (
-        row_flicker.var() - s_tvh / h,
-        column_flicker.var() - s_tvh / v,
-        fixed.var() - s_tvh / t,
-    )
+    s_tv = row_flicker.var() - s_tvh / h
+    s_th = column_flicker.var() - s_tvh / v
+    s_vh = fixed.var() - s_tvh / t
     s_t = level.var() - s_tv / v - s_th / h
     s_v, s_h = row.var() - s_tv / t - s_vh / h, column.var() - s_th / t - s_vh / v
     named = zip(PUT_IN, (s_tvh, s_tv, s_th, s_t, s_vh, s_v, s_h), strict=True)
@@ -135,9 +127,7 @@ def test_delivered_is_mirrored_and_hot_is_black() -> None:
 
 
 def test_a_flat_room_is_not_stretched() -> None:
-    """Two tenths of a kelvin of noise stay within a few grey levels, for the picture spans at least
-    ten kelvin.
-    """
+    """The picture spans at least ten kelvin."""
     rng = np.random.default_rng(3)
     scene = (29315 + 10.0 * rng.standard_normal((120, 160))).astype(np.uint16)
     assert usual().delivered(scene, 640, 480).std() < 4.0

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import tomllib
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -13,70 +10,39 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from instruments.world.optics import (
-    CameraModel,
-    Floats,
-    cameras_from_calibration,
-    rotation_from_vector,
-)
+from instruments.world.optics import CameraModel, cameras_from_calibration, rotation_from_vector
+from tests.instruments.world.scenes import by_opencv, calibration_table
 
-ROOT = Path(__file__).resolve().parents[3]
 TABLE_5_1_MM = np.array(
     [[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]]
 )
 
 
-def shipped() -> dict[str, Any]:
-    return tomllib.loads((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"))
-
-
 def model(kc: list[float], alpha_c: float = 0.0) -> CameraModel:
     R = rotation_from_vector(np.array([-1.5, 0.1, -0.05]))
-    return CameraModel(
-        "test",
-        1360,
-        1024,
-        np.array([1291.0, 1295.2]),
-        np.array([727.4, 528.1]),
-        alpha_c,
-        np.array(kc),
-        R,
-        np.array([150.0, 80.0, 900.0]),
-    )
-
-
-def by_opencv(camera: CameraModel, points_mm: Floats) -> Floats:
-    """OpenCV knows no skew; Bouguet's is fc[0] alpha_c times the distorted y."""
-    K = np.array(
-        [[camera.fc[0], 0.0, camera.cc[0]], [0.0, camera.fc[1], camera.cc[1]], [0.0, 0.0, 1.0]]
-    )
-    pixels, _ = cv2.projectPoints(points_mm, cv2.Rodrigues(camera.R)[0], camera.t_mm, K, camera.kc)
-    u, v = np.asarray(pixels[:, 0], dtype=np.float64).T
-    return np.column_stack(
-        [u + camera.fc[0] * camera.alpha_c * (v - camera.cc[1]) / camera.fc[1], v]
-    )
+    fc, cc = np.array([1291.0, 1295.2]), np.array([727.4, 528.1])
+    t_mm = np.array([150.0, 80.0, 900.0])
+    return CameraModel("test", 1360, 1024, fc, cc, alpha_c, np.array(kc), R, t_mm)
 
 
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_shipped_cameras_project_as_opencv_does(which: int) -> None:
-    camera = cameras_from_calibration(shipped())[which]
+    camera = cameras_from_calibration(calibration_table())[which]
     rng = np.random.default_rng(1)
     points = np.concatenate([TABLE_5_1_MM, rng.uniform([-700, 0, -100], [300, 900, 500], (300, 3))])
     assert np.abs(camera.project(points) - by_opencv(camera, points)).max() < 1e-9
 
 
 def test_the_teat_ends_lie_in_all_three_images() -> None:
-    for camera in cameras_from_calibration(shipped()):
+    for camera in cameras_from_calibration(calibration_table()):
         pixels = camera.project(TABLE_5_1_MM)
         assert (pixels > 0).all()
         assert (pixels < [camera.width_px, camera.height_px]).all()
 
 
 def test_motions_chain_as_published() -> None:
-    """X_right = R X_left + T, X_world = R X_right + T: the centres of the cameras, by hand from the
-    file.
-    """
-    table = shipped()
+    """X_right = R X_left + T, X_world = R X_right + T: the cameras' centres by hand."""
+    table = calibration_table()
     left, right, thermal = cameras_from_calibration(table)
     world_R = cv2.Rodrigues(np.array(table["world"]["om"]))[0]
     assert right.centre_mm == pytest.approx(table["world"]["T"], abs=1e-9)
@@ -113,7 +79,7 @@ def test_distortion_as_opencv_and_back(kc: tuple[float, ...], alpha_c: float) ->
 
 
 def test_rays_of_every_pixel_return_to_it() -> None:
-    camera = cameras_from_calibration(shipped())[1]
+    camera = cameras_from_calibration(calibration_table())[1]
     x, y = camera.rays()
     u, v = np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px))
     back = camera.pixels_from_plane(np.column_stack([x.ravel(), y.ravel()]))
@@ -121,14 +87,14 @@ def test_rays_of_every_pixel_return_to_it() -> None:
 
 
 def test_another_grid_over_the_same_sensor() -> None:
-    camera = cameras_from_calibration(shipped())[2]
+    camera = cameras_from_calibration(calibration_table())[2]
     small = camera.resized(160, 120)
     # Four by four delivered pixels share a sensor pixel: its centre lies at 1.5 of them.
     assert camera.project(TABLE_5_1_MM) == pytest.approx(4.0 * small.project(TABLE_5_1_MM) + 1.5)
 
 
 def test_what_is_behind_the_camera_has_no_picture() -> None:
-    camera = cameras_from_calibration(shipped())[0]
+    camera = cameras_from_calibration(calibration_table())[0]
     behind = camera.centre_mm - 100.0 * camera.R[2]
     assert np.isnan(camera.project(behind[None, :])).all()
 
@@ -148,7 +114,7 @@ def test_a_lens_that_folds_over_is_refused() -> None:
     ],
 )
 def test_a_wrong_calibration_names_the_key(block: str, key: str, value: Any, message: str) -> None:
-    table = copy.deepcopy(shipped())
+    table = calibration_table()
     del table[block][key]
     if value is not None:
         table[block][key] = value
@@ -157,7 +123,7 @@ def test_a_wrong_calibration_names_the_key(block: str, key: str, value: Any, mes
 
 
 def test_a_negative_focal_length_is_refused() -> None:
-    table = copy.deepcopy(shipped())
+    table = calibration_table()
     table["cameras"]["left"]["fc"] = [1291.0, -1.0]
     with pytest.raises(ValueError, match=r"cameras\.left\.fc must be above zero"):
         cameras_from_calibration(table)

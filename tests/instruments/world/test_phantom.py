@@ -38,9 +38,7 @@ def test_a_leaning_teat_by_hand() -> None:
     yaw=st.floats(-3.1, 3.1),
     name=st.sampled_from(LAYOUTS),
 )
-def test_a_pose_is_a_rigid_motion_about_the_pivot(
-    x: float, y: float, z: float, yaw: float, name: str
-) -> None:
+def test_a_pose_is_a_rigid_motion(x: float, y: float, z: float, yaw: float, name: str) -> None:
     home = shipped_phantom(name)
     moved = home.moved(PlatePose(x, y, z, yaw))
     c, s = np.cos(yaw), np.sin(yaw)
@@ -101,9 +99,7 @@ def test_upright_teats_end_where_they_are_said_to() -> None:
     dy=st.floats(-50, 50),
     turn=st.floats(-3, 3),
 )
-def test_a_pose_that_is_carried_is_both_motions_one_after_the_other(
-    x: float, y: float, yaw: float, dx: float, dy: float, turn: float
-) -> None:
+def test_carried_poses(x: float, y: float, yaw: float, dx: float, dy: float, turn: float) -> None:
     home = shipped_phantom("table-5-1")
     first, then = PlatePose(x, y, 1.0, yaw), PlatePose(dx, dy, 2.0, turn)
     c, s = np.cos(turn), np.sin(turn)

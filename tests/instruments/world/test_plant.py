@@ -1,19 +1,17 @@
-"""The heated circuit against its physics, and against the figures of the fact sheet's own
-simulation (section 5); what its controller knows of, and what works without it.
-"""
+"""The heated circuit against its physics and the fact sheet's own simulation (section 5)."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from instruments.world.optics import Floats
 from instruments.world.plant import Plant, PlantConstants
 
 CW_12_L = 49_800.0  # J/K
@@ -28,10 +26,21 @@ def settled(seed: int = 1, constants: PlantConstants = NO_CUT_OUT) -> Plant:
     return plant
 
 
+def later(plant: Plant, seconds: float) -> None:
+    plant.advance_to(plant.t_s + seconds)
+
+
+def stepped(plant: Plant, count: int) -> Iterator[Plant]:
+    """The plant after each of so many steps."""
+    for _ in range(count):
+        later(plant, plant.constants.step_s)
+        yield plant
+
+
 def seconds_until(plant: Plant, done: Callable[[Plant], bool], at_most_s: float = 3600.0) -> float:
     start = plant.t_s
     while not done(plant):
-        plant.advance_to(plant.t_s + plant.constants.step_s)
+        later(plant, plant.constants.step_s)
         assert plant.t_s - start < at_most_s
     return plant.t_s - start
 
@@ -39,20 +48,16 @@ def seconds_until(plant: Plant, done: Callable[[Plant], bool], at_most_s: float 
 TUNED = ("band_k", "integral_s", "derivative_s")
 
 
-def heated(
-    plant: Plant, minutes: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def heated(plant: Plant, minutes: float) -> tuple[Floats, Floats, Floats]:
     """Heating from 20 to 33 degC: time in minutes, measured and true temperature."""
     plant.run(33.0)
-    rows = []
-    for step in range(int(minutes * 60.0 / plant.constants.step_s)):
-        plant.advance_to((step + 1) * plant.constants.step_s)
-        rows.append((plant.t_s / 60.0, plant.pv_c, plant.bath_c))
+    steps = int(minutes * 60.0 / plant.constants.step_s)
+    rows = [(p.t_s / 60.0, p.pv_c, p.bath_c) for p in stepped(plant, steps)]
     time_min, pv_c, bath_c = np.array(rows).T
     return time_min, pv_c, bath_c
 
 
-def in_band_from(time_min: NDArray[np.float64], pv_c: NDArray[np.float64], band_k: float) -> float:
+def in_band_from(time_min: Floats, pv_c: Floats, band_k: float) -> float:
     """When the ten minutes begin in which the measured value never leaves the band."""
     window = round(10.0 / (time_min[1] - time_min[0]))
     inside = np.convolve(np.abs(pv_c - 33.0) <= band_k + 1e-9, np.ones(window), "valid")
@@ -61,10 +66,9 @@ def in_band_from(time_min: NDArray[np.float64], pv_c: NDArray[np.float64], band_
 
 def test_steady_heat_in_is_heat_out_within_1_percent() -> None:
     plant = settled()
-    start, heat_j, lost_j = plant.t_s, 0.0, 0.0
+    heat_j = lost_j = 0.0
     bath_before, k = plant.bath_c, plant.constants
-    for step in range(7200):
-        plant.advance_to(start + (step + 1) * 0.5)
+    for _ in stepped(plant, 7200):
         hoses_w = k.hose_loss_w_per_k * (plant.bath_c - 20.0) * 2
         teats_w = k.teat_out_w_per_k * float((plant.teat_c - 20.0).sum())
         heat_j += (plant.heat_w + k.pump_w) * 0.5
@@ -75,14 +79,8 @@ def test_steady_heat_in_is_heat_out_within_1_percent() -> None:
 
 def test_no_heat_is_lost_or_made_on_the_way() -> None:
     """Without losses, all that heater and pump give is in water and metal."""
-    tight = PlantConstants(
-        loss_w_per_k=0.0,
-        hose_loss_w_per_k=0.0,
-        teat_out_w_per_k=0.0,
-        evaporation_g_per_h=0.0,
-        cut_out_c=1000.0,
-    )
-    plant = Plant(1, constants=tight)
+    losses = ("loss_w_per_k", "hose_loss_w_per_k", "teat_out_w_per_k", "evaporation_g_per_h")
+    plant = Plant(1, constants=replace(NO_CUT_OUT, **dict.fromkeys(losses, 0.0)))
     plant.run(60.0)
     plant.advance_to(300.0)
     plant.dead_heater = True
@@ -95,9 +93,7 @@ def test_no_heat_is_lost_or_made_on_the_way() -> None:
 
 
 def test_full_power_rate_of_12_l_with_1500_w() -> None:
-    """Section 4.3: 12 L take 1.2 K/min a kilowatt, so 1.8 here; losses and the heater's own heat
-    take under 6 %.
-    """
+    """Section 4.3: 1.2 K/min a kilowatt, so 1.8; losses and the heater's heat take under 6 %."""
     plant = Plant(1, constants=NO_CUT_OUT)
     plant.run(60.0)
     plant.advance_to(60.0)
@@ -146,11 +142,7 @@ def test_steady_state_is_as_simulated() -> None:
     """Section 5: water sd 0.3 to 3 mK, output 2.6 %, teats 320 mK below the water."""
     plant = settled()
     plant.advance_to(7200.0)  # the integral is slow: 20 min, and the pump's heat came as a surprise
-    start, bath_c, power = plant.t_s, [], []
-    for step in range(3600):
-        plant.advance_to(start + (step + 1) * 0.5)
-        bath_c.append(plant.bath_c)
-        power.append(plant.power_percent)
+    bath_c, power = np.array([(p.bath_c, p.power_percent) for p in stepped(plant, 3600)]).T
     assert 0.0003 <= np.std(bath_c) <= 0.003
     assert np.mean(power) == pytest.approx(2.6, rel=0.05)
     assert plant.teat_c.shape == (4,)
@@ -161,9 +153,8 @@ def test_steady_state_is_as_simulated() -> None:
 def test_a_stuck_heater_runs_away(to_c: float, seconds: float) -> None:
     plant = settled()
     plant.stuck_heater = True
-    assert seconds_until(plant, lambda plant: plant.bath_c >= to_c) == pytest.approx(
-        seconds, rel=0.05
-    )
+    taken_s = seconds_until(plant, lambda plant: plant.bath_c >= to_c)
+    assert taken_s == pytest.approx(seconds, rel=0.05)
     assert plant.power_percent == 0.0  # the controller does not know
 
 
@@ -171,12 +162,12 @@ def test_the_cut_out_ends_it_and_latches() -> None:
     plant = settled(constants=PlantConstants(cut_out_c=40.0))
     plant.stuck_heater = True
     seconds_until(plant, lambda plant: plant.alarm == "over-temperature")
-    plant.advance_to(plant.t_s + 1200.0)
+    later(plant, 1200.0)
     assert 38.5 < plant.bath_c < 40.0  # cooling, at 4 K/h
     assert plant.heat_w == 0.0
     plant.acknowledge()
     plant.stuck_heater = False
-    plant.advance_to(plant.t_s + 1.0)
+    later(plant, 1.0)
     assert plant.alarm == ""
 
 
@@ -184,9 +175,8 @@ def test_a_dead_heater_shows_after_143_s() -> None:
     plant = settled()
     plant.dead_heater = True
     start_c = plant.bath_c
-    assert seconds_until(plant, lambda plant: plant.bath_c <= start_c - 0.1) == pytest.approx(
-        143.0, rel=0.05
-    )
+    taken_s = seconds_until(plant, lambda plant: plant.bath_c <= start_c - 0.1)
+    assert taken_s == pytest.approx(143.0, rel=0.05)
 
 
 @pytest.mark.parametrize(("teat_j_per_k", "seconds"), [(30.0, 54.0), (76.0, 138.0)])
@@ -194,22 +184,21 @@ def test_teats_lose_1_k_when_the_pump_stops(teat_j_per_k: float, seconds: float)
     plant = settled(constants=PlantConstants(teat_j_per_k=teat_j_per_k))
     plant.stopped_pump = True
     start_c = float(plant.teat_c[0])
-    assert seconds_until(
-        plant, lambda plant: float(plant.teat_c[0]) <= start_c - 1.0
-    ) == pytest.approx(seconds, rel=0.03)
+    taken_s = seconds_until(plant, lambda plant: float(plant.teat_c[0]) <= start_c - 1.0)
+    assert taken_s == pytest.approx(seconds, rel=0.03)
     assert not plant.pump_on
 
 
 def test_low_level_stops_heater_and_pump_until_filled_and_acknowledged() -> None:
     plant = settled()
     plant.fill(8.9)
-    plant.advance_to(plant.t_s + 1.0)
+    later(plant, 1.0)
     assert (plant.alarm, plant.pump_on, plant.power_percent) == ("level", False, 0.0)
     plant.fill(12.0)
-    plant.advance_to(plant.t_s + 1.0)
+    later(plant, 1.0)
     assert plant.alarm == "level"
     plant.acknowledge()
-    plant.advance_to(plant.t_s + 1.0)
+    later(plant, 1.0)
     assert (plant.alarm, plant.pump_on) == ("", True)
 
 
@@ -231,13 +220,9 @@ def test_a_broken_sensor_stops_the_heater() -> None:
 def test_standby_stops_all() -> None:
     plant = settled()
     plant.standby()
-    plant.advance_to(plant.t_s + 0.5)
-    assert (plant.running, plant.pump_on, plant.power_percent, plant.heat_w) == (
-        False,
-        False,
-        0.0,
-        0.0,
-    )
+    later(plant, 0.5)
+    assert (plant.running, plant.pump_on) == (False, False)
+    assert (plant.power_percent, plant.heat_w) == (0.0, 0.0)
 
 
 def test_a_ramp_is_kept() -> None:
@@ -257,12 +242,8 @@ def test_an_output_limit_is_kept() -> None:
 
 def test_hoses_delay_by_their_transit_time() -> None:
     """2 m of 8 mm bore at 1 L/min take 6 s (section 4.3), so the teats stay cold for so long."""
-    plant = Plant(
-        1,
-        constants=PlantConstants(
-            sensor_noise_k=0.0, loss_w_per_k=0.0, hose_loss_w_per_k=0.0, pump_w=0.0
-        ),
-    )
+    constants = PlantConstants(loss_w_per_k=0.0, hose_loss_w_per_k=0.0, pump_w=0.0)
+    plant = Plant(1, constants=replace(constants, sensor_noise_k=0.0))
     plant.set_flow(1.0)
     plant.bath_c = 33.0
     plant.run(33.0)
@@ -276,20 +257,14 @@ def test_hoses_delay_by_their_transit_time() -> None:
     ("flow_l_per_min", "drop_mk"), [(1.0, 62.0), (3.0, 21.0), (6.0, 10.0), (10.0, 6.0)]
 )
 def test_hoses_cool_the_water_as_tabled(flow_l_per_min: float, drop_mk: float) -> None:
-    """Section 4.3, foamed hose at 33/20 degC; with no heat through the teats they sit at the
-    supply's temperature.
-    """
+    """Section 4.3, foamed hose at 33/20 degC; teats with no loss have the supply's temperature."""
     plant = settled(constants=PlantConstants(teat_out_w_per_k=0.0, flow_l_per_min=flow_l_per_min))
     assert (plant.bath_c - plant.teat_c[0]) * 1000.0 == pytest.approx(drop_mk, rel=0.05, abs=0.6)
 
 
 def test_the_sensor_has_steps_of_10_mk_and_noise_of_4_mk() -> None:
-    plant = Plant(3)
-    seen = []
-    for step in range(4000):
-        plant.advance_to((step + 1) * 0.5)
-        seen.append(plant.pv_c)
-    np.testing.assert_allclose(np.round(np.array(seen) * 100.0), np.array(seen) * 100.0, atol=1e-9)
+    seen = np.array([plant.pv_c for plant in stepped(Plant(3), 4000)])
+    np.testing.assert_allclose(np.round(seen * 100.0), seen * 100.0, atol=1e-9)
     assert np.std(seen) == pytest.approx(math.hypot(0.004, 0.010 / math.sqrt(12.0)), rel=0.15)
 
 
@@ -304,24 +279,14 @@ def test_how_often_somebody_looks_changes_nothing(looks: list[float]) -> None:
         assert watched.t_s <= t_s + 1e-9
     for plant in (watched, alone):
         plant.advance_to(300.25)
-    assert (watched.pv_c, watched.bath_c, *watched.teat_c) == (
-        alone.pv_c,
-        alone.bath_c,
-        *alone.teat_c,
-    )
+    one, other = ((plant.pv_c, plant.bath_c, *plant.teat_c) for plant in (watched, alone))
+    assert one == other
     assert watched.t_s == 300.0
 
 
 def test_the_seed_is_the_noise() -> None:
-    def run(seed: int) -> list[float]:
-        plant, seen = Plant(seed), []
-        for step in range(200):
-            plant.advance_to(step * 0.5)
-            seen.append(plant.pv_c)
-        return seen
-
-    assert run(1) == run(1)
-    assert run(1) != run(2)
+    one, same, other = ([p.pv_c for p in stepped(Plant(seed), 200)] for seed in (1, 1, 2))
+    assert one == same != other
 
 
 def test_time_does_not_go_back() -> None:
@@ -338,11 +303,9 @@ def test_a_step_too_long_is_refused(step_s: float) -> None:
 
 
 def test_the_step_hardly_matters() -> None:
-    ends = [
-        heated(Plant(1, constants=PlantConstants(step_s=step_s)), 20.0)[2][-1]
-        for step_s in (0.25, 1.0)
-    ]
-    assert ends[0] == pytest.approx(ends[1], abs=0.02)
+    plants = [Plant(1, constants=PlantConstants(step_s=step_s)) for step_s in (0.25, 1.0)]
+    fine, coarse = (heated(plant, 20.0)[2][-1] for plant in plants)
+    assert fine == pytest.approx(coarse, abs=0.02)
 
 
 def controlled() -> Plant:
@@ -379,11 +342,11 @@ def test_a_pump_that_nobody_switches_stands_and_the_teats_stay_cold() -> None:
 def test_the_float_switch_cuts_a_heater_that_its_controller_still_calls_for() -> None:
     plant = controlled()
     plant.fill(8.9)
-    plant.advance_to(plant.t_s + 1800.0)
+    later(plant, 1800.0)
     assert (plant.heat_w, plant.pump_on, plant.alarm) == (0.0, False, "level")
     assert plant.power_percent > 0.0
     plant.fill(12.0)
-    plant.advance_to(plant.t_s + 1.0)
+    later(plant, 1.0)
     assert (plant.pump_on, plant.alarm) == (True, "")
     assert plant.heat_w > 0.0
 
@@ -395,7 +358,7 @@ def test_the_cut_out_ends_a_stuck_heater_under_any_other_alarm(fault: str) -> No
     plant.broken_sensor = fault == "sensor"
     if fault == "level":
         plant.fill(8.9)
-    plant.advance_to(plant.t_s + 1200.0)
+    later(plant, 1200.0)
     assert plant.heat_w == 0.0
     assert plant.bath_c < 40.0
 
@@ -404,24 +367,24 @@ def test_a_controllers_broken_sensor_stops_the_heater_until_it_is_mended() -> No
     plant = controlled()
     plant.set_point_c = 36.0
     plant.broken_sensor = True
-    plant.advance_to(plant.t_s + 1.0)
+    later(plant, 1.0)
     assert (plant.alarm, plant.heat_w) == ("sensor", 0.0)
     plant.broken_sensor = False
-    plant.advance_to(plant.t_s + 1.0)
+    later(plant, 1.0)
     assert (plant.alarm, plant.power_percent) == ("", 100.0)
 
 
 def test_a_frozen_sensor_shows_what_it_showed_while_the_bath_goes_on() -> None:
     plant = controlled()
     plant.set_point_c = 36.0
-    plant.advance_to(plant.t_s + 30.0)
+    later(plant, 30.0)
     plant.frozen_sensor, shown_c, true_c = True, plant.pv_c, plant.bath_c
-    plant.advance_to(plant.t_s + 60.0)
+    later(plant, 60.0)
     assert plant.pv_c == shown_c
     assert plant.bath_c > true_c + 1.0
     assert plant.rate_k_per_min == 0.0
     plant.frozen_sensor = False
-    plant.advance_to(plant.t_s + 30.0)
+    later(plant, 30.0)
     assert plant.pv_c == pytest.approx(plant.bath_c, abs=0.3)
 
 
@@ -430,7 +393,7 @@ def test_a_loop_is_called_broken_when_full_output_does_nothing_for_2_minutes() -
     plant.set_point_c = 36.0
     plant.dead_heater = True
     for seconds in (119.0, 2.0, 130.0):
-        plant.advance_to(plant.t_s + seconds)
+        later(plant, seconds)
         seen.append(plant.loop_broken)
         plant.dead_heater = not plant.loop_broken
     assert seen == [False, True, False]
@@ -439,18 +402,16 @@ def test_a_loop_is_called_broken_when_full_output_does_nothing_for_2_minutes() -
 def test_heating_up_is_no_broken_loop() -> None:
     plant = Plant(1)
     plant.run(33.0)
-    for _ in range(1200):
-        plant.advance_to(plant.t_s + 0.5)
-        assert not plant.loop_broken
+    assert not any(plant.loop_broken for plant in stepped(plant, 1200))
 
 
 def test_a_manual_output_is_held_and_capped() -> None:
     plant = controlled()
     plant.manual_output = 0.3
-    plant.advance_to(plant.t_s + 1.0)
+    later(plant, 1.0)
     assert plant.heat_w == pytest.approx(450.0)
     plant.output_max = 0.2
-    plant.advance_to(plant.t_s + 1.0)
+    later(plant, 1.0)
     assert plant.heat_w == pytest.approx(300.0)
     plant.standby()
     assert plant.heat_w == 0.0

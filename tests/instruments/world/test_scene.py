@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,25 +10,14 @@ import pytest
 
 from bench.script.phantom import shipped_phantom
 from instruments.world.objects import SceneObject, make_object
-from instruments.world.optical_camera import OpticalCamera
 from instruments.world.optics import Floats
 from instruments.world.phantom import Phantom, PlatePose, Teat, TeatShape
 from instruments.world.scene import Renderer, contact_sheet
-from instruments.world.sensor import Image
 from instruments.world.shading import Lighting, Paint
 from instruments.world.solids import ball
 from instruments.world.state import SceneState
-from tests.instruments.world.scenes import NOBODY, calibration_table, renderer
+from tests.instruments.world.scenes import NOBODY, calibration_table, empty, renderer
 from tests.situations import SITUATIONS, situation
-
-
-@cache
-def empty(which: str) -> Image:
-    return _eye(which).expected(NOBODY)
-
-
-def _eye(which: str) -> OpticalCamera:
-    return {"left": renderer().left, "right": renderer().right}[which]
 
 
 def test_the_nearer_thing_is_drawn_over_the_farther() -> None:
@@ -38,7 +26,7 @@ def test_the_nearer_thing_is_drawn_over_the_farther() -> None:
     far = SceneObject("far", (ball((-170.0, 500.0, 200.0), 60.0),), white, "ambient")
     u, v = renderer().cameras[0].project(np.array([[-185.0, 100.0, 200.0]]))[0].round().astype(int)
     for objects in ((near, far), (far, near)):
-        seen = _eye("left").expected(replace(NOBODY, objects=objects))
+        seen = renderer().left.expected(replace(NOBODY, objects=objects))
         assert seen[v, u] < 10.0
         assert seen[v, u + 30] > 60.0
 
@@ -51,10 +39,8 @@ def warm(
 
 
 def test_same_state_and_seed_same_bytes() -> None:
-    one, two = (
-        renderer().render(situation("hot_body_at_base"), np.random.default_rng(5)) for _ in range(2)
-    )
-    other = renderer().render(situation("hot_body_at_base"), np.random.default_rng(6))
+    state = situation("hot_body_at_base")
+    one, two, other = (renderer().render(state, np.random.default_rng(seed)) for seed in (5, 5, 6))
     for name in ("left", "right", "thermal_8bit", "thermal_ck"):
         assert np.array_equal(getattr(one, name), getattr(two, name))
         assert not np.array_equal(getattr(one, name), getattr(other, name))
@@ -76,9 +62,7 @@ def test_another_camera_seed_is_another_camera() -> None:
 
 
 def thermal_masks() -> tuple[Floats, Floats]:
-    """Sensor pixels well inside the teats, and well outside of anything, from the warm scene before
-    noise.
-    """
+    """Sensor pixels well inside the teats, and well outside of anything."""
     seen = renderer().thermal.expected_k(warm())
     return np.asarray(seen > 273.15 + 31.0), np.asarray(seen < 273.15 + 20.001)
 
@@ -101,9 +85,8 @@ def test_a_warm_phantom_stands_out_black_and_mirrored() -> None:
     pixels = renderer().cameras[2].project(state.phantom.ends_mm - [0.0, 0.0, 30.0])
     for u, v in pixels.round().astype(int):
         assert frame.thermal_8bit[v, 639 - u] < 40
-        assert frame.thermal_ck[v // 4, u // 4] / 100.0 - 273.15 == pytest.approx(
-            0.95 * 32.5 + 0.05 * 20.0, abs=0.6
-        )
+        seen_c = frame.thermal_ck[v // 4, u // 4] / 100.0 - 273.15
+        assert seen_c == pytest.approx(0.95 * 32.5 + 0.05 * 20.0, abs=0.6)
     assert np.median(frame.thermal_8bit) > 200
 
 
@@ -112,13 +95,8 @@ def test_the_thermal_picture_follows_the_rig_file() -> None:
     table["cameras"]["thermal"]["mirrored"] = False
     table["cameras"]["thermal"]["polarity"] = "hot_is_white"
     frame = Renderer.from_calibration(table, 1).thermal.expose(warm(), np.random.default_rng(1))[0]
-    u, v = (
-        renderer()
-        .cameras[2]
-        .project(warm().phantom.ends_mm - [0.0, 0.0, 30.0])[0]
-        .round()
-        .astype(int)
-    )
+    below = warm().phantom.ends_mm - [0.0, 0.0, 30.0]
+    u, v = renderer().cameras[2].project(below)[0].round().astype(int)
     assert frame[v, u] > 200
     table["cameras"]["thermal"]["polarity"] = "hot"
     with pytest.raises(ValueError, match=r"polarity must be"):
@@ -130,9 +108,8 @@ def test_teats_have_their_own_temperatures() -> None:
     seen = renderer().thermal.expected_k(state)
     small = renderer().cameras[2].resized(160, 120)
     pixels = small.project(state.phantom.ends_mm - [0.0, 0.0, 40.0]).round().astype(int)
-    assert [seen[v, u] - 273.15 for u, v in pixels] == pytest.approx(
-        [29.5, 30.45, 31.4, 32.35], abs=0.1
-    )
+    seen_c = [seen[v, u] - 273.15 for u, v in pixels]
+    assert seen_c == pytest.approx([29.5, 30.45, 31.4, 32.35], abs=0.1)
 
 
 def test_all_ends_of_the_plain_layout_are_visible() -> None:
@@ -148,9 +125,8 @@ def test_a_post_before_a_teat_hides_it_from_the_cameras_behind_the_post_only() -
     state = warm()
     camera, end = renderer().cameras[0], state.phantom.ends_mm[1]
     half = camera.centre_mm + 0.6 * (end - camera.centre_mm)
-    post = make_object(
-        "rod", x_mm=float(half[0]), y_mm=float(half[1]), height_mm=200.0, radius_mm=10.0
-    )
+    x, y, _ = half.tolist()
+    post = make_object("rod", x_mm=x, y_mm=y, height_mm=200.0, radius_mm=10.0)
     visible = renderer().visible_ends(replace(state, objects=(post,)))
     assert not visible[1, 0]
     assert visible[1, 1]
@@ -161,12 +137,8 @@ def test_a_teat_behind_a_taller_one_is_hidden() -> None:
     camera = renderer().cameras[1]
     near = np.array([-180.0, 200.0])
     far = camera.centre_mm[:2] + (near - camera.centre_mm[:2]) * 1.08
-    phantom = Phantom(
-        (
-            Teat((near[0], near[1]), TeatShape(150.0, 12.0)),
-            Teat((far[0], far[1]), TeatShape(130.0, 11.0)),
-        )
-    )
+    tall = Teat((near[0], near[1]), TeatShape(150.0, 12.0))
+    phantom = Phantom((tall, Teat((far[0], far[1]), TeatShape(130.0, 11.0))))
     visible = renderer().visible_ends(SceneState(phantom, (32.0, 32.0), 31.0, 20.0))
     assert visible[:, 1].tolist() == [True, False]
 
@@ -179,18 +151,17 @@ def test_an_end_outside_of_the_image_is_not_visible() -> None:
 
 
 def test_dim_light_dims() -> None:
-    dim = _eye("left").expected(replace(NOBODY, lighting=Lighting(brightness=0.3)))
-    offset = _eye("left").readout.sensor.offset_dn
-    assert (np.median(dim) - offset) / (np.median(empty("left")) - offset) == pytest.approx(
-        0.3, rel=0.02
-    )
+    left = renderer().left
+    dim = left.expected(replace(NOBODY, lighting=Lighting(brightness=0.3)))
+    seen, whole = (np.median(p) - left.readout.sensor.offset_dn for p in (dim, empty("left")))
+    assert seen / whole == pytest.approx(0.3, rel=0.02)
 
 
 def test_a_standing_thing_darkens_the_table_at_its_foot() -> None:
     cup = make_object("hot_cup", albedo=0.5)
     u, v = renderer().cameras[0].project(np.array([[-192.0, 205.0, 0.0]]))[0].round().astype(int)
     state = replace(NOBODY, objects=(cup,))
-    seen = _eye("left").expected(state, renderer().shadows(state))
+    seen = renderer().left.expected(state, renderer().shadows(state))
     assert seen[v, u] < 0.95 * empty("left")[v, u]
 
 
@@ -210,9 +181,8 @@ def test_a_scene_that_makes_no_sense_is_refused(change: dict[str, Any], message:
 
 
 def test_a_thing_in_a_camera_s_face_is_refused() -> None:
-    state = replace(
-        warm(), objects=(make_object("ball", x_mm=-200.0, y_mm=-800.0, z_mm=80.0, radius_mm=20.0),)
-    )
+    near = make_object("ball", x_mm=-200.0, y_mm=-800.0, z_mm=80.0, radius_mm=20.0)
+    state = replace(warm(), objects=(near,))
     with pytest.raises(ValueError, match=r"within -?\d+ mm of the left camera's plane"):
         renderer().render(state, np.random.default_rng(1))
 

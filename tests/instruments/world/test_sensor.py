@@ -1,6 +1,4 @@
-"""The sensors give back the parameters that were put in: photon transfer, fixed patterns, NETD; and
-never wrap around.
-"""
+"""The optical sensor returns its parameters: photon transfer, fixed patterns; and never wraps."""
 
 from __future__ import annotations
 

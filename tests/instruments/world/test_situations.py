@@ -1,6 +1,4 @@
-"""Families of situations: the same for the same seed, possible to set up, in view, and what their
-names say, over many seeds.
-"""
+"""Families of situations: reproducible, possible to set up, in view, and what their names say."""
 
 from __future__ import annotations
 
@@ -183,9 +181,7 @@ def test_missing_or_hidden_is_one_or_the_other() -> None:
 
 
 def test_hidden_ways_agree_with_the_renderer() -> None:
-    """Eyes stand where the emulated rig's cameras do, to a few mm:
-    what hides a way hides the end.
-    """
+    """Its eyes stand where the emulated rig's cameras do, to a few mm."""
     agree = []
     for found, seen in zip(members("missing_or_hidden"), visible("missing_or_hidden"), strict=True):
         agree.append(np.mean(hidden_ways(found) == ~seen))
@@ -229,9 +225,7 @@ def _rod_in(one: Situation) -> SceneObject:
         (lambda one: {"phantom": Phantom((Teat((-320.0, 250.0)),))}, "out of the cameras' view"),
     ],
 )
-def test_what_cannot_be_is_told(
-    change: Callable[[Situation], dict[str, object]], said: str
-) -> None:
+def test_faults_are_told(change: Callable[[Situation], dict[str, object]], said: str) -> None:
     one = members("ideal")[0]
     changed = replace(one, **change(one))  # type: ignore[arg-type]
     assert any(said in fault for fault in faults(changed)), faults(changed)

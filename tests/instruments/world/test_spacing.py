@@ -15,9 +15,7 @@ T = np.linspace(0.0, 1.0, 101)[:, None]
 
 
 @given(a=point, b=point, c=point, d=point)
-def test_no_pair_of_points_on_two_segments_is_nearer_than_said(
-    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray
-) -> None:
+def test_segments_are_apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> None:
     apart = segments_apart_mm(a, b, c, d)
     searched = float(
         np.linalg.norm((a + T * (b - a))[:, None] - (c + T * (d - c))[None], axis=2).min()
@@ -77,10 +75,8 @@ def test_a_tapered_solid_is_as_near_as_the_nearest_of_its_slices(
 
 
 def test_a_cup_that_widens_above_a_flange_leaves_it_alone() -> None:
-    cup, flange = (
-        cylinder((0.0, 0.0, 0.0), (0.0, 0.0, 80.0), 20.0, 40.0),
-        cylinder((50.0, 0.0, 0.0), (50.0, 0.0, 8.0), 18.0),
-    )
+    cup = cylinder((0.0, 0.0, 0.0), (0.0, 0.0, 80.0), 20.0, 40.0)
+    flange = cylinder((50.0, 0.0, 0.0), (50.0, 0.0, 8.0), 18.0)
     assert 8.0 < clearance_mm(cup, flange) <= 10.0, (
         "at the flange's top the cup has a radius of 22 mm: 10 mm are left"
     )

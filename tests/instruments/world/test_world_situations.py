@@ -1,6 +1,4 @@
-"""A situation in the world: what the emulated cameras see of it, warmed by the plant and carried by
-the stage.
-"""
+"""A situation in the world: seen by the cameras, warmed by the plant, carried by the stage."""
 
 from __future__ import annotations
 
