@@ -163,10 +163,7 @@ def world(given: argparse.Namespace) -> int:
             )
         given.points = _gather_world(given, pair.part)
     result = calibrate_world(
-        read_points(given.points),
-        pair.part,
-        pixel_sd_px=given.pixel_sd,
-        touch_sd_mm=given.touch_sd,
+        read_points(given.points), pair.part, pixel_sd_px=given.pixel_sd, touch_sd_mm=given.touch_sd
     )
     record = _record(given, (given.points,), more={CAMERAS_INPUT: pair.sha256})
     _write_step(given, result.part(record), world_page(result, record, command_line()))

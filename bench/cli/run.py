@@ -95,9 +95,7 @@ def resume(given: argparse.Namespace) -> int:
             progress = Events(shown, lines)
             typed = typed_lines(operator)
             resume_run(
-                given.run,
-                progress,
-                RunOptions(capture=given.capture, typed=typed, begun=shown.say),
+                given.run, progress, RunOptions(capture=given.capture, typed=typed, begun=shown.say)
             )
             progress.state("writing the report")
             code, show = _reported(given.run, damage=damage)

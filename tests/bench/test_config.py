@@ -214,15 +214,7 @@ def test_a_set_point_that_is_refused_is_shown_in_its_place(
 
 
 @pytest.mark.parametrize(
-    "line",
-    [
-        'seed = "{}"',
-        'profile = "{}"',
-        "{} = 1",
-        '{} = "{}',
-        "seed = [{}1]",
-        'baud = "{}"',
-    ],
+    "line", ['seed = "{}"', 'profile = "{}"', "{} = 1", '{} = "{}', "seed = [{}1]", 'baud = "{}"']
 )
 @pytest.mark.parametrize("name", ["rig.toml", "answers.txt"])
 def test_a_line_of_megabytes_is_not_printed_whole(tmp_path: Path, line: str, name: str) -> None:

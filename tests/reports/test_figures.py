@@ -253,22 +253,13 @@ REFUSED: list[tuple[str, Callable[[], str]]] = [
         "error_scatter: 1 links for 2 points",
         lambda: figures.error_scatter([1.0, 2.0], [1.0, 2.0], 5.0, links=["#a"]),
     ),
-    (
-        "found_bars: 1 situations, 2 found",
-        lambda: figures.found_bars(["a"], [1, 2], [4], [3]),
-    ),
-    (
-        "per_axis_errors: 1 situations for 0 arrays",
-        lambda: figures.per_axis_errors(["a"], [], 5.0),
-    ),
+    ("found_bars: 1 situations, 2 found", lambda: figures.found_bars(["a"], [1, 2], [4], [3])),
+    ("per_axis_errors: 1 situations for 0 arrays", lambda: figures.per_axis_errors(["a"], [], 5.0)),
     (
         "bath_curve: teat_temps_c has 1 rows for 2 times",
         lambda: figures.bath_curve([0, 1], [20, 21], 33, 0.1, [], teat_temps_c=[20]),
     ),
-    (
-        "figure name: 'Two Words'",
-        lambda: figures.latency_strip([1.0], [1.0], name="Two Words"),
-    ),
+    ("figure name: 'Two Words'", lambda: figures.latency_strip([1.0], [1.0], name="Two Words")),
     (
         "7 groups; at most 6 can be told apart",
         lambda: figures.error_regions([_group(str(k), 1) for k in range(7)], VIEWS, 5.0),
