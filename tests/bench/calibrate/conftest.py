@@ -1,6 +1,4 @@
-"""A day's pictures and the cameras calibrated from them: drawn
-once for all files of this folder.
-"""
+"""A day's pictures and the cameras calibrated from them: drawn once for all files here."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ import pytest
 
 from bench.cli.main import main
 from tests.bench.calibrate.board_pictures import BOARD_TOML, write_pairs
-from tests.bench.commands import words
+from tests.bench.commands import Said, words
 
 
 @pytest.fixture(scope="session")
@@ -23,6 +21,13 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_pairs(folder / "day1", 12)
     assert calibrate_cameras(folder, folder / "cameras.toml") == 0
     return folder
+
+
+@pytest.fixture
+def in_lab(lab: Path, said: Said, monkeypatch: pytest.MonkeyPatch) -> Said:
+    """As `said`, in the lab's folder: commands name its files alone."""
+    monkeypatch.chdir(lab)
+    return said
 
 
 def calibrate_cameras(

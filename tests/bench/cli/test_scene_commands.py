@@ -81,12 +81,10 @@ def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, said: Said) -> None:
 def test_a_place_that_cannot_be_written_is_told(tmp_path: Path, said: Said) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     for command, why in (("record", "can't be written"), ("sheet", "there is no folder")):
-        assert (
-            why
-            in said(
-                2, "scene {} --situation ideal --seeds 1 --out {}", command, tmp_path / "file" / "x"
-            ).err
-        )
+        refusal = said(
+            2, "scene {} --situation ideal --seeds 1 --out {}", command, tmp_path / "file" / "x"
+        ).err
+        assert why in refusal
     refused = said(2, "scene sheet --out {}", tmp_path / "typo" / "sheet.png").err
     assert f"there is no folder {tmp_path / 'typo'}; name a file in a folder" in refused
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
@@ -136,10 +134,8 @@ def test_boards_are_found_in_their_pictures(tmp_path: Path, said: Said) -> None:
     """The shipped chessboard, drawn by the scene, is what OpenCV's finder sees; it is whole in both
     pictures.
     """
-    assert (
-        "2 frames in"
-        in said(0, "scene boards chessboard-9x6-40 --poses 2 --out {}", tmp_path / "boards").out
-    )
+    shown = said(0, "scene boards chessboard-9x6-40 --poses 2 --out {}", tmp_path / "boards").out
+    assert "2 frames in" in shown
     recording = Recording(tmp_path / "boards")
     assert recording.truth == {}
     for frame in recording.frames:

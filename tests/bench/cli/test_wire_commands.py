@@ -270,8 +270,6 @@ def test_where_a_capture_cannot_be_written_nothing_is_begun(
 
 
 def test_wrong_use_leaves_no_capture_behind(tmp_path: Path, said: Said) -> None:
-    assert (
-        "was not written: no link was opened"
-        in said(2, "check emulatd --capture {}", tmp_path / "bug.jsonl").err
-    )
+    why = said(2, "check emulatd --capture {}", tmp_path / "bug.jsonl").err
+    assert "was not written: no link was opened" in why
     assert list(tmp_path.iterdir()) == []
