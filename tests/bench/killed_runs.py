@@ -24,17 +24,8 @@ from bench.script.model import load_script
 from instruments.clock import VirtualClock
 
 TABLES = (
-    "trials",
-    "skipped",
-    "frames",
-    "touches",
-    "truth",
-    "checks",
-    "detections",
-    "found",
-    "scores",
-    "bath",
-    "invalidated",
+    *("trials", "skipped", "frames", "touches", "truth", "checks", "detections", "found"),
+    *("scores", "bath", "invalidated"),
 )
 # which session it was, and which call was a process's first, is no part of the result
 OF_THE_SESSION = ("session", "cold")

@@ -195,8 +195,7 @@ def test_a_set_point_that_is_refused_is_shown_in_its_place(
     lines[at] = f"set_point_c = {value}"
     path = tmp_path / "script.toml"
     path.write_text("\n".join(lines), encoding="utf-8")
-    why = str(refused(load_script, path, (20.0, 36.0)))
-    fault, shown, caret = why.split("\n")[1:]
+    fault, shown, caret = str(refused(load_script, path, (20.0, 36.0))).split("\n")[1:]
     assert fault.startswith(f"{path}:{at + 1}: bath.set_point_c: {why}")
     assert shown[caret.index("^") : caret.rindex("^") + 1] == value
 

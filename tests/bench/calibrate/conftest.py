@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
 from tests.bench.calibrate.board_pictures import BOARD_TOML, write_pairs
-from tests.bench.commands import Said, words
+from tests.bench.commands import Said, teatbench
 
 
 @pytest.fixture(scope="session")
@@ -34,12 +33,5 @@ def calibrate_cameras(
     lab: Path, out: Path, *more: str, frames: str = "day1", board: str = "board.toml"
 ) -> int:
     """The exit code of `calibrate cameras` on a folder of the lab."""
-    given = words(
-        "calibrate cameras {} --board {} --model {} --out {} {}",
-        lab / frames,
-        lab / board,
-        "k1 k2",
-        out,
-        more,
-    )
-    return main(given)
+    given = lab / frames, lab / board, "k1 k2", out, more
+    return teatbench("calibrate cameras {} --board {} --model {} --out {} {}", *given)

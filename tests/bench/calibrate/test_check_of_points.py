@@ -49,12 +49,8 @@ def test_the_expected_distance_is_what_comes_on_the_mean() -> None:
 
 @pytest.mark.parametrize(("count", "by_mm"), [(1, 30.0), (18, 6.0)])
 def test_cameras_that_were_pushed(count: int, by_mm: float) -> None:
-    pushed = replace(
-        WHOLE,
-        world_from_right=Motion(
-            WORLD_FROM_RIGHT.R, WORLD_FROM_RIGHT.T + np.array([by_mm, 0.0, 0.0])
-        ),
-    )
+    elsewhere = Motion(WORLD_FROM_RIGHT.R, WORLD_FROM_RIGHT.T + np.array([by_mm, 0.0, 0.0]))
+    pushed = replace(WHOLE, world_from_right=elsewhere)
     (finding,) = check_points(pushed, touched(1, count), **NOISE)[1]
     assert finding.name == "moved cameras"
     x_mm = float(finding.sentence.partition("(")[2].partition(",")[0])

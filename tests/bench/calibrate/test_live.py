@@ -81,13 +81,8 @@ class TestCameras:
             r"view 1: left (found, 54 points|refused: .+); right (found, 54 points|refused: .+)",
             said[0],
         )
-        assert any(
-            line.startswith(
-                "Enough: the emulated operator has shown the board 24 times. Still missing: left"
-                " and right"
-            )
-            for line in said
-        )
+        enough = "Enough: the emulated operator has shown the board 24 times. Still missing: "
+        assert any(line.startswith(f"{enough}left and right") for line in said)
         assert said[-1].startswith("24 views in ")
 
     def test_the_guides_picture_marks_cells_and_corners(self, bench_room: Path) -> None:
