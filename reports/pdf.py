@@ -16,13 +16,8 @@ from urllib.parse import quote, unquote, urlsplit
 from reports.trust import PageError
 
 NAMES = (
-    "chromium",
-    "chromium-browser",
-    "google-chrome",
-    "google-chrome-stable",
-    "chrome",
-    "msedge",
-    "microsoft-edge",
+    *("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome"),
+    *("msedge", "microsoft-edge"),
 )
 PLACES = (  # where they stand on Windows and macOS without being on the path
     "Google/Chrome/Application/chrome.exe",
@@ -35,15 +30,11 @@ ROOTS = ("ProgramFiles", "ProgramFiles(x86)", "LOCALAPPDATA")
 # of the environment: the browser's path; empty where none is to be used
 BROWSER = "TEATBENCH_BROWSER"
 TIME_LIMIT_S = 120.0
-SWITCHES = [
-    "--headless",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-extensions",
-    "--disable-background-networking",
-    "--no-pdf-header-footer",
-    "--generate-pdf-document-outline",
-]
+SWITCHES = (
+    *("--headless", "--disable-gpu", "--no-first-run", "--disable-extensions"),
+    *("--disable-background-networking", "--no-pdf-header-footer"),
+    *("--generate-pdf-document-outline",),
+)
 _TEXT = rb"\(((?:[^()\\]|\\.)*)\)"  # a string of a PDF, ISO 32000-1, 7.3.4.2
 _CREATOR = re.compile(rb"/Creator " + _TEXT)
 _LINK = re.compile(rb"/URI \((file://(?:[^()\\]|\\.)*)\)")

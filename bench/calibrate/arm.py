@@ -76,17 +76,9 @@ class Person(Protocol):
     OperatorAbort.
     """
 
-    def ask(self, text: str) -> None:
-        """Something to be done."""
-        ...
-
-    def touch(self, step: Step) -> None:
-        """The tip to be brought there and held still."""
-        ...
-
-    def say(self, text: str) -> None:
-        """Something to be shown."""
-        ...
+    def ask(self, text: str) -> None: ...
+    def touch(self, step: Step) -> None: ...
+    def say(self, text: str) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,6 @@ class CamerasResult:
     """
 
     views: BoardViews
-    lens: Lens
     alone: Mapping[str, Calibrated]
     fixed: Calibrated
     joint: Calibrated
@@ -149,7 +148,6 @@ def calibrate_pair(views: BoardViews, lens: Lens) -> CamerasResult:
             held_out = Remeasured(views.board, (*first.views, *second.views))
     return CamerasResult(
         views,
-        lens,
         alone,
         join_cameras(alone),
         joint,

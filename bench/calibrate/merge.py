@@ -128,8 +128,7 @@ def _together(
     if not kept:
         return None
     return ParameterCovariance(
-        tuple(name for one in kept for name in one.names),
-        block_diag(*(one.matrix for one in kept)),
+        tuple(name for one in kept for name in one.names), block_diag(*(one.matrix for one in kept))
     )
 
 

@@ -47,18 +47,10 @@ class Step:
     world_mm: Triple | None = None
 
 
-class _Hand:
-    """Holds the tip at ``held`` in the arm's frame; on the peg before that."""
-
-    held: tuple[Floats, Floats | None] | None = None
-
-    def arm_target(self) -> tuple[Floats, Floats | None] | None:
-        """For the emulated arm."""
-        return self.held
-
-
 class TryingArm:
-    """An emulated arm on a loopback port, at ``url``; to be used with ``with``."""
+    """An emulated arm on a loopback port, at ``url``, and the hand that holds its tip, at first on
+    the peg; to be used with ``with``.
+    """
 
     def __init__(
         self,
@@ -70,8 +62,8 @@ class TryingArm:
         length_mm: float = 300.0,
     ) -> None:
         self.clock = clock
-        self._hand = _Hand()
-        self.emulator = ArmEmulator(self._hand, clock, seed=seed, accuracy_mm=accuracy_mm)
+        self._held: tuple[Floats, Floats | None] | None = None
+        self.emulator = ArmEmulator(self, clock, seed=seed, accuracy_mm=accuracy_mm)
         self._lock = threading.RLock()
         self._listener = Listener(self.emulator, clock, lock=self._lock, name="arm")
         self._placed = placed
@@ -79,13 +71,15 @@ class TryingArm:
         self._half_mm = 0.5 * length_mm
         self.url = self._listener.url
 
+    def arm_target(self) -> tuple[Floats, Floats | None] | None:
+        """Where the tip is held, in the arm's frame, and its axis; for the emulated arm."""
+        return self._held
+
     def go(self, step: Step) -> None:
-        """Bring the tip where ``step`` asks. Raises ConfigError
-        where this arm doesn't get there.
-        """
+        """Bring the tip where ``step`` asks. Raises ConfigError where it doesn't get there."""
         with self._lock:
             try:
-                self._hand.held = self._target(step)
+                self._held = self._target(step)
             except OutOfReachError as error:
                 raise ConfigError.plain(f"the emulated arm can't do this: {error}") from error
 

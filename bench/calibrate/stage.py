@@ -6,8 +6,7 @@ Heats nothing and takes no picture, but every instrument of the rig has to answe
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from math import hypot
 
@@ -29,43 +28,36 @@ PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus 
 SPAN_MM = 200.0  # of the positions where none are named
 
 
-@dataclass(frozen=True, slots=True)
-class RegistrationRequest:
-    """Which ``teat`` of which ``layout`` to touch, at which places (x, y mm from the reference
-    place; none: corners and middle).
-    """
-
-    layout: str = "table-5-1"
-    teat: int = 1
-    at_mm: tuple[tuple[float, float], ...] = ()
-    readings: int | None = None
-
-
 def calibrate_stage(
     rig: LoadedRig,
-    wanted: RegistrationRequest,
     made: datetime,
     tell: Callable[[str], None],
     *,
+    layout: str,
+    teat: int,
+    at_mm: Sequence[tuple[float, float]],
+    readings: int | None,
     seed: int,
     capture: Captures = NO_CAPTURE,
 ) -> Registration:
-    """The registration of ``rig``'s stage. Raises ConfigError before anything moves, and as
-    operator and instruments do.
+    """The registration of ``rig``'s stage: ``teat`` of ``layout`` touched at these places (x, y mm
+    from the reference place; none: corners and middle), ``readings`` times each (None: the rig's).
+
+    Raises ConfigError before anything moves, and as operator and instruments do.
     """
     settings = rig.rig.stage
     if settings is None:
         raise ConfigError.plain(f"{rig.path} has no [stage]: there is nothing to register.")
     try:
-        path = find_layout(wanted.layout)
+        path = find_layout(layout)
     except ValueError as error:
-        raise ConfigError.plain(f"--layout {wanted.layout}: {error}") from error
+        raise ConfigError.plain(f"--layout {layout}: {error}") from error
     phantom = load_layout(path).phantom(seed)
-    if wanted.teat > len(phantom.teats):
+    if teat > len(phantom.teats):
         raise ConfigError.plain(
-            f"--teat {wanted.teat}: the layout {wanted.layout} has {len(phantom.teats)} teats"
+            f"--teat {teat}: the layout {layout} has {len(phantom.teats)} teats"
         )
-    poses = [PlatePose(x, y) for x, y in wanted.at_mm] or around([PlatePose()], SPAN_MM)
+    poses = [PlatePose(x, y) for x, y in at_mm] or around([PlatePose()], SPAN_MM)
     if len(poses) < 3:
         raise ConfigError.plain(
             f"--at: {len(poses)} positions; a registration needs three or more that don't lie on a"
@@ -85,20 +77,18 @@ def calibrate_stage(
             stage.connect()
             stage.home()
             text = (
-                f"Put the phantom on the stage, its teats as in layout {wanted.layout}, and fix it:"
+                f"Put the phantom on the stage, its teats as in layout {layout}, and fix it:"
                 " it must not shift on its plate."
             )
             operator.ask(Arrangement("stage_registration", phantom, (), text))
-            toucher = Toucher(
-                operator.ask, tip, rig.rig.arm, devices.clock, lambda: None, wanted.readings
-            )
+            toucher = Toucher(operator.ask, tip, rig.rig.arm, devices.clock, lambda: None, readings)
             return register(
                 stage,
                 settings,
                 toucher,
                 phantom,
                 poses,
-                teat=wanted.teat,
+                teat=teat,
                 u_mm=hypot(end_u_mm(rig.rig.arm, toucher.readings), settings.repeatability_mm),
                 made=made,
                 serial_number=arm.identity.serial_number,

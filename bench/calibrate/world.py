@@ -77,19 +77,15 @@ class TouchedPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldResult:
-    """The fit, the points it was made of, and what they tell of the pair."""
+    """The fit, and what it tells of the pair."""
 
-    points: TouchedPoints
     fit: WorldFit
     findings: tuple[Finding, ...]
 
     def part(self, record: Record) -> Part:
         """What the file of this step holds: the world, and the covariance of it with the pair's."""
-        return Part(
-            world_from_right=self.fit.world_from_right,
-            covariance=self.fit.covariance,
-            record=record,
-        )
+        fit = self.fit
+        return Part(world_from_right=fit.world_from_right, covariance=fit.covariance, record=record)
 
 
 def read_points(path: Path) -> TouchedPoints:
@@ -128,7 +124,7 @@ def calibrate_world(
         )
     except ValueError as error:
         raise ConfigError.plain(f"the touched points determine no world: {error}") from error
-    return WorldResult(points, fit, tuple(against_the_arm(fit)))
+    return WorldResult(fit, tuple(against_the_arm(fit)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -163,10 +163,7 @@ def world(given: argparse.Namespace) -> int:
             )
         given.points = _gather_world(given, pair.part)
     result = calibrate_world(
-        read_points(given.points),
-        pair.part,
-        pixel_sd_px=given.pixel_sd,
-        touch_sd_mm=given.touch_sd,
+        read_points(given.points), pair.part, pixel_sd_px=given.pixel_sd, touch_sd_mm=given.touch_sd
     )
     record = _record(given, (given.points,), more={CAMERAS_INPUT: pair.sha256})
     _write_step(given, result.part(record), world_page(result, record, command_line()))
@@ -443,24 +440,29 @@ def take_over(given: argparse.Namespace) -> int:
 
 
 def stage(given: argparse.Namespace) -> int:
-    from bench.calibrate.stage import RegistrationRequest, calibrate_stage
+    from bench.calibrate.stage import calibrate_stage
     from bench.truth.registration_file import write_registration
 
     refuse_existing(given.out, replace=given.replace)
     rig = load_rig(find_rig(given.rig))
-    wanted = RegistrationRequest(given.layout, given.teat, tuple(given.at), given.readings)
-    seed = rig.rig.seed if given.seed is None else given.seed
-    made = wall_time().replace(microsecond=0)
-    found = calibrate_stage(rig, wanted, made, tell, seed=seed, capture=given.capture)
+    found = calibrate_stage(
+        rig,
+        wall_time().replace(microsecond=0),
+        tell,
+        layout=given.layout,
+        teat=given.teat,
+        at_mm=given.at,
+        readings=given.readings,
+        seed=rig.rig.seed if given.seed is None else given.seed,
+        capture=given.capture,
+    )
     write_registration(given.out, found)
     print(f"{len(found.stations)} positions, touches good for {found.u_mm:.2f} mm along an axis")
     for fit in found.comparison.fits:
         held_out_mm = found.comparison.held_out_mm[fit.model]
-        held_out = (
-            "too few positions to hold one out"
-            if held_out_mm is None
-            else f"held out {held_out_mm:.2f} mm"
-        )
+        held_out = "too few positions to hold one out"
+        if held_out_mm is not None:
+            held_out = f"held out {held_out_mm:.2f} mm"
         print(f"{fit.model}: residual {fit.fre_mm:.2f} mm rms, {held_out}")
     print(f"expected residual of the rigid fit: {found.expected_fre_mm:.2f} mm")
     for one in found.diagnostics:

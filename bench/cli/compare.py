@@ -66,13 +66,7 @@ def _together(given: argparse.Namespace, damage: tuple[str, ...]) -> Verdict:
 
 
 def _show(found: tuple[Comparison, ...]) -> None:
-    from bench.report.comparison import (
-        distance_table,
-        heading,
-        notes,
-        success_table,
-        verdict_told,
-    )
+    from bench.report.comparison import distance_table, heading, notes, success_table, verdict_told
 
     console = Terminal()
     for comparison in found:

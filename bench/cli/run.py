@@ -95,9 +95,7 @@ def resume(given: argparse.Namespace) -> int:
             progress = Events(shown, lines)
             typed = typed_lines(operator)
             resume_run(
-                given.run,
-                progress,
-                RunOptions(capture=given.capture, typed=typed, begun=shown.say),
+                given.run, progress, RunOptions(capture=given.capture, typed=typed, begun=shown.say)
             )
             progress.state("writing the report")
             code, show = _reported(given.run, damage=damage)
@@ -179,7 +177,11 @@ def report(given: argparse.Namespace) -> int:
         code = _offsets_reported(given.run)
     else:
         with undamaged([given.run, *filter(None, [given.baseline])], given) as damage:
-            chapters = _chapters(given, damage)
+            chapters: tuple[Section, ...] = ()
+            if given.baseline:
+                from bench.report.comparison import baseline_section
+
+                chapters = (baseline_section(given.baseline, given.run, damage),)
             code, show = _reported(given.run, chapters, damage, single_file=given.single_file)
             show(Terminal())
     if browser:
@@ -201,13 +203,6 @@ def _print(folder: Path, browser: str, *, needed: bool) -> None:
         if needed:
             raise ConfigError.plain(str(error)) from error
         print(f"no PDF: {error}", file=sys.stderr)
-
-
-def _chapters(given: argparse.Namespace, damage: tuple[str, ...]) -> tuple[Section, ...]:
-    """What was asked for besides the page. Raises ConfigError before anything is written."""
-    from bench.report.comparison import baseline_section
-
-    return (baseline_section(given.baseline, given.run, damage),) if given.baseline else ()
 
 
 def _reported(

@@ -121,11 +121,7 @@ def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[Tr
 
 
 def _stability_table(
-    run: RunRecord,
-    set_point_c: float,
-    window_s: float,
-    shown: Sequence[TrialRecord],
-    left_out: str,
+    run: RunRecord, set_point_c: float, window_s: float, shown: Sequence[TrialRecord], left_out: str
 ) -> Table:
     """Stability over time at one place, uniformity between places (ASTM E2488)."""
     rows = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from bench.calibrate.cameras import PAIR, CamerasResult, PairsResult, ThermalResult
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
-from bench.report.wording import NOT_MEASURED, listed, spanned, table
+from bench.report.wording import NOT_MEASURED, key_values, listed, spanned, table
 from detector.calibration import Record
 from detector.calibration.bundle import LENS, POSE
 from detector.calibration.cameras import Calibrated
@@ -30,7 +31,6 @@ from reports.page import (
     Part,
     Section,
     Table,
-    Verdict,
 )
 
 NAMED_MM = 1200.0  # about where the thesis's teats stand
@@ -42,38 +42,55 @@ CHECK = "Check of a calibration"
 Chapters = Mapping[str, tuple[str, Iterable[Part]]]  # title and parts by anchor
 
 
-def _page(title: str, chapters: Chapters, record: Record, command: str, **banner: Any) -> Page:
-    """The page with its provenance at the end; ``banner`` has the fields of a `Banner`."""
+def _page(
+    title: str,
+    chapters: Chapters,
+    record: Record,
+    command: str,
+    *,
+    findings: Sequence[Finding] | None = (),
+    missing: tuple[str, ...] = (),
+    **banner: Any,
+) -> Page:
+    """The page: what is wrong by name, and what the views lack, first; its provenance at the end.
+
+    ``findings`` None: nothing was looked for. ``banner`` has the fields of a `Banner`.
+    """
+    wrong: list[Part] = [
+        Notes("Named", tuple(f"{finding.name}: {finding.sentence}" for finding in findings))
+        if findings
+        else Paragraph(
+            "Nothing: no fault left a mark that is both significant and large enough to matter.",
+            tone="good",
+        )
+    ]
+    if missing:
+        wrong.append(Notes("What the views don't show yet", missing))
+    who = {"day": record.made, "by": record.by or "not told", "with": record.with_what}
+    files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
     made = (
-        KeyValues(
-            "Made",
-            (
-                ("day", record.made),
-                ("by", record.by or "not told"),
-                ("with", record.with_what),
-                *record.cameras.items(),
-            ),
-        ),
-        table(
-            "Inputs",
-            "file | SHA-256",
-            [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()],
-        ),
+        key_values("Made", {**who, **record.cameras}),
+        table("Inputs", "file | SHA-256", files),
         Code("The command that repeats it", command),
     )
-    sections = tuple(
-        Section(anchor, head, tuple(parts))
-        for anchor, (head, parts) in {**chapters, "provenance": ("Provenance", made)}.items()
-    )
+    every = {
+        "findings": ("What was found wrong", wrong),
+        **chapters,
+        "provenance": ("Provenance", made),
+    }
+    if findings is None:
+        del every["findings"]
+    sections = (Section(anchor, head, tuple(parts)) for anchor, (head, parts) in every.items())
     day = f"{'checked' if title == CHECK else 'made'} {record.made}"
-    return Page(title, day, Banner(kind="computed", **banner), sections)
+    banner = {"verdict": "not met" if findings else "no verdict", **banner}
+    return Page(title, day, Banner(kind="computed", **banner), tuple(sections))
 
 
 def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
     """Of `calibrate cameras`."""
     spans = [shown.distances_mm for shown in result.coverage.values() if shown.distances_mm]
     near, far = min(low for low, _ in spans), max(high for _, high in spans)
-    at_mm = min(max(NAMED_MM, near), far)
+    at_mm = float(np.clip(NAMED_MM, near, far))
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
     pairs, board = result.views.pairs(), result.views.board
     missing = still_missing(result.coverage)
@@ -90,7 +107,6 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
     return _page(
         "Calibration of the stereo pair",
         {
-            "findings": ("What was found wrong", _findings(result.findings, missing)),
             "parameters": ("Parameters", _parameters(result)),
             "residuals": ("Where corners miss", _residuals(fits, result.views)),
             "held-out": ("Measured again, from views not used", _held_out(result)),
@@ -100,7 +116,8 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
         },
         record,
         command,
-        verdict=_verdict(result.findings),
+        findings=result.findings,
+        missing=missing,
         tested=(
             f"Stereo pair from {len(pairs)} pairs of views of a {board.columns} x {board.rows}"
             f" {board.kind}."
@@ -117,11 +134,11 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
 def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
     """Of `calibrate thermal` with a board."""
     fit, views, shown = result.joint.fit, result.views, {"thermal": result.coverage}
+    missing = still_missing(shown)
     place = ", ".join(_sd(fit.sd("thermal", name), 2) for name in POSE[3:])
     return _page(
         "Calibration of the thermal camera",
         {
-            "findings": ("What was found wrong", _findings((), still_missing(shown))),
             "parameters": ("Parameters", [_lens(result.joint, "thermal")]),
             "residuals": ("Where points miss", _residuals({"thermal": result.joint}, views)),
             "homographies": ("Homographies for the thesis's algorithm", _homographies(result)),
@@ -130,40 +147,31 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
         },
         record,
         command,
-        verdict="no verdict",
+        missing=missing,
         tested=(
             f"Thermal camera from {len(result.joint.view_rms_px('thermal'))} views of a heated"
             f" {views.board.kind}."
         ),
         sentence=f"Points miss by {fit.rms_px:.2f} px rms over both cameras.",
         confidence=f"Its place is known to {place} mm (x, y, z; 1 sd).",
-        next_action=_next((), still_missing(shown), "teatbench calibrate world"),
+        next_action=_next((), missing, "teatbench calibrate world"),
     )
 
 
 def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
     """Of `calibrate thermal` with a table of point pairs."""
     left, right = result.left, result.right
-    outlier = Cell("no: outlier", "warn")
-    tables = [
-        table(
-            f"Pairs, thermal to {side}",
-            ">pair | >misses by [px] ~.2f | counts",
-            [
-                (n, missed, "yes" if kept else outlier)
-                for n, (missed, kept) in enumerate(
-                    zip(mapped.missed_px, mapped.inliers, strict=True), 1
-                )
-            ],
-        )
-        for side, mapped in (("left", left), ("right", right))
-    ]
+    heads, tables = ">pair | >misses by [px] ~.2f | counts", []
+    for side, mapped in (("left", left), ("right", right)):
+        counts = ["yes" if kept else Cell("no: outlier", "warn") for kept in mapped.inliers]
+        rows = list(zip(count(1), mapped.missed_px, counts, strict=False))
+        tables.append(table(f"Pairs, thermal to {side}", heads, rows))
     return _page(
         "Homographies from point pairs",
         {"pairs": ("Point pairs", tables)},
         record,
         command,
-        verdict="no verdict",
+        findings=None,
         tested=f"Homographies from {len(left.inliers)} point pairs.",
         sentence=(
             f"{int(left.inliers.sum())} and {int(right.inliers.sum())} pairs count; they miss by"
@@ -203,13 +211,12 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     return _page(
         "Calibration of the world",
         {
-            "findings": ("What was found wrong", _findings(result.findings, ())),
             "fits": ("Fits", [models, residuals]),
             "volume": ("Over the working volume", [_target_table(volume, there)]),
         },
         record,
         command,
-        verdict=_verdict(result.findings),
+        findings=result.findings,
         tested=f"World from {len(fit.touched_mm)} points that the arm touched.",
         sentence=(
             f"Mapped points miss the arm's by {comparison.rigid.fre_mm:.3f} mm rms, a point left"
@@ -246,15 +253,11 @@ def check_points_page(
 ) -> Page:
     """Of `calibrate check --points`: an existing calibration against points touched today."""
     rms = np.sqrt(np.mean(np.sum(again.missed_mm**2, axis=1)))
+    rows = np.column_stack([again.missed_mm, again.expected_mm])
     points = table(
         "Measured less touched",
         ">point | >dx [mm] ~+.2f | >dy [mm] ~+.2f | >dz [mm] ~+.2f | >expected [mm] ~.2f",
-        [
-            (n, *row, expected)
-            for n, (row, expected) in enumerate(
-                zip(again.missed_mm, again.expected_mm, strict=True), 1
-            )
-        ],
+        [(n, *row) for n, row in enumerate(rows, 1)],
         "Expected: root of the summed variances of calibration, pixels and touch.",
     )
     return _check(
@@ -284,19 +287,16 @@ def _check(
     named = "; ".join(finding.name for finding in findings)
     return _page(
         CHECK,
-        {"findings": ("What was found wrong", _findings(findings, ())), **chapters},
+        chapters,
         record,
         command,
+        findings=findings,
         verdict="not met" if findings else "met",
         tested=tested,
         sentence=f"It no longer holds: {named}." if findings else HOLDS,
         confidence=confidence,
         next_action=cure if findings else "Nothing.",
     )
-
-
-def _verdict(findings: Sequence[Finding]) -> Verdict:
-    return "not met" if findings else "no verdict"
 
 
 def _next(findings: Sequence[Finding], missing: Sequence[str], then: str) -> str:
@@ -310,19 +310,6 @@ def still_missing(shown: Mapping[str, Coverage]) -> tuple[str, ...]:
     return tuple(
         f"{camera}: {text}" for camera, coverage in shown.items() for text in coverage.missing
     )
-
-
-def _findings(findings: Sequence[Finding], missing: tuple[str, ...]) -> Iterator[Part]:
-    """What is wrong by name, and what the views lack."""
-    if findings:
-        yield Notes("Named", tuple(f"{finding.name}: {finding.sentence}" for finding in findings))
-    else:
-        yield Paragraph(
-            "Nothing: no fault left a mark that is both significant and large enough to matter.",
-            tone="good",
-        )
-    if missing:
-        yield Notes("What the views don't show yet", missing)
 
 
 def _parameters(result: CamerasResult) -> Iterator[Part]:
@@ -480,12 +467,11 @@ def _pictures(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
             rows.append((camera, name, len(found.ids), found.edges_px, missed))
     heads = "camera | view | >points | >edges [px] ~.1f? | >misses by [px rms]"
     yield table("Views used", heads, rows, searchable=True)
-    left_out = tuple(f"{r.camera} {r.view}: {r.reason}" for r in views.refused)
-    yield (
-        Notes("Left out", left_out)
-        if left_out
-        else Paragraph("No picture was left out.", tone="good")
-    )
+    if views.refused:
+        reasons = (f"{r.camera} {r.view}: {r.reason}" for r in views.refused)
+        yield Notes("Left out", tuple(reasons))
+    else:
+        yield Paragraph("No picture was left out.", tone="good")
 
 
 def working_volume_mm(touched_mm: Array) -> Array:

@@ -188,36 +188,35 @@ def _p(value: float | None) -> str:
 
 def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
     """Plain numbers and text; every figure that is printed, unrounded."""
-    return [_one(comparison) for comparison in found]
-
-
-def _one(comparison: Comparison) -> dict[str, Any]:
-    found = comparison.compared
-    return {
-        "old": {"run": str(comparison.old.run.folder), "detector": comparison.old.detector},
-        "new": {"run": str(comparison.new.run.folder), "detector": comparison.new.detector},
-        "scenes": len(comparison.pairs),
-        "same_frames": comparison.same_frames,
-        "only_old": comparison.only_old,
-        "only_new": comparison.only_new,
-        "elsewhere": comparison.elsewhere,
-        "confidence": found.confidence,
-        "gate": {
-            "verdict": GATE[found.gate.verdict][0],
-            "reasons": list(found.gate.reasons),
-            "margin_mm": found.gate.margin_mm,
-        },
-        "rows": [_numbers(row, found.confidence) for row in (found.pooled, *found.situations)],
-    }
+    return [
+        {
+            "old": {"run": str(one.old.run.folder), "detector": one.old.detector},
+            "new": {"run": str(one.new.run.folder), "detector": one.new.detector},
+            "scenes": len(one.pairs),
+            "same_frames": one.same_frames,
+            "only_old": one.only_old,
+            "only_new": one.only_new,
+            "elsewhere": one.elsewhere,
+            "confidence": one.compared.confidence,
+            "gate": {
+                "verdict": GATE[one.compared.gate.verdict][0],
+                "reasons": list(one.compared.gate.reasons),
+                "margin_mm": one.compared.gate.margin_mm,
+            },
+            "rows": [
+                _numbers(row, one.compared.confidence)
+                for row in (one.compared.pooled, *one.compared.situations)
+            ],
+        }
+        for one in found
+    ]
 
 
 def _numbers(row: Row, confidence: float) -> dict[str, Any]:
-    success = {
-        "difference": row.success.difference,
-        "interval": row.success.interval(confidence),
-        "p_value": row.success.p_value,
-    }
-    return {**asdict(row), "success": {**asdict(row.success), **success}}
+    success = row.success
+    told = {"difference": success.difference, "interval": success.interval(confidence)}
+    told["p_value"] = success.p_value
+    return {**asdict(row), "success": {**asdict(success), **told}}
 
 
 def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
@@ -301,16 +300,10 @@ def _changed(comparison: Comparison) -> Table:
         (change for change in changes if not change[0] or change[1]),
         key=lambda change: (change[0], -abs(change[1] or 0.0)),
     )
-    rows = [
-        (
-            pair.scene,
-            pair.situation,
-            outcome(pair.old),
-            outcome(pair.new),
-            Cell(NOT_MEASURED if grown is None else f"{grown:+.3f}", sort=grown),
-        )
-        for _, grown, pair in shown[:50]
-    ]
+    rows = []
+    for _, grown, pair in shown[:50]:
+        change = Cell(NOT_MEASURED if grown is None else f"{grown:+.3f}", sort=grown)
+        rows.append((pair.scene, pair.situation, outcome(pair.old), outcome(pair.new), change))
     return table(
         "Scenes that changed (at most 50, changed outcomes first)",
         "scene | situation | old | new | >change of the largest error [mm]",

@@ -97,12 +97,7 @@ def build_page(
         next_action=then,
     )
     accuracy = _accuracy_parts(run, rules, calibration)
-    reference = (
-        *truth_parts(run),
-        *gage_parts(run, limit_mm),
-        *arm_parts(run),
-        *record_parts(run),
-    )
+    reference = (*truth_parts(run), *gage_parts(run, limit_mm), *arm_parts(run), *record_parts(run))
     deviations = (*deviation_parts(run), *fault_parts(run))
     listed: tuple[Part, ...] = (*([looks] if looks else []), trial_table(run))
     results = (*_result_parts(run, rules), *tables.attribution_parts(run))

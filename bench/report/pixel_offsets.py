@@ -15,13 +15,7 @@ from bench.config import ConfigError, read_calibration, read_text
 from bench.files import sha256_of, write_synced
 from bench.record.schema import SCRIPT
 from bench.record.writer import new_run_folder
-from bench.report.thesis import (
-    Row,
-    components_table,
-    elsewhere_table,
-    figures_table,
-    rows_of_test,
-)
+from bench.report.thesis import Row, components_table, elsewhere_table, figures_table, rows_of_test
 from bench.report.wording import listed, table
 from bench.results.thesis_figures import Thesis, thesis
 from bench.rig.loading import LoadedRig

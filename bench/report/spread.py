@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from bench.record.reader import RunRecord
-from bench.record.schema import Row
 from bench.report.accuracy import precision_parts
 from bench.report.tables import covariance_of
 from bench.report.wording import NOT_MEASURED, id_of, table
@@ -29,17 +28,6 @@ from bench.scoring.regions import LEAST_POSES, Ellipsoid, consistency, predictio
 from bench.scoring.trends import LEAST_TREND_POSES, Trend
 from reports import figures
 from reports.page import Cell, Figure, Notes, Paragraph, Part
-
-
-def claimed_mm2(answer: Row, truth: Row) -> Floats | None:
-    """Covariance (3, 3) mm^2 of answer less truth; None where the detector states none."""
-    stated = covariance_of(answer)
-    if stated is None:
-        return None
-    own = covariance_of(truth)
-    total = stated + (np.eye(3) * float(truth["u_mm"] or 0.0) ** 2 if own is None else own)
-    return total if np.all(np.linalg.eigvalsh(total) > 0.0) else None
-
 
 POSE_SET = "pose set"
 MAP_FROM = 9  # places: fewer make no map
@@ -327,13 +315,17 @@ def _consistent(run: RunRecord, detector: str) -> str:
 
 
 def _stated(run: RunRecord, detector: str) -> Iterator[tuple[Floats, Floats]]:
-    """Error (3,) and stated covariance (3, 3) of each found teat that has one."""
+    """Error (3,) of each found teat, and its stated covariance (3, 3) mm² with the truth's."""
     for trial in run.counted:
         score = trial.scores.get(detector)
         answers = [row for row in trial.found if row["detector"] == detector]
         for (answer, truth), error in (
             zip(score.match.pairs, score.errors_mm, strict=True) if score else ()
         ):
-            covariance = claimed_mm2(answers[answer], trial.truth[truth])
-            if covariance is not None:
-                yield np.asarray(error), covariance
+            own, stated = covariance_of(trial.truth[truth]), covariance_of(answers[answer])
+            if stated is None:
+                continue
+            u_mm = float(trial.truth[truth]["u_mm"] or 0.0)
+            total = stated + (u_mm**2 * np.eye(3) if own is None else own)
+            if np.all(np.linalg.eigvalsh(total) > 0.0):
+                yield np.asarray(error), total

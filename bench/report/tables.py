@@ -139,14 +139,8 @@ def covariance_of(row: Row) -> Floats | None:
 
 
 HEAD = (
-    "situation",
-    "detector",
-    "frame sets",
-    "found of visible",
-    "false",
-    "mean, p95, max error (mm)",
-    "median, p99 time (ms)",
-    "no answer",
+    *("situation", "detector", "frame sets", "found of visible", "false"),
+    *("mean, p95, max error (mm)", "median, p99 time (ms)", "no answer"),
 )
 ALL = "all"
 
@@ -188,11 +182,9 @@ def _notes(run: RunRecord) -> Iterator[str]:
     for detector in run.detectors:
         times = latency_of(run, detector)
         cold = listed([1e3 * seconds for seconds in times.cold_s], ".0f") or NOT_MEASURED
-        start = (
-            f", start-up {1e3 * times.start_up_s:.0f} ms at most"
-            if times.start_up_s is not None
-            else ""
-        )
+        start = ""
+        if times.start_up_s is not None:
+            start = f", start-up {1e3 * times.start_up_s:.0f} ms at most"
         yield f"{detector}: first call {cold} ms{start}. {times.starved}".strip()
     yield f"Errors are of found teats only. {LATENCY_RULE}"
 

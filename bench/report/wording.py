@@ -107,21 +107,13 @@ def _column(text: str) -> tuple[Column, str]:
     return Column(title.removeprefix(">"), align, unit.removesuffix("]"), hint), form
 
 
-def key_values(
-    title: str, entries: Mapping[str, object] | Iterable[tuple[str, object]]
-) -> KeyValues:
+def key_values(title: str, entries: Mapping[str, object]) -> KeyValues:
     """A list of names and values as text."""
-    pairs = entries.items() if isinstance(entries, Mapping) else entries
-    return KeyValues(
-        title,
-        tuple(
-            (
-                name,
-                value if isinstance(value, Cell) else NOT_MEASURED if value is None else str(value),
-            )
-            for name, value in pairs
-        ),
-    )
+
+    def told(value: object) -> str | Cell:
+        return value if isinstance(value, Cell) else NOT_MEASURED if value is None else str(value)
+
+    return KeyValues(title, tuple((name, told(value)) for name, value in entries.items()))
 
 
 def measured(decision: Decision) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -118,14 +117,10 @@ def latency_strip(
         axes.set(xlim=(0.5, times.size + 0.5), ylim=(0, top))
         axes.set(xlabel="detection, in order", ylabel="time (s)")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-        place: dict[str, Any] = {
-            "ha": "right",
-            "va": "bottom",
-            "transform": axes.get_yaxis_transform(),
-        }
         for limit in limits_s:
             axes.axhline(limit, color=COLOURS["limit"], linewidth=1.2)
-            axes.text(1, limit, f"limit {limit:g} s", color=COLOURS["limit"], **place)
+            text = axes.text(1, limit, f"limit {limit:g} s", color=COLOURS["limit"])
+            text.set(ha="right", va="bottom", transform=axes.get_yaxis_transform())
         p50, p95 = np.quantile(times, [0.5, 0.95])
         title = f"p50 {p50:.3g} s · p95 {p95:.3g} s · longest {times.max():.3g} s"
         axes.set_title(title, loc="left", color=COLOURS["muted"])

@@ -21,7 +21,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Circle, Patch
 from numpy.typing import ArrayLike, NDArray
 
 from reports.sanitize import sanitized
@@ -214,6 +214,19 @@ def linked(
     points = axes.scatter(x[drawn], y[drawn], s=size, color=colour, linewidths=0, **more)
     if links:
         points.set_urls([links[index] for index in drawn])
+
+
+def cross_and_circle(axes: Axes, reach: float, limit_mm: float, width: float) -> None:
+    """Square axes about 0 that reach so far, and the limit as a circle."""
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    axes.axhline(0, color=COLOURS["muted"], linewidth=0.6)
+    axes.axvline(0, color=COLOURS["muted"], linewidth=0.6)
+    circle(axes, limit_mm, "limit", linewidth=width)
+
+
+def circle(axes: Axes, radius_mm: float, role: str, **more: Any) -> None:
+    """About 0; `more` are a patch's properties."""
+    axes.add_patch(Circle((0, 0), radius_mm, fill=False, edgecolor=COLOURS[role], **more))
 
 
 def one_each(function: str, links: Sequence[str] | None, points: int) -> None:

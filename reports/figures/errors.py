@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib import cbook
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import ArrayLike
 
@@ -22,6 +21,8 @@ from reports.figures.drawing import (
     WIDE_INCHES,
     Floats,
     LegendEntry,
+    circle,
+    cross_and_circle,
     draw,
     finite,
     legend,
@@ -90,18 +91,10 @@ def error_scatter(
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot(aspect="equal")
         reach = 1.12 * max(limit_mm, float(np.abs(across).max()), float(np.abs(along).max()))
-        axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
         axes.set(xlabel="lateral error (mm)", ylabel="depth error (mm)")
-        axes.axhline(0, color=COLOURS["muted"], linewidth=0.6)
-        axes.axvline(0, color=COLOURS["muted"], linewidth=0.6)
-        axes.add_patch(
-            Circle((0, 0), limit_mm, fill=False, edgecolor=COLOURS["limit"], linewidth=1.4)
-        )
+        cross_and_circle(axes, reach, limit_mm, 1.4)
         if accept_mm is not None:
-            colour = COLOURS["accept"]
-            axes.add_patch(
-                Circle((0, 0), accept_mm, fill=False, edgecolor=colour, linewidth=1, linestyle="--")
-            )
+            circle(axes, accept_mm, "accept", linewidth=1, linestyle="--")
         drawn = telling(np.hypot(across, along))
         linked(axes, across, along, drawn, links, alpha=0.7)
         legend(figure, _limits(limit_mm, accept_mm))

@@ -12,7 +12,6 @@ from typing import Any, get_args
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
 from numpy.typing import ArrayLike, NDArray
 
 from reports.figures.drawing import (
@@ -22,6 +21,7 @@ from reports.figures.drawing import (
     Floats,
     LegendEntry,
     Marker,
+    cross_and_circle,
     draw,
     finite,
     legend,
@@ -271,24 +271,15 @@ def error_regions(
     def plot(figure: Figure) -> None:
         for panel, axes in enumerate(figure.subplots(1, len(views), squeeze=False)[0]):
             across, up = (f"{plain(axis)} error (mm)" for axis in views[panel])
-            axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach))
-            axes.set(xlabel=across, ylabel=up)
-            axes.axhline(0, color=COLOURS["muted"], linewidth=0.6)
-            axes.axvline(0, color=COLOURS["muted"], linewidth=0.6)
-            axes.add_patch(
-                Circle((0, 0), limit_mm, fill=False, edgecolor=COLOURS["limit"], linewidth=1.2)
-            )
+            axes.set(aspect="equal", xlabel=across, ylabel=up)
+            cross_and_circle(axes, reach, limit_mm, 1.2)
             for k, (points, outlines) in enumerate(clouds):
                 x, y = points[panel].T
-                look: dict[str, Any] = {
-                    "role": _ROLES[k],
-                    "size": 20,
-                    "marker": _MARKERS[k],
-                    "alpha": 0.75,
-                }
-                linked(axes, x, y, drawn[k], groups[k].links, **look)
+                role, links = _ROLES[k], groups[k].links
+                look: dict[str, Any] = {"size": 20, "marker": _MARKERS[k], "alpha": 0.75}
+                linked(axes, x, y, drawn[k], links, role=role, **look)
                 if outlines:
-                    axes.plot(*outlines[panel].T, color=COLOURS[_ROLES[k]], linewidth=1.3)
+                    axes.plot(*outlines[panel].T, color=COLOURS[role], linewidth=1.3)
         entries: list[LegendEntry] = []
         for k, (group, n) in enumerate(zip(groups, counts, strict=True)):
             few = "" if group.outlines_mm else " (too few)"

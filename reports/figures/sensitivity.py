@@ -152,13 +152,8 @@ def residual_field(
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot(aspect="equal")
         arrows = [values[::every] for values in (x, y, dx, dy)]
-        look: dict[str, Any] = {
-            "angles": "xy",
-            "scale_units": "xy",
-            "scale": 1.0 / factor,
-            "width": 0.0022,
-        }
-        axes.quiver(*arrows, **look, color=COLOURS["ours"])
+        look: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "width": 0.0022}
+        axes.quiver(*arrows, **look, scale=1.0 / factor, color=COLOURS["ours"])
         axes.set(xlim=(-0.5, image_size[0] - 0.5), ylim=(image_size[1] - 0.5, -0.5))
         axes.set(xlabel="column (px)", ylabel="row (px)")
         legend(figure, [(f"misses, {factor:.0f} times enlarged; rms {rms:.2f} px", "ours", "-")])

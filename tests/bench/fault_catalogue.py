@@ -90,13 +90,9 @@ def what_happens(instrument: str, name: str, state: str, folder: Path) -> RunRec
     with known_to(bringer):
         progress = Events(bringer)
         with patch.object(progress, "event", bringer.event):
-            run, _ = run_script(
-                rig,
-                load_script(folder / "script.toml"),
-                folder / "runs",
-                progress,
-                RunOptions(typed=bringer.typed),
-            )
+            how = RunOptions(typed=bringer.typed)
+            loaded = load_script(folder / "script.toml")
+            run, _ = run_script(rig, loaded, folder / "runs", progress, how)
     return read_run(run)
 
 

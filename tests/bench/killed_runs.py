@@ -10,6 +10,7 @@ import signal
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing, nullcontext
+from itertools import count
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -23,17 +24,8 @@ from bench.script.model import load_script
 from instruments.clock import VirtualClock
 
 TABLES = (
-    "trials",
-    "skipped",
-    "frames",
-    "touches",
-    "truth",
-    "checks",
-    "detections",
-    "found",
-    "scores",
-    "bath",
-    "invalidated",
+    *("trials", "skipped", "frames", "touches", "truth", "checks", "detections", "found"),
+    *("scores", "bath", "invalidated"),
 )
 # which session it was, and which call was a process's first, is no part of the result
 OF_THE_SESSION = ("session", "cold")
@@ -72,63 +64,48 @@ def only_run(folder: Path, out: str) -> Path:
 
 def steps_of(work: Callable[[], Any]) -> int:
     """How many steps the virtual clock makes in ``work``."""
-    count = 0
-    step = VirtualClock.step
+    made, step = count(), VirtualClock.step
 
     def counted(clock: VirtualClock, limit_s: float) -> bool:
-        nonlocal count
-        count += 1
+        next(made)
         return step(clock, limit_s)
 
     with patch.object(VirtualClock, "step", counted):
         work()
-    return count
+    return next(made)
 
 
 def killed_at(step: int, work: Callable[[], Any]) -> bool:
     """Do ``work`` in a process that is killed, as by the system, at the clock's ``step``; False
     where it was over before.
     """
-    process = multiprocessing.get_context("fork").Process(target=_dying, args=(step, work))
-    process.start()
-    process.join(120)
-    return process.exitcode == -signal.SIGKILL
+    left = count(step - 1, -1)
+    return _killed(lambda _: next(left) <= 0, "step", VirtualClock, work)
 
 
 def killed_while(words: str, method: str, kind: type, work: Callable[[], Any]) -> bool:
     """The same, in the call of ``method`` of ``kind`` whose arguments have ``words`` in them."""
-    process = multiprocessing.get_context("fork").Process(
-        target=_dying_in, args=(words, method, kind, work)
-    )
-    process.start()
-    process.join(120)
-    return process.exitcode == -signal.SIGKILL
+    return _killed(lambda arguments: words in repr(arguments), method, kind, work)
 
 
-def _dying(at: int, work: Callable[[], Any]) -> None:
-    left, step = at, VirtualClock.step
-
-    def counted(clock: VirtualClock, limit_s: float) -> bool:
-        nonlocal left
-        left -= 1
-        if left <= 0:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return step(clock, limit_s)
-
-    with patch.object(VirtualClock, "step", counted):
-        work()
-
-
-def _dying_in(words: str, method: str, kind: type, work: Callable[[], Any]) -> None:
+def _killed(
+    when: Callable[[object], bool], method: str, kind: type, work: Callable[[], Any]
+) -> bool:
     own = getattr(kind, method)
 
     def fatal(*arguments: Any, **more: Any) -> Any:
-        if words in repr(arguments):
+        if when(arguments):
             os.kill(os.getpid(), signal.SIGKILL)
         return own(*arguments, **more)
 
-    with patch.object(kind, method, fatal):
-        work()
+    def dying() -> None:
+        with patch.object(kind, method, fatal):
+            work()
+
+    process = multiprocessing.get_context("fork").Process(target=dying)
+    process.start()
+    process.join(120)
+    return process.exitcode == -signal.SIGKILL
 
 
 def resume(folder: Path, out: str, progress: Silent | None = None) -> tuple[Path, Ending]:

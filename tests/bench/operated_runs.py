@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
 from bench.rig.loading import RIGS
+from tests.bench.commands import words
 
 SCRIPT = """
 title = "Short"
@@ -79,9 +81,7 @@ def files(
     """Rig, script and answers in ``folder``; gives back the arguments of the command that runs
     them.
     """
-    (folder / "calibration.toml").write_text(
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
+    shutil.copy(RIGS / "calibration.toml", folder)
     (folder / "answers.txt").write_text(answers, encoding="utf-8")
     figures = {
         "operator": operator,
@@ -92,14 +92,8 @@ def files(
     }
     (folder / "rig.toml").write_text(RIG.format(**figures, emulation=emulation), encoding="utf-8")
     (folder / "script.toml").write_text(script, encoding="utf-8")
-    return [
-        "run",
-        str(folder / "script.toml"),
-        "--rig",
-        str(folder / "rig.toml"),
-        "--out",
-        str(folder / "runs"),
-    ]
+    places = (folder / name for name in ("script.toml", "rig.toml", "runs"))
+    return words("run {} --rig {} --out {}", *places)
 
 
 def run_of(folder: Path) -> RunRecord:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from bench.script.phantom import shipped_phantom
 from instruments.camera.recording import RecordingWriter
 from instruments.clock import RealClock
 from instruments.operators.operator import Arrangement, Touch
+from tests.bench.commands import words
 from tests.conftest import ROOT
 
 SCRIPT = """
@@ -139,29 +141,22 @@ def real_rig(
     whatever has a serial port is on a pseudo-terminal.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "calibration.toml").write_text(
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
+    shutil.copy(RIGS / "calibration.toml", folder)
     (folder / "recording").symlink_to(recording, target_is_directory=True)
-    clock = RealClock()
-    try:
-        with EmulatedRig(
-            at_set_point(folder, start_c, profile, pump=pump), clock, 3, pty=pty
-        ) as twin:
-            rig, script = folder / "lab.toml", folder / "short.toml"
-            figures = {
-                "settle_s": settle_s,
-                "limits": limits,
-                "stage_part": STAGE.format(**twin.urls) if stage else "",
-                "profile": profile,
-            }
-            figures["pump_part"] = RELAY.format(twin.urls["pump"]) if pump else ""
-            figures["check_part"] = CHECK.format(check_touches) if check_touches else ""
-            rig.write_text(RIG.format(**twin.urls, **figures), encoding="utf-8")
-            script.write_text(SCRIPT.format(window_s=window_s, repeats=repeats), encoding="utf-8")
-            yield RealRig(twin, folder, rig, script)
-    finally:
-        clock.close()
+    with (
+        closing(RealClock()) as clock,
+        EmulatedRig(at_set_point(folder, start_c, profile, pump=pump), clock, 3, pty=pty) as twin,
+    ):
+        rig, script = folder / "lab.toml", folder / "short.toml"
+        parts = {
+            "stage_part": STAGE.format(**twin.urls) if stage else "",
+            "pump_part": RELAY.format(twin.urls["pump"]) if pump else "",
+            "check_part": CHECK.format(check_touches) if check_touches else "",
+        }
+        text = RIG.format(**twin.urls, **parts, settle_s=settle_s, limits=limits, profile=profile)
+        rig.write_text(text, encoding="utf-8")
+        script.write_text(SCRIPT.format(window_s=window_s, repeats=repeats), encoding="utf-8")
+        yield RealRig(twin, folder, rig, script)
 
 
 def at_set_point(folder: Path, start_c: float, profile: str, *, pump: bool) -> LoadedRig:
@@ -247,28 +242,12 @@ def touch_as_asked(
 @contextmanager
 def bench(rig: RealRig, more: Sequence[str] = ()) -> Iterator[Bench]:
     """`teatbench run` on the rig, in another process; killed at the end if it still runs."""
-    command = [
-        sys.executable,
-        "-m",
-        "bench.cli",
-        "run",
-        str(rig.script_path),
-        "--rig",
-        str(rig.rig_path),
-        "--out",
-        str(rig.out),
-        *more,
-    ]
+    given = words("run {} --rig {} --out {}", rig.script_path, rig.rig_path, rig.out)
+    command = [sys.executable, "-m", "bench.cli", *given, *more]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-    pipe = subprocess.PIPE
+    pipe, out = subprocess.PIPE, subprocess.STDOUT
     with subprocess.Popen(
-        command,
-        stdin=pipe,
-        stdout=pipe,
-        stderr=subprocess.STDOUT,
-        text=True,
-        encoding="utf-8",
-        env=environment,
+        command, stdin=pipe, stdout=pipe, stderr=out, encoding="utf-8", env=environment
     ) as process:
         running = Bench(process)
         reader = threading.Thread(target=_listen, args=(running,), daemon=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,13 @@ from bench.rig.scripted_answers import load_answers
 from bench.script.model import TRIALS, Script, find_script, load_script
 
 
+def refused(load: Callable[..., object], *given: object) -> ConfigError:
+    """Why these can't be loaded."""
+    with pytest.raises(ConfigError) as caught:
+        load(*given)
+    return caught.value
+
+
 def rig_with(tmp_path: Path, change: dict[str, str]) -> Path:
     """A copy of the emulated rig in which each key of ``change`` is replaced."""
     text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
@@ -20,9 +29,7 @@ def rig_with(tmp_path: Path, change: dict[str, str]) -> Path:
         text = text.replace(old, new)
     path = tmp_path / "rig.toml"
     path.write_text(text, encoding="utf-8")
-    (tmp_path / "calibration.toml").write_text(
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
+    shutil.copy(RIGS / "calibration.toml", tmp_path)
     return path
 
 
@@ -58,23 +65,20 @@ def test_all_faults_come_at_once_each_with_its_line(tmp_path: Path) -> None:
             '[stage]\nurl = "emulator:"': '[stage]\nurl = "nonsense"\nfeed_mm_per_min = "fast"',
         },
     )
-    with pytest.raises(ConfigError) as caught:
-        load_rig(path)
-    text = str(caught.value)
+    error = refused(load_rig, path)
+    text = str(error)
     lines = path.read_text(encoding="utf-8").split("\n")
     for word in ("profle", "seed = -1", "nonsense", '"fast"'):
         number = next(i for i, line in enumerate(lines, 1) if word in line)
         assert f"{path}:{number}: " in text
     assert 'did you mean "profile"' in text
     assert "bath.profile: is missing" in text
-    assert len(caught.value.faults) == 5
+    assert len(error.faults) == 5
 
 
 def test_the_caret_stands_under_the_value(tmp_path: Path) -> None:
     path = rig_with(tmp_path, {"seed = 1": "seed = -17"})
-    with pytest.raises(ConfigError) as caught:
-        load_rig(path)
-    shown, caret = str(caught.value).split("\n")[-2:]
+    shown, caret = str(refused(load_rig, path)).split("\n")[-2:]
     assert shown[shown.index("-17") :].startswith("-17")
     assert caret.index("^") == shown.index("-17")
     assert caret.count("^") == 3
@@ -115,22 +119,17 @@ def test_the_caret_stands_under_the_value(tmp_path: Path) -> None:
 def test_each_wrong_value_says_what_is_allowed(
     tmp_path: Path, change: dict[str, str], message: str
 ) -> None:
-    path = rig_with(tmp_path, change)
-    with pytest.raises(ConfigError) as caught:
-        load_rig(path)
-    assert message in str(caught.value)
+    assert message in str(refused(load_rig, rig_with(tmp_path, change)))
 
 
 def test_a_fault_in_the_calibration_is_shown_in_the_calibration(tmp_path: Path) -> None:
     path = rig_with(tmp_path, {})
     calibration = tmp_path / "calibration.toml"
-    calibration.write_text(
-        calibration.read_text(encoding="utf-8").replace("mirrored = true", 'mirrored = "yes"'),
-        encoding="utf-8",
-    )
-    with pytest.raises(ConfigError, match=r"cameras\.thermal\.mirrored") as caught:
-        load_rig(path)
-    assert str(caught.value).startswith(str(calibration))
+    text = calibration.read_text(encoding="utf-8")
+    calibration.write_text(text.replace("mirrored = true", 'mirrored = "yes"'), encoding="utf-8")
+    why = str(refused(load_rig, path))
+    assert "cameras.thermal.mirrored" in why
+    assert why.startswith(str(calibration))
 
 
 def test_shipped_scripts_load() -> None:
@@ -144,14 +143,8 @@ def test_shipped_scripts_load() -> None:
         "hot_body_at_ends",
         "cooler_bodies",
     ]
-    assert [trial.published.found for trial in script.trials if trial.published] == [
-        4,
-        3,
-        4,
-        4,
-        0,
-        3,
-    ]
+    published = [trial.published.found for trial in script.trials if trial.published]
+    assert published == [4, 3, 4, 4, 0, 3]
     assert len(loaded.planned) == 18
 
 
@@ -179,15 +172,11 @@ def test_a_wrong_script_says_where(tmp_path: Path, old: str, new: str, message: 
     assert old in text
     path = tmp_path / "script.toml"
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
-        read_config(path, Script)
-    assert message in str(caught.value)
-    line = next(
-        i
-        for i, line in enumerate(path.read_text(encoding="utf-8").split("\n"), 1)
-        if new.split("\n")[-1] in line
-    )
-    assert any(abs(fault.line - line) <= 2 for fault in caught.value.faults)
+    error = refused(read_config, path, Script)
+    assert message in str(error)
+    before = path.read_text(encoding="utf-8").partition(new)[0]
+    line = 1 + before.count("\n") + new.count("\n")
+    assert any(abs(fault.line - line) <= 2 for fault in error.faults)
 
 
 @pytest.mark.parametrize(
@@ -206,41 +195,28 @@ def test_a_set_point_that_is_refused_is_shown_in_its_place(
     lines[at] = f"set_point_c = {value}"
     path = tmp_path / "script.toml"
     path.write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
-        load_script(path, (20.0, 36.0))
-    fault, shown, caret = str(caught.value).split("\n")[1:]
+    fault, shown, caret = str(refused(load_script, path, (20.0, 36.0))).split("\n")[1:]
     assert fault.startswith(f"{path}:{at + 1}: bath.set_point_c: {why}")
     assert shown[caret.index("^") : caret.rindex("^") + 1] == value
 
 
 @pytest.mark.parametrize(
-    "line",
-    [
-        'seed = "{}"',
-        'profile = "{}"',
-        "{} = 1",
-        '{} = "{}',
-        "seed = [{}1]",
-        'baud = "{}"',
-    ],
+    "line", ['seed = "{}"', 'profile = "{}"', "{} = 1", '{} = "{}', "seed = [{}1]", 'baud = "{}"']
 )
 @pytest.mark.parametrize("name", ["rig.toml", "answers.txt"])
 def test_a_line_of_megabytes_is_not_printed_whole(tmp_path: Path, line: str, name: str) -> None:
     path = tmp_path / name
     long = ("1, " if "[" in line else "abc") * 1_000_000
     path.write_text(f"[arm]\n{line.format(long, long)}", encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
-        load_rig(path) if name == "rig.toml" else load_answers(path)
-    assert len(str(caught.value)) < 5000
-    assert f"{path}:2: " in str(caught.value) or name != "rig.toml"
+    why = str(refused(load_rig if name == "rig.toml" else load_answers, path))
+    assert len(why) < 5000
+    assert f"{path}:2: " in why or name != "rig.toml"
 
 
 def test_a_fault_far_to_the_right_is_shown_with_what_is_around_it(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(f'bath = {{ url = "{"x" * 5000}", ? }}', encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
-        load_rig(path)
-    shown, caret = str(caught.value).split("\n")[-2:]
+    shown, caret = str(refused(load_rig, path)).split("\n")[-2:]
     assert shown[caret.index("^")] == "?"
     assert len(shown) < 200
 

@@ -240,68 +240,48 @@ def test_latency_percentiles_are_those_of_the_times() -> None:
 
 
 NAN = np.nan
-REFUSED: list[tuple[str, Callable[[], str]]] = [
-    (
-        "error_histogram: errors_mm holds 1 of 2 values that are not finite",
-        lambda: figures.error_histogram([1.0, NAN], 5.0),
+REFUSED: dict[str, Callable[[], str]] = {
+    "error_histogram: errors_mm holds 1 of 2 values that are not finite": lambda: (
+        figures.error_histogram([1.0, NAN], 5.0)
     ),
-    (
-        "error_scatter: lengths differ: lateral_mm 2, depth_mm 1",
-        lambda: figures.error_scatter([1.0, 2.0], [1.0], 5.0),
+    "error_scatter: lengths differ: lateral_mm 2, depth_mm 1": lambda: figures.error_scatter(
+        [1.0, 2.0], [1.0], 5.0
     ),
-    (
-        "error_scatter: 1 links for 2 points",
-        lambda: figures.error_scatter([1.0, 2.0], [1.0, 2.0], 5.0, links=["#a"]),
+    "error_scatter: 1 links for 2 points": lambda: figures.error_scatter(
+        [1.0, 2.0], [1.0, 2.0], 5.0, links=["#a"]
     ),
-    (
-        "found_bars: 1 situations, 2 found",
-        lambda: figures.found_bars(["a"], [1, 2], [4], [3]),
+    "found_bars: 1 situations, 2 found": lambda: figures.found_bars(["a"], [1, 2], [4], [3]),
+    "per_axis_errors: 1 situations for 0 arrays": lambda: figures.per_axis_errors(["a"], [], 5.0),
+    "bath_curve: teat_temps_c has 1 rows for 2 times": lambda: figures.bath_curve(
+        [0, 1], [20, 21], 33, 0.1, [], teat_temps_c=[20]
     ),
-    (
-        "per_axis_errors: 1 situations for 0 arrays",
-        lambda: figures.per_axis_errors(["a"], [], 5.0),
+    "figure name: 'Two Words'": lambda: figures.latency_strip([1.0], [1.0], name="Two Words"),
+    "7 groups; at most 6 can be told apart": lambda: figures.error_regions(
+        [_group(str(k), 1) for k in range(7)], VIEWS, 5.0
     ),
-    (
-        "bath_curve: teat_temps_c has 1 rows for 2 times",
-        lambda: figures.bath_curve([0, 1], [20, 21], 33, 0.1, [], teat_temps_c=[20]),
+    "teat 1: 2 clouds and 2 outlines for 1 views": lambda: figures.error_regions(
+        [_group("teat 1", 5)], VIEWS[:1], 5.0
     ),
-    (
-        "figure name: 'Two Words'",
-        lambda: figures.latency_strip([1.0], [1.0], name="Two Words"),
+    "teat 1: lengths differ: places_mm 1, error_mm 2$": lambda: figures.error_maps(
+        [figures.TeatPlaces("1", [[0, 0, 0]], [1.0, 2.0])], 5.0
     ),
-    (
-        "7 groups; at most 6 can be told apart",
-        lambda: figures.error_regions([_group(str(k), 1) for k in range(7)], VIEWS, 5.0),
+    "slope_intervals: tilt is not finite": lambda: figures.slope_intervals(
+        [replace(_slope("tilt", False), value=NAN)]
     ),
-    (
-        "teat 1: 2 clouds and 2 outlines for 1 views",
-        lambda: figures.error_regions([_group("teat 1", 5)], VIEWS[:1], 5.0),
+    "not above 0 mm has no place": lambda: sensitivity(
+        [replace(_curve("a"), median_mm=[0.0, 0.1, 0.2])], BOUND, "x"
     ),
-    (
-        "teat 1: lengths differ: places_mm 1, error_mm 2$",
-        lambda: figures.error_maps([figures.TeatPlaces("1", [[0, 0, 0]], [1.0, 2.0])], 5.0),
+    "lengths differ: x 3, median_mm 2": lambda: sensitivity(
+        [replace(_curve("a"), median_mm=[0.1, 0.2])], BOUND, "x"
     ),
-    (
-        "slope_intervals: tilt is not finite",
-        lambda: figures.slope_intervals([replace(_slope("tilt", False), value=NAN)]),
+    "not finite": lambda: sensitivity(
+        [_curve("a")], replace(BOUND, median_mm=[0.1, NAN, 0.2]), "x"
     ),
-    (
-        "not above 0 mm has no place",
-        lambda: sensitivity([replace(_curve("a"), median_mm=[0.0, 0.1, 0.2])], BOUND, "x"),
-    ),
-    (
-        "lengths differ: x 3, median_mm 2",
-        lambda: sensitivity([replace(_curve("a"), median_mm=[0.1, 0.2])], BOUND, "x"),
-    ),
-    (
-        "not finite",
-        lambda: sensitivity([_curve("a")], replace(BOUND, median_mm=[0.1, NAN, 0.2]), "x"),
-    ),
-    ("5 curves; at most 4", lambda: sensitivity([_curve(name) for name in "abcde"], BOUND, "x")),
-]
+    "5 curves; at most 4": lambda: sensitivity([_curve(name) for name in "abcde"], BOUND, "x"),
+}
 
 
-@pytest.mark.parametrize(("said", "draw"), REFUSED)
+@pytest.mark.parametrize(("said", "draw"), REFUSED.items())
 def test_bad_arrays_are_explained(said: str, draw: Callable[[], str]) -> None:
     with pytest.raises(ValueError, match=said):
         draw()

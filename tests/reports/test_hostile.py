@@ -125,14 +125,10 @@ def test_every_text_field_was_tried() -> None:
 def test_any_text_leaves_the_structure_alone(text: str) -> None:
     html = render(page_of(text))
     html.encode("utf-8")
-    assert (
-        shape(html) == shape(render(page_of(text or "x"))) if text else read(html).misplaced == []
-    )
     assert read(html).misplaced == []
-    assert [element.tag for element in read(html).all("script", "style", "iframe", "object")] == [
-        "style",
-        "script",
-    ]
+    assert not text.strip() or shape(html) == shape(render(page_of("calm")))
+    active = read(html).all("script", "style", "iframe", "object")
+    assert [element.tag for element in active] == ["style", "script"]
 
 
 def test_file_names_are_percent_encoded() -> None:

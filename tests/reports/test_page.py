@@ -55,9 +55,8 @@ def test_a_verdict_on_nothing_is_refused(verdict: str) -> None:
 
 
 def test_unknown_words_are_refused_with_the_known_ones() -> None:
-    with pytest.raises(
-        PageError, match=r"verdict: 'passed' is none of 'met', 'not met', 'inconclusive'"
-    ):
+    said = r"verdict: 'passed' is none of 'met', 'not met', 'inconclusive'"
+    with pytest.raises(PageError, match=said):
         row("passed")
     with pytest.raises(PageError, match="banner, kind"):
         dataclasses.replace(BANNER, kind="simulated")  # type: ignore[arg-type]
@@ -70,12 +69,8 @@ def test_a_banner_claims_no_more_than_its_rows(verdict: str) -> None:
     part = Requirements("r", (row("met"), row(verdict)))
     with pytest.raises(PageError, match=r"the banner says 'met', but \['speed'\] is not"):
         Page("p", "", BANNER, (section(part),))
-    assert (
-        Page(
-            "p", "", dataclasses.replace(BANNER, verdict="not met"), (section(part),)
-        ).banner.verdict
-        == "not met"
-    )
+    honest = dataclasses.replace(BANNER, verdict="not met")
+    assert Page("p", "", honest, (section(part),)).banner.verdict == "not met"
 
 
 def test_ids_stand_for_one_thing() -> None:
@@ -111,9 +106,8 @@ def test_links_lead_somewhere() -> None:
 
 @pytest.mark.parametrize("box", [(0, 0, 641, 10), (-1, 0, 10, 10), (0, 471, 10, 10), (0, 0, 0, 10)])
 def test_a_view_stays_inside_its_image(box: tuple[int, int, int, int]) -> None:
-    with pytest.raises(
-        PageError, match=re.escape(f"view_box {box} leaves the image of 640 x 480 pixels")
-    ):
+    said = re.escape(f"view_box {box} leaves the image of 640 x 480 pixels")
+    with pytest.raises(PageError, match=said):
         ImageView("left", "a.png", 640, 480, "alt", view_box=box)
 
 
@@ -127,7 +121,6 @@ def test_shapes_have_finite_coordinates_and_layers_one_name() -> None:
         for name in ("truth", "touch")
     )
     page = Page("p", "", BANNER, (), (TrialPart("trial-001", "h", "", "", images=views),))
-    with pytest.raises(
-        PageError, match="layer 'truth' is called 'touch' here and 'truth' elsewhere"
-    ):
+    said = "layer 'truth' is called 'touch' here and 'truth' elsewhere"
+    with pytest.raises(PageError, match=said):
         page.layers()

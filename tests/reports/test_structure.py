@@ -14,16 +14,7 @@ from pathlib import Path
 import pytest
 
 from reports import figures
-from reports.page import (
-    VERDICTS,
-    Banner,
-    Figure,
-    KeyValues,
-    Page,
-    Paragraph,
-    Part,
-    Section,
-)
+from reports.page import VERDICTS, Banner, Figure, KeyValues, Page, Paragraph, Part, Section
 from reports.render import render, write_report
 from reports.trust import PageError
 from tests.reports.markup import Document, read

@@ -69,6 +69,11 @@ def changed(page: Page, before: View, number: int = 0) -> View:
     return view(page, number)
 
 
+def press(page: Page, *keys: str) -> None:
+    for key in keys:
+        page.keyboard.press(key)
+
+
 def test_the_wheel_zooms_a_clicked_frame_where_the_pointer_is(seen: Seen) -> None:
     page = seen.page
     x, y = on_screen(page, TEAT_2)
@@ -96,19 +101,18 @@ def test_keys_zoom_and_move_the_frame_with_the_focus(seen: Seen) -> None:
     expect(pane(page)).to_have_attribute(
         "aria-label", "Left camera: + and − zoom, arrow keys move, 0 goes back"
     )
-    page.keyboard.press("+")
-    assert view(page) == pytest.approx([139.5 + 400 / 6, 99.5 + 240 / 6, 400 / 1.5, 160])
-    page.keyboard.press("ArrowLeft")
-    page.keyboard.press("ArrowDown")
-    assert view(page) == pytest.approx([139.5 + 400 / 6 - 40, 99.5 + 240 / 6 + 24, 400 / 1.5, 160])
-    page.keyboard.press("-")
-    assert view(page) == PART
-    page.keyboard.press("-")
-    assert view(page)[2:] == pytest.approx([600, 360])
-    for _ in range(5):
-        page.keyboard.press("-")
+    x, y, width, height = 139.5 + 400 / 6, 99.5 + 240 / 6, 400 / 1.5, 160
+    for keys, shown in (
+        ("+", [x, y, width, height]),
+        ("ArrowLeft ArrowDown", [x - 40, y + 24, width, height]),
+        ("-", PART),
+        ("-", [139.5 - 100, 99.5 - 60, 600, 360]),
+    ):
+        press(page, *keys.split())
+        assert view(page) == pytest.approx(shown)
+    press(page, *"-----")
     assert view(page)[2:] == pytest.approx([640, 384])  # no more than there is
-    page.keyboard.press("0")
+    press(page, "0")
     assert view(page) == PART
 
 
@@ -190,8 +194,7 @@ def test_switching_overlays_keeps_the_view_and_z_begins_anew(seen: Seen) -> None
     page.keyboard.press("+")
     zoomed = [view(page, number) for number in range(3)]
     page.get_by_label("truth").uncheck()
-    page.keyboard.press("o")
-    page.keyboard.press("o")
+    press(page, "o", "o")
     expect(pane(page, 1).locator(".layer-truth")).to_be_hidden()
     assert [view(page, number) for number in range(3)] == zoomed
     page.keyboard.press("z")
@@ -211,8 +214,7 @@ def test_strokes_and_letters_keep_their_size_and_pixels_become_squares(seen: See
     expect(image).to_have_css("image-rendering", "auto")
     height = label.evaluate("e => e.getBoundingClientRect().height")
     pane(page).focus()
-    for _ in range(12):
-        page.keyboard.press("+")
+    press(page, *"+" * 12)
     assert view(page)[2] == pytest.approx(16)
     expect(image).to_have_css("image-rendering", "pixelated")
     frame = pane(page).locator("xpath=..")

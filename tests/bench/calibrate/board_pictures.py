@@ -40,13 +40,8 @@ def poses(count: int, seed: int = 1, board: Board = BOARD, spread: float = 1.0) 
             @ cv2.Rodrigues(np.array([0.0, 0.0, rng.uniform(-0.2, 0.2)]))[0]
         )
         depth = rng.uniform(650.0, 1050.0)
-        aim = np.array(
-            [
-                spread * rng.uniform(-0.22, 0.22) * depth + 50.0,
-                spread * rng.uniform(-0.16, 0.16) * depth,
-                depth,
-            ]
-        )
+        across, up = (spread * rng.uniform(-most, most) * depth for most in (0.22, 0.16))
+        aim = np.array([across + 50.0, up, depth])
         found.append(Motion(R, aim - R @ board.points_mm.mean(axis=0)))
     return found
 
@@ -68,13 +63,8 @@ def picture(
     board_from_camera = camera_from_board.inverse()
 
     def look(at: NDArray[np.bool_] | slice, dx: float, dy: float) -> Array:
-        return _brightness(
-            flat[at] + dx * by_column[at] + dy * by_row[at],
-            board_from_camera,
-            pitch_mm,
-            board,
-            bend_mm,
-        )
+        place = flat[at] + dx * by_column[at] + dy * by_row[at]
+        return _brightness(place, board_from_camera, pitch_mm, board, bend_mm)
 
     middle = look(slice(None), 0.0, 0.0)
     around, three = middle.reshape(height, width), np.ones((3, 3), np.uint8)
@@ -111,28 +101,18 @@ def _brightness(
     # where the ray meets the bowl, from where it met the plane
     for _ in range(3 if bend_mm else 0):
         height = bend_mm * np.sum((at - middle) ** 2, axis=1) / float(middle @ middle)
-        at = (
-            board_from_camera.T[:2]
-            - rays[:, :2]
-            * ((board_from_camera.T[2] - np.clip(height, 0, 3 * bend_mm)) / rays[:, 2])[:, None]
-        )
+        way = (board_from_camera.T[2] - np.clip(height, 0, 3 * bend_mm)) / rays[:, 2]
+        at = board_from_camera.T[:2] - rays[:, :2] * way[:, None]
     x, y = (at / pitch_mm + 1.0).T
     width, height = board.columns + 1, board.rows + 1
     paper = (x > -0.6) & (y > -0.6) & (x < width + 0.6) & (y < height + 0.6)
     if board.circle_mm is not None:
-        nearest_x, nearest_y = (
-            np.clip(np.rint(x), 1, board.columns),
-            np.clip(np.rint(y), 1, board.rows),
-        )
-        black = np.hypot(x - nearest_x, y - nearest_y) < board.circle_mm / 2 / board.pitch_mm
+        off_x = x - np.clip(np.rint(x), 1, board.columns)
+        off_y = y - np.clip(np.rint(y), 1, board.rows)
+        black = np.hypot(off_x, off_y) < board.circle_mm / 2 / board.pitch_mm
     else:
-        black = (
-            (x >= 0)
-            & (y >= 0)
-            & (x < width)
-            & (y < height)
-            & ((np.floor(x) + np.floor(y)) % 2 == 0)
-        )
+        printed = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        black = printed & ((np.floor(x) + np.floor(y)) % 2 == 0)
     return np.where(black, 35.0, np.where(paper, 205.0, 120.0))
 
 

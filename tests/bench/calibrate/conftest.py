@@ -1,6 +1,4 @@
-"""A day's pictures and the cameras calibrated from them: drawn
-once for all files of this folder.
-"""
+"""A day's pictures and the cameras calibrated from them: drawn once for all files here."""
 
 from __future__ import annotations
 
@@ -8,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
 from tests.bench.calibrate.board_pictures import BOARD_TOML, write_pairs
-from tests.bench.commands import words
+from tests.bench.commands import Said, teatbench
 
 
 @pytest.fixture(scope="session")
@@ -25,16 +22,16 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture
+def in_lab(lab: Path, said: Said, monkeypatch: pytest.MonkeyPatch) -> Said:
+    """As `said`, in the lab's folder: commands name its files alone."""
+    monkeypatch.chdir(lab)
+    return said
+
+
 def calibrate_cameras(
     lab: Path, out: Path, *more: str, frames: str = "day1", board: str = "board.toml"
 ) -> int:
     """The exit code of `calibrate cameras` on a folder of the lab."""
-    given = words(
-        "calibrate cameras {} --board {} --model {} --out {} {}",
-        lab / frames,
-        lab / board,
-        "k1 k2",
-        out,
-        more,
-    )
-    return main(given)
+    given = lab / frames, lab / board, "k1 k2", out, more
+    return teatbench("calibrate cameras {} --board {} --model {} --out {} {}", *given)

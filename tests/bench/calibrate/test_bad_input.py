@@ -35,7 +35,9 @@ from tests.bench.calibrate.board_pictures import (
     write_image,
     write_pairs,
 )
-from tests.bench.commands import Said, teatbench
+from tests.bench.commands import Said
+
+WANTED = "or a table with --pairs"
 
 
 @pytest.fixture
@@ -120,33 +122,17 @@ class TestTables:
             ),
         ],
     )
-    def test_touched_points(self, lab: Path, text: str, wanted: str, said: Said) -> None:
+    def test_touched_points(self, lab: Path, text: str, wanted: str, in_lab: Said) -> None:
         (lab / "points.csv").write_text(text, encoding="utf-8")
-        cameras = str(RIGS / "thesis-calibration.toml")
-        assert (
-            wanted
-            in said(
-                2,
-                "calibrate world {} --cameras {} --out {}",
-                lab / "points.csv",
-                cameras,
-                lab / "w.toml",
-            ).err
-        )
+        cameras = RIGS / "thesis-calibration.toml"
+        why = in_lab(2, "calibrate world points.csv --cameras {} --out w.toml", cameras).err
+        assert wanted in why
 
-    def test_pairs_need_the_pictures_size(self, lab: Path, said: Said) -> None:
-        (lab / "pairs.csv").write_text(
-            "thermal_x,thermal_y,left_x,left_y,right_x,right_y\n", encoding="utf-8"
-        )
-        assert (
-            "--pairs needs --image-size"
-            in said(
-                2, "calibrate thermal --pairs {} --out {}", lab / "pairs.csv", lab / "t.toml"
-            ).err
-        )
-        assert (
-            "or a table with --pairs" in said(2, "calibrate thermal --out {}", lab / "t.toml").err
-        )
+    def test_pairs_need_the_pictures_size(self, lab: Path, in_lab: Said) -> None:
+        columns = "thermal_x,thermal_y,left_x,left_y,right_x,right_y\n"
+        (lab / "pairs.csv").write_text(columns, encoding="utf-8")
+        for pairs, why in (("--pairs pairs.csv", "--pairs needs --image-size"), ("", WANTED)):
+            assert why in in_lab(2, f"calibrate thermal {pairs} --out t.toml").err
 
 
 class TestPrint:
@@ -169,19 +155,14 @@ class TestPrint:
         np.testing.assert_allclose(slopes[:2] / dots_per_mm, np.eye(2), atol=1e-3)
         assert f"/MediaBox [ 0 0 {width * 72 / 25.4:.4f}"[:22].encode() in board_pdf(board)
 
-    def test_a_sheet_that_is_too_small(self, tmp_path: Path, said: Said) -> None:
+    def test_a_sheet_that_is_too_small(self, lab: Path, in_lab: Said) -> None:
+        print_board = "calibrate board chessboard-9x6-40 --pdf"
+        assert "more than A4 has; it fits A2" in in_lab(2, f"{print_board} b.pdf --paper A4").err
+        in_lab(0, f"{print_board} b.pdf")
+        assert (lab / "b.pdf").read_bytes().startswith(b"%PDF")
+        nowhere = Path("typo/b.pdf")
         assert (
-            "more than A4 has; it fits A2"
-            in said(
-                2, "calibrate board chessboard-9x6-40 --pdf {} --paper A4", tmp_path / "b.pdf"
-            ).err
-        )
-        assert teatbench("calibrate board chessboard-9x6-40 --pdf {}", tmp_path / "b.pdf") == 0
-        assert (tmp_path / "b.pdf").read_bytes().startswith(b"%PDF")
-        nowhere = tmp_path / "typo" / "b.pdf"
-        assert (
-            f"--pdf {nowhere}: there is no folder"
-            in said(2, "calibrate board chessboard-9x6-40 --pdf {}", nowhere).err
+            f"--pdf {nowhere}: there is no folder" in in_lab(2, f"{print_board} {{}}", nowhere).err
         )
         assert not nowhere.parent.exists()
 
@@ -210,29 +191,16 @@ class TestExchange:
             read_opencv(path, (640, 480))
 
     @pytest.mark.parametrize("kind", ["opencv", "bouguet", "ros"])
-    def test_what_is_none_of_them(self, kind: str, tmp_path: Path, said: Said) -> None:
-        (tmp_path / "x.yml").write_text("hello: [1, 2\n", encoding="utf-8")
-        out = tmp_path / "cameras.toml"
-        assert (
-            "x.yml"
-            in said(
-                2, "calibrate import {} --format {} --out {}", tmp_path / "x.yml", kind, out
-            ).err
-        )
-        assert not out.exists()
+    def test_what_is_none_of_them(self, kind: str, lab: Path, in_lab: Said) -> None:
+        (lab / "x.yml").write_text("hello: [1, 2\n", encoding="utf-8")
+        assert "x.yml" in in_lab(2, f"calibrate import x.yml --format {kind} --out c.toml").err
+        assert not (lab / "c.toml").exists()
 
-    def test_by_command(self, tmp_path: Path) -> None:
-        mat, out = tmp_path / "c.mat", tmp_path / "cameras.toml"
-        assert (
-            teatbench(
-                "calibrate export {} --format bouguet --out {}",
-                RIGS / "thesis-calibration.toml",
-                mat,
-            )
-            == 0
-        )
-        assert teatbench("calibrate import {} --format bouguet --out {}", mat, out) == 0
-        assert 'with_what = "teatbench' in out.read_text(encoding="utf-8")
+    def test_by_command(self, lab: Path, in_lab: Said) -> None:
+        rig = RIGS / "thesis-calibration.toml"
+        in_lab(0, "calibrate export {} --format bouguet --out c.mat", rig)
+        in_lab(0, "calibrate import c.mat --format bouguet --out c.toml")
+        assert 'with_what = "teatbench' in (lab / "c.toml").read_text(encoding="utf-8")
 
 
 def test_the_published_calibration_ships_with_its_defects_stated() -> None:

@@ -1,6 +1,4 @@
-"""A whole calibration held against points that the arm touches:
-it holds, or says what has moved.
-"""
+"""A whole calibration held against points that the arm touches: it holds, or says what moved."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ from detector.calibration import Part, dump_calibration, load_part
 from detector.geometry import Motion
 from tests.bench.calibrate.board_pictures import LEFT, RIGHT, RIGHT_FROM_LEFT
 from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
-from tests.bench.commands import Said, teatbench, words
+from tests.bench.commands import Said
 
 NOISE = {"pixel_sd_px": 0.1, "touch_sd_mm": 0.25}
 WHOLE = Part(
@@ -51,12 +49,8 @@ def test_the_expected_distance_is_what_comes_on_the_mean() -> None:
 
 @pytest.mark.parametrize(("count", "by_mm"), [(1, 30.0), (18, 6.0)])
 def test_cameras_that_were_pushed(count: int, by_mm: float) -> None:
-    pushed = replace(
-        WHOLE,
-        world_from_right=Motion(
-            WORLD_FROM_RIGHT.R, WORLD_FROM_RIGHT.T + np.array([by_mm, 0.0, 0.0])
-        ),
-    )
+    elsewhere = Motion(WORLD_FROM_RIGHT.R, WORLD_FROM_RIGHT.T + np.array([by_mm, 0.0, 0.0]))
+    pushed = replace(WHOLE, world_from_right=elsewhere)
     (finding,) = check_points(pushed, touched(1, count), **NOISE)[1]
     assert finding.name == "moved cameras"
     x_mm = float(finding.sentence.partition("(")[2].partition(",")[0])
@@ -78,41 +72,26 @@ def test_a_calibration_without_a_world_is_refused() -> None:
         check_points(replace(WHOLE, world_from_right=None), touched(1), **NOISE)
 
 
-def test_by_command_with_its_page(lab: Path, said: Said) -> None:
+def test_by_command_with_its_page(lab: Path, in_lab: Said) -> None:
     points = write_touched(lab / "again.csv")
-    cameras = load_part(lab / "cameras.toml")
-    assert (
-        teatbench(
-            "calibrate world {} --cameras {} --out {}",
-            points,
-            lab / "cameras.toml",
-            lab / "wc.toml",
-        )
-        == 0
-    )
-    world = load_part(lab / "wc.toml")
+    in_lab(0, "calibrate world again.csv --cameras cameras.toml --out wc.toml")
+    cameras, world = load_part(lab / "cameras.toml"), load_part(lab / "wc.toml")
     whole = replace(cameras, world_from_right=world.world_from_right, covariance=world.covariance)
     (lab / "whole.toml").write_text(dump_calibration(whole), encoding="utf-8")
-    given = words(
-        "calibrate check {} --points {} --page {}", lab / "whole.toml", points, lab / "points.page"
-    )
-    assert "18 points: missed by" in said(0, "{}", given).out
+    check = "calibrate check whole.toml --points again.csv --page points.page"
+    assert "18 points: missed by" in in_lab(0, check).out
     page = (lab / "points.page" / "index.html").read_text(encoding="utf-8")
     assert "It still holds." in page
     assert "Measured less touched" in page
-    expected = []
-    for noise in ((), ("--touch-sd", "2.5"), ("--pixel-sd", "2.5")):
-        expected.append(float(said(0, "{} {}", given, noise).out.partition("rms, ")[2].split()[0]))
-    assert expected[0] + 1.0 < min(expected[1:]), "who touches or sees worse may expect worse"
-    lines = points.read_text(encoding="utf-8").splitlines()
-    pushed = [
-        lines[0],
-        *(
-            ",".join([*line.split(",")[:-1], str(float(line.split(",")[-1]) + 40.0)])
-            for line in lines[1:]
-        ),
+    expected = [
+        float(in_lab(0, f"{check} {noise}").out.partition("rms, ")[2].split()[0])
+        for noise in ("", "--touch-sd 2.5", "--pixel-sd 2.5")
     ]
-    points.write_text("\n".join(pushed), encoding="utf-8")
-    seen = said(1, "{}", given)
+    assert expected[0] + 1.0 < min(expected[1:]), "who touches or sees worse may expect worse"
+    head, *lines = points.read_text(encoding="utf-8").splitlines()
+    cells = (line.rpartition(",") for line in lines)
+    pushed = [f"{kept},{float(z_mm) + 40.0}" for kept, _, z_mm in cells]
+    points.write_text("\n".join([head, *pushed]), encoding="utf-8")
+    seen = in_lab(1, check)
     assert "It no longer holds." in seen.out
     assert "moved cameras: points are measured" in seen.err

@@ -6,19 +6,19 @@ from __future__ import annotations
 
 import html
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
 from detector.calibration import Part, dump_calibration, load_part
 from detector.geometry import Camera, Motion
 from tests.bench.calibrate.board_pictures import BOARD_TOML, write_pairs
 from tests.bench.calibrate.conftest import calibrate_cameras
 from tests.bench.calibrate.touched import write_touched
-from tests.bench.commands import teatbench, words
+from tests.bench.commands import Said
 
 
 def named(page: Path) -> str:
@@ -28,19 +28,6 @@ def named(page: Path) -> str:
     return html.unescape(
         re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text[start : text.index("</section>", start)]))
     )
-
-
-def checked(lab: Path, part: Part, name: str) -> tuple[int, str]:
-    """Exit code and faults of `calibrate check`, of a calibration that is held against the day's
-    pictures.
-    """
-    path = lab / f"{name}.toml"
-    path.write_text(dump_calibration(part), encoding="utf-8")
-    page = lab / f"{name}.page"
-    given = words(
-        "calibrate check {} {} --board {} --page {}", path, lab / "day1", lab / "board.toml", page
-    )
-    return main(given), named(page / "index.html")
 
 
 def longer(part: Part) -> Part:
@@ -61,7 +48,7 @@ def test_a_sound_one_accuses_nobody(lab: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "put_in", "said"),
+    ("fault", "put_in", "seen"),
     [
         (
             "baseline",
@@ -81,18 +68,18 @@ def test_a_sound_one_accuses_nobody(lab: Path) -> None:
     ],
 )
 def test_a_calibration_that_went_wrong(
-    lab: Path, fault: str, put_in: Callable[[Part], Part], said: str
+    lab: Path, in_lab: Said, fault: str, put_in: Callable[[Part], Part], seen: str
 ) -> None:
-    code, faults = checked(lab, put_in(load_part(lab / "cameras.toml")), fault)
-    assert code == 1
-    assert re.search(said, faults), faults
+    part = put_in(load_part(lab / "cameras.toml"))
+    (lab / f"{fault}.toml").write_text(dump_calibration(part), encoding="utf-8")
+    in_lab(1, f"calibrate check {fault}.toml day1 --board board.toml --page {fault}.page")
+    faults = named(lab / f"{fault}.page" / "index.html")
+    assert re.search(seen, faults), faults
 
 
 def test_swapped_cameras(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, other in (("left", "right"), ("right", "left")):
-        (lab / "swapped" / name).mkdir(parents=True)
-        for path in (lab / "day1" / other).iterdir():
-            (lab / "swapped" / name / path.name).write_bytes(path.read_bytes())
+        shutil.copytree(lab / "day1" / other, lab / "swapped" / name)
     assert calibrate_cameras(lab, lab / "sc.toml", frames="swapped") == 1
     seen = "swapped cameras: the right camera stands 100 mm to the left of the left one"
     assert seen in named(lab / "sc.page" / "index.html")
@@ -108,20 +95,13 @@ def test_a_bent_board(lab: Path) -> None:
     )
 
 
-def test_a_wrong_square_size_against_the_arm(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_square_size_against_the_arm(lab: Path, in_lab: Said) -> None:
     (lab / "wrong.toml").write_text(BOARD_TOML.replace("40.0", "39.0"), encoding="utf-8")
-    assert calibrate_cameras(lab, lab / "short.toml", board="wrong.toml") == 0, (
-        "the pictures alone can't tell"
-    )
-    points = write_touched(lab / "points3.csv")
-    assert (
-        teatbench(
-            "calibrate world {} --cameras {} --out {}", points, lab / "short.toml", lab / "sw.toml"
-        )
-        == 1
-    )
+    code = calibrate_cameras(lab, lab / "short.toml", board="wrong.toml")
+    assert code == 0, "the pictures alone can't tell"
+    write_touched(lab / "points3.csv")
+    written = in_lab(1, "calibrate world points3.csv --cameras short.toml --out sw.toml")
     faults = named(lab / "sw.page" / "index.html")
-    assert re.search(
-        r"wrong square size: lengths come out 2\.\d\d % too short against the arm", faults
-    ), faults
-    assert "wrong square size" in capsys.readouterr().err
+    wanted = r"wrong square size: lengths come out 2\.\d\d % too short against the arm"
+    assert re.search(wanted, faults), faults
+    assert "wrong square size" in written.err

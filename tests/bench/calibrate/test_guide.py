@@ -40,12 +40,8 @@ def in_cell(cell: int) -> Motion:
     """left_from_board: the board's middle in the middle of that cell of twelve, tilted to each side
     and near and far in turn.
     """
-    column, row, way, depth_mm = (
-        cell % 4,
-        cell // 4,
-        (cell % 4) * np.pi / 2,
-        (520.0, 700.0)[(cell // 4 + cell) % 2],
-    )
+    row, column = divmod(cell, 4)
+    way, depth_mm = column * np.pi / 2, (520.0, 700.0)[(row + cell) % 2]
     R = Motion.from_vectors(TILT_RAD * np.array([np.cos(way), np.sin(way), 0.0]), np.zeros(3)).R
     u, v = (column + 0.5) * SIZE[0] / 4, (row + 0.5) * SIZE[1] / 3
     aim = depth_mm * np.array([(u - LEFT.cc[0]) / LEFT.fc[0], (v - LEFT.cc[1]) / LEFT.fc[1], 1.0])
@@ -73,15 +69,8 @@ class Room:
         if self.asked[-1].number in self._empty:
             return {"left": NOTHING}
         self._shown += 1
-        return {
-            "left": picture(
-                LEFT,
-                in_cell((self._shown - 1) % 12),
-                self._shown,
-                board=SMALL,
-                pitch_mm=SMALL.pitch_mm,
-            )
-        }
+        held, pitch_mm = in_cell((self._shown - 1) % 12), SMALL.pitch_mm
+        return {"left": picture(LEFT, held, self._shown, board=SMALL, pitch_mm=pitch_mm)}
 
     def gather(self, folder: Path, wanted: ViewsRequest = LEFT_ALONE) -> int:
         return gather(self.look, self, SMALL, wanted, folder, self.told.append)

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.cli.main import main
 from detector.calibration import load_calibration, load_part
 from tests.bench.calibrate.board_pictures import LEFT, RIGHT_FROM_LEFT, write_pairs
 from tests.bench.calibrate.conftest import calibrate_cameras
 from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
-from tests.bench.commands import Said, teatbench, words
+from tests.bench.commands import Said
+from tests.reports.markup import read
+
+FROM_PAIRS = "calibrate thermal --pairs pairs.csv --image-size 640x480"
 
 
 def write_pairs_table(path: Path) -> Path:
@@ -46,58 +48,45 @@ def test_cameras_come_out_as_they_were_put_in(lab: Path) -> None:
 
 
 def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
-    page = (lab / "cameras.page" / "index.html").read_text(encoding="utf-8")
-    for said in (
-        "Good to",
-        "mm at",
-        "12 pairs of views",
-        "Two calibrations, each from half of the views",
-        "Lens of the left camera",
-        "board.toml",
-    ):
-        assert said in page
+    text = (lab / "cameras.page" / "index.html").read_text(encoding="utf-8")
+    page = read(text)
+    top = page.by_id("verdict").text
+    for said in ("Good to", "mm at", "12 pairs of views", "place the board's points", "do next"):
+        assert said in top, said
+    for section, said in {
+        "findings": "Nothing: no fault left a mark",
+        "parameters": "Lens of the left camera",
+        "residuals": "Corners of the right camera",
+        "held-out": "lengths against the print",
+        "worth": "What one triangulated point is good to",
+        "coverage": "Corners by part of the left picture",
+        "pictures": "Views used",
+        "provenance": "board.toml",
+    }.items():
+        assert said in page.by_id(section).text, section
+    assert text.count("<figure") == 3, "residuals of both cameras, precision by distance"
 
 
-def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, said: Said) -> None:
+def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, in_lab: Said) -> None:
     write_pairs(lab / "day2", 5, seed=2)
-    given = words(
-        "calibrate check {} {} --board {} --page {}",
-        lab / "cameras.toml",
-        lab / "day2",
-        lab / "board.toml",
-        lab / "again",
-    )
-    assert "It still holds." in said(0, "{}", given).out
-    assert "It still holds." in (lab / "again" / "index.html").read_text(encoding="utf-8")
+    check = "calibrate check cameras.toml {} --board board.toml --page again"
+    assert "It still holds." in in_lab(0, check, "day2").out
+    assert "It still holds." in Path("again/index.html").read_text(encoding="utf-8")
     write_pairs(lab / "day3", 5, seed=3, pitch_mm=40.6)
-    seen = said(1, "{}", [*given[:3], str(lab / "day3"), *given[4:]])
+    seen = in_lab(1, check, "day3")
     assert "It no longer holds." in seen.out
     assert "wrong baseline" in seen.err
 
 
-def test_all_steps_make_one_calibration(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cameras = ["--cameras", str(lab / "cameras.toml")]
-    points, pairs = write_touched(lab / "points.csv"), write_pairs_table(lab / "pairs.csv")
-    assert (
-        teatbench(
-            "calibrate world {} {} --out {} --by {}",
-            points,
-            cameras,
-            lab / "world.toml",
-            "A. Tester",
-        )
-        == 0
-    )
-    thermal = words(
-        "calibrate thermal --pairs {} --image-size 640x480 --mirrored --out {}",
-        pairs,
-        lab / "thermal.toml",
-    )
-    assert main(thermal) == 0
-    whole = lab / "calibration.toml"
-    parts = [str(lab / f"{name}.toml") for name in ("cameras", "world", "thermal")]
-    assert teatbench("calibrate merge {} --out {} --by {}", parts, whole, "A. Tester") == 0
-    found = load_calibration(whole)
+def test_all_steps_make_one_calibration(lab: Path, in_lab: Said) -> None:
+    write_touched(lab / "points.csv")
+    write_pairs_table(lab / "pairs.csv")
+    who = "A. Tester"
+    in_lab(0, "calibrate world points.csv --cameras cameras.toml --out world.toml --by {}", who)
+    in_lab(0, f"{FROM_PAIRS} --mirrored --out thermal.toml")
+    parts = "cameras.toml world.toml thermal.toml"
+    in_lab(0, f"calibrate merge {parts} --out calibration.toml --by {{}}", who)
+    found = load_calibration(lab / "calibration.toml")
     assert np.abs(found.world_from_right.T - WORLD_FROM_RIGHT.T).max() < 3.0
     assert found.thermal.mirrored
     assert found.covariance is not None
@@ -105,26 +94,19 @@ def test_all_steps_make_one_calibration(lab: Path, capsys: pytest.CaptureFixture
     sd = np.sqrt(np.linalg.eigvalsh(found.covariance_of(TOUCHED[:1], 0.05)[0]))
     assert 0.02 < sd[0] < sd[2] < 3.0
     assert found.record is not None
-    assert found.record.by == "A. Tester"
+    assert found.record.by == who
     assert "world.toml: points.csv" in found.record.inputs
-    assert "Mapped points miss the arm" in (lab / "world.page" / "index.html").read_text(
-        encoding="utf-8"
-    )
-    capsys.readouterr()
+    page = (lab / "world.page" / "index.html").read_text(encoding="utf-8")
+    assert "Mapped points miss the arm" in page
 
 
-def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path) -> None:
-    points = write_touched(lab / "points3.csv")
+def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path, in_lab: Said) -> None:
+    write_touched(lab / "points3.csv")
     sds: list[float] = []
-    for noise in ((), ("--touch-sd", "2.5"), ("--pixel-sd", "2.5")):
-        given = words(
-            "calibrate world {} --cameras {} --out {} {}",
-            points,
-            lab / "cameras.toml",
-            lab / "w3.toml",
-            noise,
+    for noise in ("", "--touch-sd 2.5", "--pixel-sd 2.5"):
+        in_lab(
+            0, f"calibrate world points3.csv --cameras cameras.toml --out w3.toml --replace {noise}"
         )
-        assert main([*given, *(("--replace",) if sds else ())]) in (0, 1)
         covariance = load_part(lab / "w3.toml").covariance
         assert covariance is not None
         sds.append(covariance.sd("world", "T3") or 0.0)
@@ -143,40 +125,17 @@ def test_whose_cameras_they_are_is_on_record(lab: Path, capsys: pytest.CaptureFi
     assert "say left=SERIAL" in capsys.readouterr().err
 
 
-def test_parts_that_do_not_belong_together_are_refused(lab: Path, said: Said) -> None:
-    points = write_touched(lab / "points2.csv")
-    assert (
-        teatbench(
-            "calibrate world {} --cameras {} --out {}", points, lab / "cameras.toml", lab / "w.toml"
-        )
-        == 0
-    )
+def test_parts_that_do_not_belong_together_are_refused(lab: Path, in_lab: Said) -> None:
+    write_touched(lab / "points2.csv")
+    write_pairs_table(lab / "pairs.csv")
+    in_lab(0, "calibrate world points2.csv --cameras cameras.toml --out w.toml")
     assert calibrate_cameras(lab, lab / "other.toml", "--max-views", "10") in (0, 1)
-    out = ["--out", str(lab / "never.toml")]
-    assert (
-        "[cameras.thermal] is in none of the files: add the file that 'teatbench calibrate thermal'"
-        " wrote" in said(2, "calibrate merge {} {} {}", lab / "other.toml", lab / "w.toml", out).err
-    )
-    pairs = write_pairs_table(lab / "pairs2.csv")
-    assert (
-        teatbench(
-            "calibrate thermal --pairs {} --image-size 640x480 --out {}", pairs, lab / "t.toml"
-        )
-        == 0
-    )
-    assert (
-        "was made with another cameras' file"
-        in said(
-            2,
-            "calibrate merge {} {} {} {}",
-            lab / "other.toml",
-            lab / "w.toml",
-            lab / "t.toml",
-            out,
-        ).err
-    )
-    assert (
-        "leave one of them out"
-        in said(2, "calibrate merge {} {} {}", lab / "cameras.toml", lab / "other.toml", out).err
-    )
+    in_lab(0, f"{FROM_PAIRS} --out t.toml")
+    for parts, why in {
+        "other.toml w.toml": "[cameras.thermal] is in none of the files: add the file that"
+        " 'teatbench calibrate thermal' wrote",
+        "other.toml w.toml t.toml": "was made with another cameras' file",
+        "cameras.toml other.toml": "leave one of them out",
+    }.items():
+        assert why in in_lab(2, f"calibrate merge {parts} --out never.toml").err
     assert not (lab / "never.toml").exists()

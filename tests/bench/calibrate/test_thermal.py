@@ -22,7 +22,7 @@ from tests.bench.calibrate.board_pictures import (
     poses,
     write_image,
 )
-from tests.bench.commands import Said, teatbench, words
+from tests.bench.commands import Said
 
 
 @pytest.fixture(scope="module")
@@ -48,18 +48,11 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def calibrate(lab: Path, out: str, *more: str) -> int:
-    given = words(
-        "calibrate thermal {} --board {} --cameras {}",
-        lab / "day",
-        lab / "heated.toml",
-        lab / "cameras.toml",
-    )
-    return teatbench("{} --out {} {}", given, lab / out, more)
+CALIBRATE = "calibrate thermal day --board heated.toml --cameras {} --out {}"
 
 
-def test_lens_and_pose_come_out_as_they_were_put_in(lab: Path) -> None:
-    assert calibrate(lab, "thermal.toml", "--mirrored", "--plane", "900") == 0
+def test_lens_and_pose_come_out_as_they_were_put_in(lab: Path, in_lab: Said) -> None:
+    in_lab(0, f"{CALIBRATE} --mirrored --plane 900", "cameras.toml", "thermal.toml")
     part = load_part(lab / "thermal.toml")
     assert part.thermal is not None
     assert part.thermal.lens is not None
@@ -78,8 +71,8 @@ def test_lens_and_pose_come_out_as_they_were_put_in(lab: Path) -> None:
     assert "Derived at a plane 900 mm" in page
 
 
-def test_the_derived_homography_maps_a_point_of_its_plane(lab: Path) -> None:
-    assert calibrate(lab, "plane.toml", "--mirrored", "--plane", "900") == 0
+def test_the_derived_homography_maps_a_point_of_its_plane(lab: Path, in_lab: Said) -> None:
+    in_lab(0, f"{CALIBRATE} --mirrored --plane 900", "cameras.toml", "plane.toml")
     maps = load_part(lab / "plane.toml").homographies
     assert maps is not None
     in_right = np.array([[-40.0, 20.0, 900.0], [10.0, -30.0, 900.0]])
@@ -89,18 +82,8 @@ def test_the_derived_homography_maps_a_point_of_its_plane(lab: Path) -> None:
     np.testing.assert_allclose(mapped[:, :2] / mapped[:, 2:], RIGHT.project(in_right), atol=3.0)
 
 
-def test_without_the_pair_it_is_refused(lab: Path, said: Said) -> None:
-    (lab / "empty.toml").write_text(
-        '[record]\nmade = "2026-11-20"\nby = ""\nwith_what = ""\ncameras = {}\ninputs = {}\n',
-        encoding="utf-8",
-    )
-    given = words(
-        "calibrate thermal {} --board {} --cameras {}",
-        lab / "day",
-        lab / "heated.toml",
-        lab / "empty.toml",
-    )
-    assert (
-        "holds no stereo pair ([cameras.left], [cameras.right], [stereo])"
-        in said(2, "{} --out {}", given, lab / "t.toml").err
-    )
+def test_without_the_pair_it_is_refused(lab: Path, in_lab: Said) -> None:
+    empty = Part(record=Record("2026-11-20", "", "test", {}, {}))
+    (lab / "empty.toml").write_text(dump_calibration(empty), encoding="utf-8")
+    why = in_lab(2, CALIBRATE, "empty.toml", "t.toml").err
+    assert "holds no stereo pair ([cameras.left], [cameras.right], [stereo])" in why

@@ -10,14 +10,8 @@ from detector.geometry import Motion
 from tests.bench.calibrate.board_pictures import LEFT, RIGHT, RIGHT_FROM_LEFT
 
 WORLD_FROM_RIGHT = Motion.from_vectors([-1.57, 0.02, -0.02], [-160.0, -840.0, 60.0])
-TOUCHED = np.array(
-    [
-        [x, y, z]
-        for z in (40.0, 120.0)
-        for x in (-300.0, -190.0, -80.0)
-        for y in (60.0, 160.0, 250.0)
-    ]
-)
+X_MM, Y_MM, Z_MM = (-300.0, -190.0, -80.0), (60.0, 160.0, 250.0), (40.0, 120.0)
+TOUCHED = np.array([[x, y, z] for z in Z_MM for x in X_MM for y in Y_MM])
 
 
 def write_touched(path: Path, noise_mm: float = 0.1) -> Path:

@@ -12,7 +12,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -23,27 +23,42 @@ from bench.rig.arm_files import load_frame, load_verification
 from bench.rig.model import Arm
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.clock import RealClock
-from tests.bench.calibrate.arm_terminal import ENTER, answer, at_terminal
+from tests.bench.calibrate.arm_terminal import ENTER, Terminal, answer, at_terminal
 from tests.bench.commands import Said, teatbench, words
 from tests.bench.run.test_end_to_end import started
 from tests.conftest import ROOT
 
 HOMING = "Was the stylus on its peg"
-
-
-# the emulated arm of a test waits for a processor, never for the arm
-PATIENT = ["--answer-s", "60"]
+OWN = "--port emulator:"
+TOUCHES = (ENTER,) * 3
 
 
 @contextmanager
-def arm_in_hand(accuracy_mm: float = 0.23) -> Iterator[TryingArm]:
-    """An emulated arm of this process in real time; the test is the hand."""
-    clock = RealClock()
-    try:
-        with TryingArm(clock, accuracy_mm=accuracy_mm) as trying:
-            yield trying
-    finally:
-        clock.close()
+def arm(text: str, *values: object) -> Iterator[Terminal]:
+    """An arm's command at a terminal of its own."""
+    with at_terminal(words(f"arm {text}", *values)) as terminal:
+        yield terminal
+
+
+def answer_all(terminal: Terminal, *prompts: str) -> None:
+    """Enter at each of the prompts; the command succeeds then."""
+    for prompt in prompts:
+        answer(terminal, prompt)
+    assert terminal.code() == 0, terminal.text
+
+
+@contextmanager
+def in_hand(
+    text: str, *values: object, accuracy_mm: float = 0.23
+) -> Iterator[tuple[TryingArm, Terminal]]:
+    """The command on an emulated arm of this process in real time; the test is the hand."""
+    with (
+        closing(RealClock()) as clock,
+        TryingArm(clock, accuracy_mm=accuracy_mm) as trying,
+        # the command waits for a processor, never for the arm
+        arm(f"{text} --answer-s 60 --port {trying.url}", *values) as terminal,
+    ):
+        yield trying, terminal
 
 
 def wait_for_packets(trying: TryingArm, n: int = 10) -> None:
@@ -59,16 +74,16 @@ def wait_for_packets(trying: TryingArm, n: int = 10) -> None:
 
 def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
     out = tmp_path / "arm-frame.toml"
-    with at_terminal(
-        words("arm frame --port emulator: --out {} --check 100,100,0", out)
-    ) as terminal:
-        answer(terminal, HOMING)
-        answer(terminal, "Touch the table's origin")
-        answer(terminal, "Touch a point on the x axis")
-        answer(terminal, "Touch a point of the table's plane on the side of positive y")
-        answer(terminal, "Check point 1 of 2: touch the point 100.0, 100.0, 0.0 mm (world)")
-        answer(terminal, "Check point 2 of 2: touch another point of the table's plane")
-        assert terminal.code() == 0, terminal.text
+    with arm(f"frame {OWN} --out {{}} --check 100,100,0", out) as terminal:
+        answer_all(
+            terminal,
+            HOMING,
+            "Touch the table's origin",
+            "Touch a point on the x axis",
+            "Touch a point of the table's plane on the side of positive y",
+            "Check point 1 of 2: touch the point 100.0, 100.0, 0.0 mm (world)",
+            "Check point 2 of 2: touch another point of the table's plane",
+        )
     assert 'frame = "arm-frame.toml"' in terminal.text
     frame = load_frame(out, serial_number="40937")
     assert np.allclose(frame.world_from_arm.T, PLACED.T, atol=1.0)
@@ -78,26 +93,21 @@ def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
 
 def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
     out = tmp_path / "arm-verification.toml"
-    plan = ["--distances", "1", "--touches", "5", "--length-mm", "250", "--directions", "2"]
-    with at_terminal(words("arm verify --port emulator: --out {} {}", out, plan)) as terminal:
-        answer(terminal, HOMING)
-        answer(terminal, "Fix the divot at half the arm's reach")
-        for number, lean in enumerate(
-            (
-                "upright",
-                "leaning left",
-                "leaning right",
-                "leaning towards you",
-                "leaning away from you",
-            ),
-            1,
-        ):
-            answer(terminal, f"touch {number} of 5: tip in the divot, the stylus {lean}")
-        for where in ("pointing away from the arm", "across in front of the arm"):
-            answer(terminal, f"Fix the calibrated length flat, {where}")
-            answer(terminal, "touch its first end")
-            answer(terminal, "touch its second end")
-        assert terminal.code() == 0, terminal.text
+    plan = "--distances 1 --touches 5 --length-mm 250 --directions 2"
+    leaning = (f"leaning {way}" for way in ("left", "right", "towards you", "away from you"))
+    prompts = [HOMING, "Fix the divot at half the arm's reach"]
+    prompts += [
+        f"touch {number} of 5: tip in the divot, the stylus {lean}"
+        for number, lean in enumerate(("upright", *leaning), 1)
+    ]
+    for where in ("pointing away from the arm", "across in front of the arm"):
+        prompts += [
+            f"Fix the calibrated length flat, {where}",
+            "touch its first end",
+            "touch its second end",
+        ]
+    with arm(f"verify {OWN} --out {{}} {plan}", out) as terminal:
+        answer_all(terminal, *prompts)
     assert "limit 0.46 mm" in terminal.text
     assert "limit 0.7 mm" in terminal.text
     found = load_verification(out, serial_number="40937")
@@ -108,7 +118,7 @@ def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("command", "prompts"), [("frame", 0), ("frame", 3), ("verify", 2)])
 def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> None:
     out = tmp_path / "arm.toml"
-    with at_terminal(words("arm {} --port emulator: --out {}", command, out)) as terminal:
+    with arm(f"{command} {OWN} --out {{}}", out) as terminal:
         for _ in range(prompts):
             answer(terminal, ENTER)
         answer(terminal, ENTER, "a")
@@ -119,10 +129,9 @@ def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> 
 
 
 def test_what_is_not_understood_is_asked_again(tmp_path: Path) -> None:
-    with at_terminal(words("arm read --port emulator:")) as terminal:
+    with arm(f"read {OWN}") as terminal:
         answer(terminal, HOMING, "yes")
-        answer(terminal, "Not understood: 'yes'")
-        assert terminal.code() == 0
+        answer_all(terminal, "Not understood: 'yes'")
     assert "tip 54.20, -51.84, 212.20 mm in the arm's frame" in terminal.text
 
 
@@ -131,12 +140,7 @@ def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
     alone.
     """
     out = tmp_path / "frame.toml"
-    with (
-        arm_in_hand() as trying,
-        at_terminal(
-            words("arm frame {} --port {} --out {} --plane-checks 0", PATIENT, trying.url, out)
-        ) as terminal,
-    ):
+    with in_hand("frame --out {} --plane-checks 0", out) as (trying, terminal):
         answer(terminal, HOMING)
         for what in ("origin", "x axis", "plane"):
             terminal.expect("Enter or a pedal to go on")
@@ -151,11 +155,8 @@ def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
 
 def test_a_bad_arm_is_not_verified(tmp_path: Path) -> None:
     out = tmp_path / "verification.toml"
-    command = ["arm", "verify", "--out", str(out), "--homed", "--distances", "1", "--touches", "5"]
-    with (
-        arm_in_hand(accuracy_mm=3.0) as trying,
-        at_terminal(words("{} {} --port {}", command, PATIENT, trying.url)) as terminal,
-    ):
+    command = "verify --out {} --homed --distances 1 --touches 5"
+    with in_hand(command, out, accuracy_mm=3.0) as (trying, terminal):
         answer(terminal, "Fix the divot")
         for touch in range(5):
             terminal.expect("tip in the divot")
@@ -170,20 +171,10 @@ def test_a_bad_arm_is_not_verified(tmp_path: Path) -> None:
 @pytest.mark.parametrize("limit", [[], ["--residual-limit-mm", "10"]])
 def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path, limit: list[str]) -> None:
     out = tmp_path / "frame.toml"
-    with (
-        arm_in_hand() as trying,
-        at_terminal(
-            words("arm frame {} --port {} --out {} --homed {}", PATIENT, trying.url, out, limit)
-        ) as terminal,
-    ):
-        for step in (
-            Step("origin", 0, ""),
-            Step("x axis", 0, ""),
-            Step("plane", 0, ""),
-            Step("check", 0, "", (120.0, 90.0, 6.0)),
-        ):
-            terminal.expect("Touch" if step.what != "check" else "Check point")
-            trying.go(step)
+    with in_hand("frame --out {} --homed {}", out, limit) as (trying, terminal):
+        for what in ("origin", "x axis", "plane", "check"):
+            terminal.expect("Touch" if what != "check" else "Check point")
+            trying.go(Step(what, 0, "", (120.0, 90.0, 6.0) if what == "check" else None))
             answer(terminal, ENTER)
         assert terminal.code() == (0 if limit else 1), terminal.text
     if limit:
@@ -197,12 +188,7 @@ def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path, limit: 
 
 def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
     """Nobody moves the arm: it says why that is no frame, and an abort ends it."""
-    with (
-        arm_in_hand() as trying,
-        at_terminal(
-            words("arm frame {} --port {} --out none.toml --homed", PATIENT, trying.url)
-        ) as terminal,
-    ):
+    with in_hand("frame --out none.toml --homed") as (_, terminal):
         for _ in range(3):
             answer(terminal, ENTER)
         terminal.expect("the touch on the x axis is 0.0 mm from the origin; 100 mm are needed")
@@ -211,12 +197,7 @@ def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
 
 
 def test_watch_shows_tip_pedals_and_rate_live() -> None:
-    with (
-        arm_in_hand() as trying,
-        at_terminal(
-            words("arm watch {} --port {} --homed --seconds 3", PATIENT, trying.url)
-        ) as terminal,
-    ):
+    with in_hand("watch --homed --seconds 3") as (trying, terminal):
         terminal.expect("left up, right up")
         trying.emulator.buttons = 1
         terminal.expect("left up, right DOWN")
@@ -225,10 +206,8 @@ def test_watch_shows_tip_pedals_and_rate_live() -> None:
         trying.go(Step("origin", 0, ""))
         x, y, z = PLACED.inverse().apply([0.0, 0.0, 0.0])
         assert terminal.code() == 0, terminal.text
-    tips = [
-        [float(v) for v in found]
-        for found in re.findall(r"tip +(-?[\d.]+) +(-?[\d.]+) +(-?[\d.]+) mm", terminal.text)
-    ]
+    seen = re.findall(r"tip +(-?[\d.]+) +(-?[\d.]+) +(-?[\d.]+) mm", terminal.text)
+    tips = [tuple(map(float, found)) for found in seen]
     assert math.dist(tips[-1], (x, y, z)) < 2.0
     assert math.dist(tips[0], (54.2, -51.8, 212.2)) < 0.1
     rates = [float(v) for v in re.findall(r"([\d.]+) packets/s", terminal.text)]
@@ -247,12 +226,8 @@ def test_ctrl_c_is_how_watching_ends() -> None:
 
 
 def test_home_asks_for_the_peg_first() -> None:
-    with (
-        arm_in_hand() as trying,
-        at_terminal(words("arm home {} --port {}", PATIENT, trying.url)) as terminal,
-    ):
-        answer(terminal, "Put the arm's stylus on its peg and let go of it.")
-        assert terminal.code() == 0, terminal.text
+    with in_hand("home") as (_, terminal):
+        answer_all(terminal, "Put the arm's stylus on its peg and let go of it.")
     assert "Homed. The tip stands at 54.20, -51.84, 212.20 mm" in terminal.text
 
 
@@ -274,12 +249,8 @@ def test_read_gives_one_json_object(said: Said) -> None:
 
 def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, said: Said) -> None:
     out = tmp_path / "frame.toml"
-    with at_terminal(
-        words("arm frame --port emulator: --out {} --homed --plane-checks 0", out)
-    ) as terminal:
-        for _ in range(3):
-            answer(terminal, ENTER)
-        assert terminal.code() == 0, terminal.text
+    with arm(f"frame {OWN} --out {{}} --homed --plane-checks 0", out) as terminal:
+        answer_all(terminal, *TOUCHES)
     line = json.loads(said(0, "arm read --port emulator: --homed --json --frame {}", out).out)
     assert line["world_mm"] == pytest.approx(PLACED.apply(line["tip_mm"]).tolist(), abs=1.5)
     out.write_text(out.read_text(encoding="utf-8").replace('"40937"', '"11111"'), encoding="utf-8")
@@ -307,12 +278,8 @@ def test_it_reads_the_arm_of_a_bench_that_only_emulates(capsys: pytest.CaptureFi
 def test_writing_over_has_to_be_asked_for(tmp_path: Path) -> None:
     out = tmp_path / "frame.toml"
     out.write_text("old", encoding="utf-8")
-    with at_terminal(
-        words("arm frame --port emulator: --out {} --homed --plane-checks 0 --replace", out)
-    ) as terminal:
-        for _ in range(3):
-            answer(terminal, ENTER)
-        assert terminal.code() == 0, terminal.text
+    with arm(f"frame {OWN} --out {{}} --homed --plane-checks 0 --replace", out) as terminal:
+        answer_all(terminal, *TOUCHES)
     assert load_frame(out).residual_mm is None
     assert "No check point was touched" in terminal.text
 

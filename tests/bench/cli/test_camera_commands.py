@@ -120,18 +120,14 @@ def test_grab_takes_again_what_has_a_fault(tmp_path: Path, said: Said) -> None:
     rig = with_emulation(
         tmp_path, 'faults = [{ instrument = "cameras", name = "half a frame", times = 1 }]'
     )
-    assert (
-        "left camera: half a frame: 50 % of its rows"
-        in said(0, "camera grab {} --out {}", rig, tmp_path / "grabbed").err
-    )
+    why = said(0, "camera grab {} --out {}", rig, tmp_path / "grabbed").err
+    assert "left camera: half a frame: 50 % of its rows" in why
     assert Recording(tmp_path / "grabbed").load("0000").left[-1].any()
 
 
 def test_grab_streams_without_a_rig(streams: list[str], tmp_path: Path, said: Said) -> None:
-    assert (
-        "put calibration.toml into the folder"
-        in said(0, "camera grab {} --out {}", streams, tmp_path / "grabbed").err
-    )
+    why = said(0, "camera grab {} --out {}", streams, tmp_path / "grabbed").err
+    assert "put calibration.toml into the folder" in why
     frames = Recording(tmp_path / "grabbed").load("0000")
     assert frames.left.shape == (1024, 1360)
     assert frames.thermal is not None
@@ -139,28 +135,20 @@ def test_grab_streams_without_a_rig(streams: list[str], tmp_path: Path, said: Sa
 
 def test_a_gige_vision_camera(tmp_path: Path, said: Said) -> None:
     with gige_camera() as serial:
-        assert (
-            f"genicam:Aravis-Fake-{serial}  Aravis Fake {serial} GigEVision at {ADDRESS}"
-            in said(0, "camera list").out
-        )
-        assert (
-            f"single: Aravis Fake {serial} (512 x 512, Mono8)"
-            in said(0, "camera show {}", f"genicam:{ADDRESS}").out
-        )
+        expected = f"genicam:Aravis-Fake-{serial}  Aravis Fake {serial} GigEVision at {ADDRESS}"
+        assert expected in said(0, "camera list").out
+        shown = said(0, "camera show {}", f"genicam:{ADDRESS}").out
+        assert f"single: Aravis Fake {serial} (512 x 512, Mono8)" in shown
         said(0, "camera focus {} --seconds 0.3 --every 0.1", f"genicam:{ADDRESS}")
-        assert (
-            teatbench(
-                "camera grab {} genicam:Fake_1 --out {}", f"genicam:{ADDRESS}", tmp_path / "grabbed"
-            )
-            == 0
+        code = teatbench(
+            "camera grab {} genicam:Fake_1 --out {}", f"genicam:{ADDRESS}", tmp_path / "grabbed"
         )
+        assert code == 0
     frames = Recording(tmp_path / "grabbed").load("0000")
     assert frames.left.shape == frames.right.shape == (512, 512)
 
 
 def test_one_camera_makes_no_frame_set(streams: list[str], tmp_path: Path, said: Said) -> None:
-    assert (
-        "one camera alone makes no frame set"
-        in said(2, "camera grab {} --out {}", streams[0], tmp_path / "grabbed").err
-    )
+    why = said(2, "camera grab {} --out {}", streams[0], tmp_path / "grabbed").err
+    assert "one camera alone makes no frame set" in why
     assert not (tmp_path / "grabbed").exists()

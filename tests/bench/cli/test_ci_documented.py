@@ -31,12 +31,8 @@ for line in sys.stdin:
 
 
 def sh(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    names = {
-        "GIT_AUTHOR_NAME": "a",
-        "GIT_AUTHOR_EMAIL": "a@b",
-        "GIT_COMMITTER_NAME": "a",
-        "GIT_COMMITTER_EMAIL": "a@b",
-    }
+    names = {f"GIT_{who}_NAME": "a" for who in ("AUTHOR", "COMMITTER")}
+    names |= {f"GIT_{who}_EMAIL": "a@b" for who in ("AUTHOR", "COMMITTER")}
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = {**os.environ, **names, "PATH": path}
     return subprocess.run(
@@ -44,7 +40,6 @@ def sh(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
         cwd=folder,
         env=environment,
         capture_output=True,
-        text=True,
         check=False,
         encoding="utf-8",
     )
@@ -57,20 +52,18 @@ def test_the_script_tells_a_worse_detector_from_one_that_few_poses_cannot_judge(
 ) -> None:
     """A recording of five poses: an equal detector is inconclusive there, as the page says."""
     write_recording(tmp_path / "recordings" / "lab")
-    (tmp_path / "score.sh").write_text(SCRIPT, encoding="utf-8")
-    (tmp_path / "detector.toml").write_text(
-        f'command = [{json.dumps(sys.executable)}, "detector.py"]\n', encoding="utf-8"
-    )
-    (tmp_path / "detector.py").write_text(
-        DETECTOR.format(off_mm=0.0, ends=ENDS_MM), encoding="utf-8"
-    )
-    assert (
-        sh("git init -q -b main && git add . && git commit -q -m before", tmp_path).returncode == 0
-    )
-    (tmp_path / "detector.py").write_text(
-        DETECTOR.format(off_mm=off_mm, ends=ENDS_MM) + "# changed\n", encoding="utf-8"
-    )
-    assert sh("git checkout -q -b change && git commit -q -a -m after", tmp_path).returncode == 0
+    before, after = (DETECTOR.format(off_mm=off, ends=ENDS_MM) for off in (0.0, off_mm))
+    declared = f'command = [{json.dumps(sys.executable)}, "detector.py"]\n'
+    for name, text in (
+        ("score.sh", SCRIPT),
+        ("detector.toml", declared),
+        ("detector.py", before),
+    ):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    began = sh("git init -q -b main && git add . && git commit -q -m before", tmp_path)
+    (tmp_path / "detector.py").write_text(f"{after}# changed\n", encoding="utf-8")
+    changed = sh("git checkout -q -b change && git commit -q -a -m after", tmp_path)
+    assert (began.returncode, changed.returncode) == (0, 0)
     (tmp_path / "before").mkdir()  # what a job left behind is in nobody's way
     done = sh("bash score.sh main", tmp_path)
     assert done.returncode == gate, done.stdout + done.stderr
@@ -96,14 +89,8 @@ def test_the_projects_own_ci_checks_before_it_tests_and_needs_the_shared_folder(
     tmp_path: Path,
 ) -> None:
     text = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    steps = (
-        "ruff check",
-        "ruff format --check",
-        "-m mypy",
-        "lint-imports",
-        "\npython3 run.py test\n",
-    )
-    places = [text.index(step) for step in steps]
+    steps = ("ruff check", "ruff format --check", "-m mypy", "lint-imports")
+    places = [text.index(step) for step in (*steps, "\npython3 run.py test\n")]
     assert places == sorted(places)
     for name in ("run", "weekly"):
         (tmp_path / "project" / ".ci").mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.cli.main import main
 from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.report.comparison import notes
@@ -32,6 +31,7 @@ from tests.bench.commands import Said, teatbench
 from tests.bench.small_run import written_anew
 
 SCENES = 3
+WIDER = "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')"
 
 
 @dataclass(frozen=True)
@@ -86,15 +86,8 @@ def baseline(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def score(recording: Path, out: Path, *detectors: str) -> Path:
     """Score the recording; the run's folder."""
-    main(
-        [
-            "score",
-            str(recording),
-            "--out",
-            str(out),
-            *(word for name in detectors for word in ("--detector", name)),
-        ]
-    )
+    named = [word for name in detectors for word in ("--detector", name)]
+    teatbench("score {} --out {} {}", recording, out, named)
     (folder,) = out.iterdir()
     return folder
 
@@ -182,36 +175,22 @@ def changed(run: Path, to: Path, *statements: str, other_frames: bool = False) -
 def test_a_namesake_at_another_place_is_not_the_same_scene(
     baseline: Path, tmp_path: Path, said: Said
 ) -> None:
-    near = changed(
-        baseline, tmp_path / "near", "UPDATE truth SET x_mm = x_mm + 5", other_frames=True
-    )
+    def moved(name: str, by_mm: str) -> Path:
+        statement = f"UPDATE truth SET x_mm = x_mm + {by_mm}"
+        return changed(baseline, tmp_path / name, statement, other_frames=True)
+
+    near, far = moved("near", "5"), moved("far", "25 WHERE trial LIKE '001-%'")
     assert len(compare_folders([baseline, near])[0].pairs) == SCENES
-    far = changed(
-        baseline,
-        tmp_path / "far",
-        "UPDATE truth SET x_mm = x_mm + 25 WHERE trial LIKE '001-%'",
-        other_frames=True,
-    )
     (found,) = compare_folders([baseline, far])
     assert (len(found.pairs), found.only_old, found.elsewhere) == (SCENES - 1, 1, 1)
-    assert "1 trials of the old run have a namesake" in " ".join(
-        said(4, "compare {} {} --gate", baseline, far).out.split()
-    )
-    nowhere = changed(
-        baseline, tmp_path / "nowhere", "UPDATE truth SET x_mm = x_mm + 25", other_frames=True
-    )
-    assert (
-        f"{SCENES} have the same name, but their teats stood at other places"
-        in said(2, "compare {} {}", baseline, nowhere).err
-    )
+    told = " ".join(said(4, "compare {} {} --gate", baseline, far).out.split())
+    assert "1 trials of the old run have a namesake" in told
+    why = said(2, "compare {} {}", baseline, moved("nowhere", "25")).err
+    assert f"{SCENES} have the same name, but their teats stood at other places" in why
 
 
 def test_what_was_held_against_other_limits_is_not_compared(baseline: Path, tmp_path: Path) -> None:
-    wider = changed(
-        baseline,
-        tmp_path / "wider",
-        "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')",
-    )
+    wider = changed(baseline, tmp_path / "wider", WIDER)
     with pytest.raises(ConfigError, match=r"different limits \(5 and 9 mm\).*by the same rules"):
         compare_folders([baseline, wider])
     slower = changed(baseline, tmp_path / "slower")
@@ -229,9 +208,7 @@ def test_what_else_differs_is_told(baseline: Path, tmp_path: Path) -> None:
     )
     (found,) = compare_folders([baseline, other])
     assert "The runs also differ in kind: recorded (old), emulated (new)." in list(notes(found))
-    assert not [
-        note for note in notes(compare_folders([baseline, baseline])[0]) if "also differ" in note
-    ]
+    assert "also differ" not in " ".join(notes(compare_folders([baseline, baseline])[0]))
 
 
 def test_a_run_without_results(baseline: Path, tmp_path: Path, said: Said) -> None:
@@ -258,9 +235,8 @@ def test_runs_are_judged_together_by_their_counts(
     )
     for second, poses in ((again, SCENES), (other, 2 * SCENES)):
         (told,) = json.loads(said(0, "compare {} {} --together --json", baseline, second).out)
-        assert {
-            decision["n"] for decision in told["decisions"] if decision["unit"] in ("mm", "%", "")
-        } == {poses}
+        counts = {one["n"] for one in told["decisions"] if one["unit"] in ("mm", "%", "")}
+        assert counts == {poses}
     # six poses show little
     seen = said(4, "compare {} {} --together --gate", baseline, other).out
     assert "fused, all runs together: inconclusive" in seen
@@ -269,11 +245,7 @@ def test_runs_are_judged_together_by_their_counts(
 
 
 def test_what_cannot_be_judged_together(baseline: Path, tmp_path: Path) -> None:
-    wider = changed(
-        baseline,
-        tmp_path / "wider",
-        "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')",
-    )
+    wider = changed(baseline, tmp_path / "wider", WIDER)
     with pytest.raises(ConfigError, match="different limits"):
         judge_folders([baseline, wider])
     with pytest.raises(ConfigError, match="no detector of those named is in all runs"):

@@ -29,22 +29,16 @@ def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
     )
     assert "4 frames in" in said(0, "{} --out {}", seen, out).out
     recording = Recording(out)
-    assert recording.frames == (
-        "missing_or_hidden-0003",
-        "missing_or_hidden-0004",
-        "overlapping-0003",
-        "overlapping-0004",
-    )
+    names = ("missing_or_hidden", "overlapping")
+    assert recording.frames == tuple(f"{name}-000{seed}" for name in names for seed in (3, 4))
     renderer = rig_renderer(load_rig(find_rig(None)), 1)
-    for name in ("overlapping", "missing_or_hidden"):
+    for name in names:
         found = situation(name, 4)
         rows = recording.truth[f"{name}-0004"]
-        assert np.array([row.xyz_mm for row in rows]) == pytest.approx(
-            found.phantom.ends_mm, abs=1e-9
-        )
-        assert [row.visible for row in rows] == renderer.visible_ends(warm(found)).all(
-            axis=1
-        ).tolist()
+        ends_mm = np.array([row.xyz_mm for row in rows])
+        assert ends_mm == pytest.approx(found.phantom.ends_mm, abs=1e-9)
+        visible = renderer.visible_ends(warm(found)).all(axis=1)
+        assert [row.visible for row in rows] == visible.tolist()
         assert {row.situation for row in rows} == {name}
     frames = recording.load("overlapping-0003")
     assert frames.left.shape == (1024, 1360)
@@ -81,12 +75,10 @@ def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, said: Said) -> None:
 def test_a_place_that_cannot_be_written_is_told(tmp_path: Path, said: Said) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     for command, why in (("record", "can't be written"), ("sheet", "there is no folder")):
-        assert (
-            why
-            in said(
-                2, "scene {} --situation ideal --seeds 1 --out {}", command, tmp_path / "file" / "x"
-            ).err
-        )
+        refusal = said(
+            2, "scene {} --situation ideal --seeds 1 --out {}", command, tmp_path / "file" / "x"
+        ).err
+        assert why in refusal
     refused = said(2, "scene sheet --out {}", tmp_path / "typo" / "sheet.png").err
     assert f"there is no folder {tmp_path / 'typo'}; name a file in a folder" in refused
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
@@ -116,12 +108,8 @@ def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
     assert renderer.left.readout.sensor.read_noise_e == 9.0
     assert renderer.left.readout.sensor.focus.aperture_mm == 3.0
     thermal = renderer.thermal.readout.sensor
-    assert (thermal.width_px, thermal.height_px, thermal.netd_k, thermal.drift.every_s) == (
-        80,
-        60,
-        0.05,
-        60.0,
-    )
+    assert (thermal.width_px, thermal.height_px) == (80, 60)
+    assert (thermal.netd_k, thermal.drift.every_s) == (0.05, 60.0)
     assert EmulatedThermal().sensor({}).width_px == 160
     assert EmulatedOptical().sensor().full_well_e == 13000.0
     taken = renderer.render(warm(situation("ideal", 0)), np.random.default_rng(1))
@@ -136,10 +124,8 @@ def test_boards_are_found_in_their_pictures(tmp_path: Path, said: Said) -> None:
     """The shipped chessboard, drawn by the scene, is what OpenCV's finder sees; it is whole in both
     pictures.
     """
-    assert (
-        "2 frames in"
-        in said(0, "scene boards chessboard-9x6-40 --poses 2 --out {}", tmp_path / "boards").out
-    )
+    shown = said(0, "scene boards chessboard-9x6-40 --poses 2 --out {}", tmp_path / "boards").out
+    assert "2 frames in" in shown
     recording = Recording(tmp_path / "boards")
     assert recording.truth == {}
     for frame in recording.frames:

@@ -26,13 +26,8 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
     columns: int, tmp_path: Path
 ) -> None:
     """The sentences wrap at 37 and 80 columns, and their last row may be as good as full."""
-    asked = [
-        "on its peg",
-        "Situation ideal",
-        *(f"teat {teat} of 4; " for teat in (1, 2)),
-        "Once more",
-    ]
-    asked += [f"teat {teat} of 4; " for teat in (3, 4)]
+    teats = [f"teat {teat} of 4; " for teat in (1, 2, 3, 4)]
+    asked = ["on its peg", "Situation ideal", *teats[:2], "Once more", *teats[2:]]
     mistake = 'mistakes = ["wrong teat"]'
     with at_terminal(
         files(tmp_path, operator="console:", script=ONE, emulation=mistake), columns
@@ -49,16 +44,10 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
     assert f"{refused} Touch teat 2." in seen
     assert seen.count(f"Enter to go on ({LAST_WORDS}") == 1
     assert seen.count(f"Enter to go on ({IN_TRIAL}{LAST_WORDS}") == 5
-    assert (
-        seen.count(
-            "if teat ends are hidden from a camera, their numbers first (1 to 4)"
-            f" ({IN_TRIAL}{LAST_WORDS}"
-        )
-        == 1
-    )
-    assert sum(row.startswith("trials ") for row in terminal.screen.rows) == 1, (
-        "the bar is there once, at the end"
-    )
+    hidden = "if teat ends are hidden from a camera, their numbers first (1 to 4)"
+    assert seen.count(f"{hidden} ({IN_TRIAL}{LAST_WORDS}") == 1
+    bars = [row for row in terminal.screen.rows if row.startswith("trials ")]
+    assert len(bars) == 1, "the bar is there once, at the end"
 
 
 def test_beside_a_refusal_there_is_no_bar(tmp_path: Path) -> None:

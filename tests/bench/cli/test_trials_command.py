@@ -47,10 +47,8 @@ def test_show_as_json(said: Said) -> None:
 
 
 def test_show_of_a_script_without_trials(said: Said) -> None:
-    assert (
-        "teat 2: 0 px in the left picture, 2 px in the right one"
-        in said(0, "trials show thesis-test-2").out
-    )
+    shown = said(0, "trials show thesis-test-2").out
+    assert "teat 2: 0 px in the left picture, 2 px in the right one" in shown
     assert len(json.loads(said(0, "trials show thesis-test-2 --json").out)["offsets"]) == 4
 
 

@@ -19,7 +19,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.cli.main import main
 from bench.config import ConfigError, read_calibration
 from bench.report.wording import id_of
 from bench.results.answers import MOST_STAGES, Answer, examine
@@ -30,6 +29,7 @@ from detector.calibration import Calibration
 from detector.protocol import Detection, Frames, Outcome, Stage, Teat
 from instruments.camera.frame import FrameSet
 from reports.trust import checked_slug
+from tests.bench.commands import Said
 from tests.bench.small_recording import write_recording
 
 FRAMES = FrameSet(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
@@ -78,13 +78,6 @@ class SpeechlessError(Exception):
         raise ZeroDivisionError
 
 
-def raising(error: BaseException) -> Callable[[], Any]:
-    def fails() -> Any:
-        raise error
-
-    return fails
-
-
 @pytest.mark.parametrize(
     ("error", "told"),
     [
@@ -92,16 +85,16 @@ def raising(error: BaseException) -> Callable[[], Any]:
         (asyncio.CancelledError(), "CancelledError:"),
         (GeneratorExit(), "GeneratorExit:"),
         (SpeechlessError(), "SpeechlessError"),
-        (
-            RuntimeError("no \ud800 such\x1b[31m file"),
-            "RuntimeError: no \N{REPLACEMENT CHARACTER} such",
-        ),
+        (RuntimeError("no \ud800 such\x1b[31m"), "RuntimeError: no \N{REPLACEMENT CHARACTER} such"),
     ],
 )
 def test_whatever_it_raises_is_a_failure(
     calibration: Calibration, error: BaseException, told: str
 ) -> None:
-    answer = asked(raising(error), calibration)
+    def fails() -> Any:
+        raise error
+
+    answer = asked(fails, calibration)
     assert answer.outcome is Outcome.FAILED
     assert str(answer.detection.reason).startswith(f"the detector failed: {told}")
 
@@ -168,10 +161,8 @@ def test_a_stage_that_cannot_be_kept_costs_no_answer(
 
 
 def test_a_trace_without_end_is_cut(calibration: Calibration) -> None:
-    answer = asked(
-        lambda: Detection((), trace=tuple(Stage(f"s{i}", {"mask": MASK}) for i in range(500))),
-        calibration,
-    )
+    stages = tuple(Stage(f"s{number}", {"mask": MASK}) for number in range(500))
+    answer = asked(lambda: Detection((), trace=stages), calibration)
     assert len(answer.detection.trace) == MOST_STAGES
     assert f"{500 - MOST_STAGES} of its stages" in str(answer.detection.reason)
 
@@ -212,18 +203,16 @@ for number, line in enumerate(sys.stdin, 1):
 """
 
 
-def test_no_words_of_a_program_and_no_name_stop_a_run(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_words_of_a_program_and_no_name_stop_a_run(tmp_path: Path, said: Said) -> None:
     (tmp_path / "speaker.py").write_text(SPEAKER, encoding="utf-8")
     declared = f'name = "My.speaker_2"\ncommand = [{json.dumps(sys.executable)}, "speaker.py"]\n'
     (tmp_path / "speaker.toml").write_text(declared, encoding="utf-8")
     recording = write_recording(tmp_path / "five")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        speaker, out = str(tmp_path / "speaker.toml"), str(tmp_path / "runs")
-        assert main(["score", str(recording), "--detector", speaker, "--out", out]) == 1
-    assert "2 failure" in capsys.readouterr().out
+        speaker, out = tmp_path / "speaker.toml", tmp_path / "runs"
+        written = said(1, "score {} --detector {} --out {}", recording, speaker, out)
+    assert "2 failure" in written.out
     (run,) = (tmp_path / "runs").iterdir()
     page = (run / "report" / "index.html").read_text(encoding="utf-8")
     assert "Teats found by My.speaker_2" in page
@@ -251,16 +240,14 @@ def test_every_name_has_an_id_of_its_own_on_a_page(names: list[str]) -> None:
 
 
 def test_detect_shows_the_last_words_of_a_program_that_gave_no_answer(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, said: Said
 ) -> None:
-    recording = write_recording(tmp_path / "five")
-    command = f"exec:{sys.executable} {tmp_path / 'lost.py'}"
-    assert main(["detect", str(recording), "--detector", command]) == 3
-    first, second, *_ = capsys.readouterr().out.splitlines()
+    given = write_recording(tmp_path / "five"), f"exec:{sys.executable} {tmp_path / 'lost.py'}"
+    first, second, *_ = said(3, "detect {} --detector {}", *given).out.splitlines()
     assert first.endswith("the detector failed: it ended with exit code 2 before it was ready")
     assert "can't open file" in second
-    assert main(["detect", str(recording), "--json", "--detector", command]) == 3
-    assert "can't open file" in json.loads(capsys.readouterr().out.splitlines()[0])["stderr"]
+    line, *_ = said(3, "detect {} --json --detector {}", *given).out.splitlines()
+    assert "can't open file" in json.loads(line)["stderr"]
 
 
 def test_a_file_that_was_meant_to_run_is_told_how(
@@ -268,12 +255,10 @@ def test_a_file_that_was_meant_to_run_is_told_how(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text("", encoding="utf-8")
-    said = r"no detector 'mine.py'; to run that file, write exec:COMMAND \(there are: thesis"
-    with pytest.raises(ConfigError, match=said):
+    why = r"no detector 'mine.py'; to run that file, write exec:COMMAND \(there are: thesis"
+    with pytest.raises(ConfigError, match=why):
         make_detectors(["mine.py"])
     if sys.platform != "win32":
-        said = (
-            r"'./mine.py' may not be run: make it executable, or name what runs it, as in python3"
-        )
-        with pytest.raises(ConfigError, match=said):
+        why = "'./mine.py' may not be run: make it executable, or name what runs it, as in python3"
+        with pytest.raises(ConfigError, match=why):
             make_detectors(["exec:./mine.py"])

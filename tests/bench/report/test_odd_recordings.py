@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.cli.main import main
 from bench.report.frames import round_teats
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import record
+from tests.bench.commands import Said
 
 Picture = NDArray[Any]
 
@@ -61,20 +61,14 @@ def cells(said: str) -> dict[tuple[str, str], list[str]]:
     ],
 )
 def test_frames_of_another_size_are_scored_as_nothing_found(
-    recording: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    change: Callable[[Picture], Picture],
-    told: str,
+    recording: Path, tmp_path: Path, said: Said, change: Callable[[Picture], Picture], told: str
 ) -> None:
     odd = rewritten(recording, tmp_path / "odd", change)
     truth = odd / "truth.csv"
-    truth.write_text(
-        truth.read_text(encoding="utf-8").replace(",ideal,", ",one|other,"), encoding="utf-8"
-    )
-    detectors = ["--detector", "thesis", "--detector", "fused"]
-    assert main(["score", str(odd), *detectors, "--out", str(tmp_path / "runs")]) == 1
-    table = cells(capsys.readouterr().out)
+    named = truth.read_text(encoding="utf-8").replace(",ideal,", ",one|other,")
+    truth.write_text(named, encoding="utf-8")
+    score = "score {} --detector thesis --detector fused --out {}"
+    table = cells(said(1, score, odd, tmp_path / "runs").out)
     for name in ("thesis", "fused"):
         assert table["one\\|other", name][1:4] == ["0 of 12", "0", "not measured"]
         assert table["one\\|other", name][5] == "none", "an answer with a reason is an answer"
@@ -83,13 +77,10 @@ def test_frames_of_another_size_are_scored_as_nothing_found(
     assert f"{told}, the calibration is for 1360 x 1024" in page
 
 
-def answers(
-    recording: Path, capsys: pytest.CaptureFixture[str], *detectors: str
-) -> dict[tuple[str, str], Any]:
-    capsys.readouterr()
+def answers(recording: Path, said: Said, *detectors: str) -> dict[tuple[str, str], Any]:
     named = [word for name in detectors for word in ("--detector", name)]
-    assert main(["detect", str(recording), "--json", *named]) == 0
-    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    told = said(0, "detect {} --json {}", recording, named).out
+    lines = [json.loads(line) for line in told.splitlines()]
     return {
         (line["frame"], line["detector"]): (line["teats"], line["hidden"], line.get("reason"))
         for line in lines
@@ -100,16 +91,13 @@ def answers(
     "change", [lambda p: np.dstack([p, p, p]), lambda p: p.astype(np.uint16) * 257]
 )
 def test_colour_and_16_bit_files_give_the_answers_of_grey_ones(
-    recording: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    change: Callable[[Picture], Picture],
+    recording: Path, tmp_path: Path, said: Said, change: Callable[[Picture], Picture]
 ) -> None:
     grey, other = (
         rewritten(recording, tmp_path / name, by)
         for name, by in (("grey", lambda p: p), ("other", change))
     )
-    before, after = (answers(one, capsys, "thesis", "fused") for one in (grey, other))
+    before, after = (answers(one, said, "thesis", "fused") for one in (grey, other))
     assert before.keys() == after.keys()
     for key, (teats, hidden, _) in before.items():
         found, unseen, _ = after[key]
@@ -129,7 +117,7 @@ for line in sys.stdin:
 
 
 def test_shuffled_names_of_files_change_nothing(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, said: Said
 ) -> None:
     """The same pictures under each other's names, and so in another order: each has its own answer,
     to the last digit.
@@ -141,17 +129,14 @@ def test_shuffled_names_of_files_change_nothing(
     for name in names:
         (shuffled / "frames" / name).rename(shuffled / "frames" / given[name])
     (shuffled / "truth.csv").unlink()
-    plain, mixed = (answers(one, capsys, "thesis", "fused") for one in (recording, shuffled))
+    plain, mixed = (answers(one, said, "thesis", "fused") for one in (recording, shuffled))
     assert all(plain[name, "fused"][0] for name in names)
     assert mixed == {(given[name], detector): answer for (name, detector), answer in plain.items()}
     (tmp_path / "echo.py").write_text(ECHO, encoding="utf-8")
-    heard, again = (
-        answers(one, capsys, f"exec:{sys.executable} {tmp_path / 'echo.py'}")
-        for one in (recording, shuffled)
-    )
-    assert list(heard.values()) == list(again.values()), (
-        "a program of its own hears nothing of the recording's names"
-    )
+    echo = f"exec:{sys.executable} {tmp_path / 'echo.py'}"
+    heard, again = (answers(one, said, echo) for one in (recording, shuffled))
+    # a program of its own gets nothing of the recording's names
+    assert list(heard.values()) == list(again.values())
     assert "1 1-left.png 1-right.png" in str(heard[names[0], "exec-echo"][2])
 
 

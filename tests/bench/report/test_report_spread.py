@@ -219,10 +219,8 @@ def test_a_truth_without_a_stated_uncertainty_accepts_no_axis(two_teats: RunReco
     )
     parts = list(accuracy_tables(replace(two_teats, trials=unstated), "fused", 50.0, np.eye(3)))
     assert {row[-1] for row in table(parts, "Errors along each axis, detector")} == {"between"}
-    assert (
-        "nothing can be accepted and 50.000 mm or more refused"
-        in told(parts, Table, "Errors along each axis, detector").note
-    )
+    expected = "nothing can be accepted and 50.000 mm or more refused"
+    assert expected in (told(parts, Table, "Errors along each axis, detector").note)
     assert "noise" not in told(parts, Table, "Distance to the teat end").note
 
 
@@ -270,10 +268,8 @@ def test_few_repeats_say_what_is_missing(tmp_path: Path, two_teats: RunRecord) -
     text = told(parts, Paragraph, "AP, RP, AD and RD").text
     assert "of one teat at one pose there are 3 finds at most, and 10 are the least" in text
     single = list(precision_parts(replace(two_teats, trials=two_teats.trials[::3]), "fused"))
-    assert (
-        "no teat was found twice at one pose"
-        in told(single, Paragraph, "Repeatability and reproducibility").text
-    )
+    expected = "no teat was found twice at one pose"
+    assert expected in (told(single, Paragraph, "Repeatability and reproducibility").text)
 
 
 def test_the_truth_s_own_gage_study_is_told(tmp_path: Path) -> None:
