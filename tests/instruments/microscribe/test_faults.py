@@ -59,10 +59,9 @@ def test_a_byte_lost_to_the_arm_makes_it_wait_for_one_more(host: Host) -> None:
     assert host.ask("03") == ""
     assert host.ask("03") == AT_REST
     host.arm.faults.inject("lost byte to the arm", 1)
-    assert host.ask("D2 41") in (
-        "",
-        "87 00 00 00 00 " + AT_REST[6:],
-    ), "the marker's code or its value, which is no command"
+    assert host.ask("D2 41") in ("", "87 00 00 00 00 " + AT_REST[6:]), (
+        "the marker's code or its value, which is no command"
+    )
 
 
 def test_an_old_session_hears_letters_as_commands(fresh: Host) -> None:

@@ -158,11 +158,7 @@ def test_silence_at_sign_on(rig: Rig) -> None:
     [
         (UNIT, "IBOX", "Immersion Interface Box"),
         (UNIT, "parameter block of another length", "says it has 34 bytes; 36 are understood"),
-        (
-            renamed(format="Format DH1.0"),
-            "",
-            r"not understood: 'Format DH1.0', not 'Format DH0.5'",
-        ),
+        (renamed(format="Format DH1.0"), "", r"not understood: 'Format DH1.0', not 'Format DH0.5'"),
     ],
     ids=["interface box", "block length", "format"],
 )
