@@ -136,7 +136,7 @@ class Arm(Wired):
         self.driver = MicroScribe(self.link("arm"), self.clock)
 
     def identify(self) -> str:
-        return self.driver.sign_on().serial_number
+        return str(self.driver.sign_on().serial_number)
 
     def read(self) -> object:
         return self.driver.poll().counts

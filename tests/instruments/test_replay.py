@@ -48,7 +48,8 @@ class Bench:
         name: str = "arm",
         more: str = "",
         clock: Clock | None = None,
-        **options: bool,
+        fast: bool = False,
+        again: bool = False,
     ) -> None:
         keys = {"opened": "url", "closed": "why"}
         text = HEAD
@@ -59,7 +60,7 @@ class Bench:
         path.write_text(text + more, encoding="utf-8")
         self.clock = clock or VirtualClock()
         self.capture = read_capture(path)
-        self.replay = Replay(self.capture, self.clock, **options)
+        self.replay = Replay(self.capture, self.clock, fast=fast, again=again)
         self.url = self.replay.urls[name]
         self.links: list[Link] = []
 
