@@ -65,11 +65,8 @@ class Link:
         try:
             self._port.set_baud(baud)
         except (OSError, ValueError) as error:
-            raise LinkError(
-                self.who,
-                f"the port can't speak at {baud} baud: {error}",
-                hint=f"Stay at {self.baud} baud.",
-            ) from error
+            what = f"the port can't speak at {baud} baud: {error}"
+            raise LinkError(self.who, what, hint=f"Stay at {self.baud} baud.") from error
         self.baud = baud
 
     def _open(self) -> None:
@@ -94,13 +91,7 @@ class Link:
         try:
             self._port.write(data)
         except OSError as error:
-            self._disconnected(str(error))
-            raise LinkError(
-                self.who,
-                f"the link broke while sending: {error}",
-                asked=data,
-                hint="Check cable and power.",
-            ) from error
+            raise self._broke("sending", error, asked=data) from error
         # counted after: an interrupt between the two must not leave bytes that nobody will ever
         # take
         if self._virtual:
@@ -112,11 +103,15 @@ class Link:
         if self._buffer:
             data, self._buffer = self._buffer, b""
             return data
-        return (
-            self._receive_virtually(*self._virtual, timeout_s)
-            if self._virtual
-            else self._receive_by_slices(timeout_s)
-        )
+        if self._virtual:
+            return self._receive_virtually(*self._virtual, timeout_s)
+        # looks at the clock every second: a sign of life, and on Windows the moment for Ctrl-C
+        deadline = self.clock.now() + timeout_s
+        while True:
+            left_s = max(0.0, deadline - self.clock.now())
+            data = self._receive_really(min(left_s, SLICE_S))
+            if data or left_s <= SLICE_S:
+                return data
 
     def read(self, count: int, timeout_s: float) -> bytes:
         """``count`` bytes, or fewer after ``timeout_s``. Raises LinkError."""
@@ -154,6 +149,11 @@ class Link:
             self.connected = False
             self._tap.closed(why)
 
+    def _broke(self, at: str, error: OSError, asked: bytes | None = None) -> LinkError:
+        self._disconnected(str(error))
+        what = f"the link broke while {at}: {error}"
+        return LinkError(self.who, what, asked=asked, hint="Check cable and power.")
+
     def _refuse_closed(self) -> None:
         if not self._is_open:
             hint = "Check cable and power, then connect again."
@@ -170,23 +170,11 @@ class Link:
         self._buffer = data[at:] + self._buffer
         return data[:at]
 
-    def _receive_by_slices(self, timeout_s: float) -> bytes:
-        """Looks at the clock every second: a sign of life, and on Windows the moment for Ctrl-C."""
-        deadline = self.clock.now() + timeout_s
-        while True:
-            left_s = max(0.0, deadline - self.clock.now())
-            data = self._receive_really(min(left_s, SLICE_S))
-            if data or left_s <= SLICE_S:
-                return data
-
     def _receive_really(self, timeout_s: float) -> bytes:
         try:
             data = self._port.read_some(timeout_s)
         except OSError as error:
-            self._disconnected(str(error))
-            raise LinkError(
-                self.who, f"the link broke while reading: {error}", hint="Check cable and power."
-            ) from error
+            raise self._broke("reading", error) from error
         if data:
             self._tap.received(data)
         return data
@@ -222,16 +210,14 @@ class _TcpPort:
             if not host or not port:
                 raise ValueError("host or port is missing")
         except ValueError as error:
-            hint = "Write socket://host:port."
-            raise LinkError(who, f"not a link: {error}", hint=hint) from error
+            raise LinkError(
+                who, f"not a link: {error}", hint="Write socket://host:port."
+            ) from error
         try:
             self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
         except OSError as error:
-            raise LinkError(
-                who,
-                f"nothing takes the connection: {error}",
-                hint="Is the device on, and the address right?",
-            ) from error
+            hint = "Is the device on, and the address right?"
+            raise LinkError(who, f"nothing takes the connection: {error}", hint=hint) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.near_end: int = self._socket.getsockname()[1]
 
@@ -287,9 +273,8 @@ class _SerialPort:
                 )
                 self._serial.timeout = 0.0  # sets all again: what a port lacks fails only then
         except (serial.SerialException, ValueError, OSError) as error:
-            raise LinkError(
-                who, f"the port can't be opened: {error}", hint=_port_hint(url, error)
-            ) from error
+            what = f"the port can't be opened: {error}"
+            raise LinkError(who, what, hint=_port_hint(url, error)) from error
 
     def read_some(self, timeout_s: float) -> bytes:
         with _hang_up_is_os_error():

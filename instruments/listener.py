@@ -124,14 +124,14 @@ class Connection:
                 self._wire.closed()
 
     def _pump(self, device: Device) -> None:
-        while True:
-            try:
-                data = self._port.read(65536)
-            except OSError:
-                return
-            if not data:
-                return
+        while data := self._read():
             self._receive(device, data)
+
+    def _read(self) -> bytes:
+        try:
+            return self._port.read(65536)
+        except OSError:
+            return b""
 
     def _receive(self, device: Device, data: bytes) -> None:
         with self._lock:
@@ -213,13 +213,8 @@ class Listener:
                 if self._closing:
                     return
                 port = _TcpPort(sock)
-                connection = Connection(
-                    port,
-                    self._clock,
-                    self._lock,
-                    wire=wire,
-                    pacer=pacer_for(port, self._clock, *self._pace),
-                )
+                pacer = pacer_for(port, self._clock, *self._pace)
+                connection = Connection(port, self._clock, self._lock, wire=wire, pacer=pacer)
                 self._connections.add(connection)
             try:
                 connection.serve(self._device)

@@ -21,37 +21,21 @@ _CLOSE = 0x08 | 0x10  # inotify(7): IN_CLOSE_WRITE, IN_CLOSE_NOWRITE
 _FLAGS = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
 
 
-class Closings:
-    """``fileno`` is readable when somebody has closed the file at ``path``. Raises OSError without
-    inotify.
+def _watch_closings(path: str) -> int:
+    """A descriptor that is readable when somebody has closed the file at ``path``. Raises OSError
+    without inotify.
     """
-
-    def __init__(self, path: str) -> None:
-        try:
-            libc = ctypes.CDLL(None, use_errno=True)
-            self._end = int(libc.inotify_init1(_FLAGS))
-        except (AttributeError, TypeError) as error:
-            raise OSError(f"no inotify: {error}") from error
-        if self._end < 0:
-            raise OSError(ctypes.get_errno(), "inotify_init1")
-        if libc.inotify_add_watch(self._end, os.fsencode(path), _CLOSE) < 0:
-            os.close(self._end)
-            raise OSError(ctypes.get_errno(), "inotify_add_watch")
-
-    def fileno(self) -> int:
-        return self._end
-
-    def any(self) -> bool:
-        """Whether the file was closed since the last call; equal events come only once."""
-        some = False
-        with contextlib.suppress(BlockingIOError):
-            while os.read(self._end, 4096):
-                some = True
-        return some
-
-    def close(self) -> None:
-        """Stop watching."""
-        os.close(self._end)
+    try:
+        libc = ctypes.CDLL(None, use_errno=True)
+        end = int(libc.inotify_init1(_FLAGS))
+    except (AttributeError, TypeError) as error:
+        raise OSError(f"no inotify: {error}") from error
+    if end < 0:
+        raise OSError(ctypes.get_errno(), "inotify_init1")
+    if libc.inotify_add_watch(end, os.fsencode(path), _CLOSE) < 0:
+        os.close(end)
+        raise OSError(ctypes.get_errno(), "inotify_add_watch")
+    return end
 
 
 LOOK_S = 0.01
@@ -124,12 +108,8 @@ class PtyListener:
         with self._lock:
             if self._closing.is_set():
                 return
-            self._connection = Connection(
-                terminal,
-                self._clock,
-                self._lock,
-                pacer=pacer_for(terminal, self._clock, *self._pace),
-            )
+            pacer = pacer_for(terminal, self._clock, *self._pace)
+            self._connection = Connection(terminal, self._clock, self._lock, pacer=pacer)
         self._connection.serve(self._device)
         with self._lock:
             self._connection = None
@@ -141,16 +121,16 @@ class PtyListener:
 
 class _Terminal:
     """The near end of one pseudo-terminal; only ``read`` blocks. A host that closes and reopens at
-    once is noticed through `Closings`, and so is a second program (``stty -F``).
+    once is noticed through `_watch_closings`, and so is a second program (``stty -F``).
     """
 
     def __init__(self, name: str) -> None:
         self._master, self.path = _open(name)
         self._wake_near, self._wake_far = os.pipe()
-        self._closings: Closings | None = None
+        self._closings: int | None = None
         self._either: select.epoll | None = None
         with contextlib.suppress(OSError):
-            self._closings = Closings(self.path)
+            self._closings = _watch_closings(self.path)
             self._either = select.epoll()
             self._either.register(self._master, select.EPOLLIN)
             self._either.register(self._closings, select.EPOLLIN)
@@ -174,9 +154,17 @@ class _Terminal:
             if not data:  # macOS says so
                 return bool(self._early)
         _set_raw(self._master)
-        if self._closings:
-            self._closings.any()  # of hosts before this one
+        self._was_closed()  # by hosts before this one
         return True
+
+    def _was_closed(self) -> bool:
+        """Whether a host has closed since the last call; equal events come only once."""
+        some = False
+        if self._closings is not None:
+            with contextlib.suppress(BlockingIOError):
+                while os.read(self._closings, 4096):
+                    some = True
+        return some
 
     def ready(self) -> bool:
         """As `Port.ready`."""
@@ -190,7 +178,7 @@ class _Terminal:
         try:
             return os.read(self._master, count)
         except BlockingIOError:
-            if self._closings and not self._closings.any():
+            if self._closings is not None and not self._was_closed():
                 raise
             # there was something, and it wasn't bytes: a host closed, and one opened at once
             return b""
@@ -234,11 +222,11 @@ class _Terminal:
         """The terminal is gone, for its host too."""
         with self._lock:
             self.hung_up = True
-            for end in (self._master, self._wake_near, self._wake_far):
-                os.close(end)
-            for watcher in (self._either, self._closings):
-                if watcher:
-                    watcher.close()
+            if self._either:
+                self._either.close()
+            for end in (self._master, self._wake_near, self._wake_far, self._closings):
+                if end is not None:
+                    os.close(end)
 
 
 def _open(name: str) -> tuple[int, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
 from instruments.camera.frame import Conversion, FrameSet, RawFrame
 from instruments.errors import InstrumentError, ProtocolError
@@ -44,10 +44,8 @@ class CameraSet:
         wrong = [name for name in openers if name not in KNOWN]
         missing = [name for name in REQUIRED if name not in openers]
         if wrong or missing:
-            raise ValueError(
-                "a rig has cameras left, right and perhaps thermal, got"
-                f" {', '.join(openers) or 'none'}"
-            )
+            got = ", ".join(openers) or "none"
+            raise ValueError(f"a rig has cameras left, right and perhaps thermal, got {got}")
         self._openers = dict(openers)
         self._conversions = {name: conversions.get(name, Conversion()) for name in openers}
         self._cameras: dict[str, Camera] = {}
@@ -71,31 +69,18 @@ class CameraSet:
             camera.begin()
         raw = {name: camera.take() for name, camera in self._cameras.items()}
         exposed_s = {name: frame.exposed_s for name, frame in raw.items()}
+        images: dict[str, Any] = {}
         try:
-            radiometric = "thermal" in raw and self._conversions["thermal"].radiometry is not None
-            pictures = {
-                name: self._conversions[name].picture(raw[name])
-                for name in raw
-                if name != "thermal" or not radiometric
-            }
-            kelvin = (
-                self._conversions["thermal"].temperatures(raw["thermal"]) if radiometric else None
-            )
+            for name, frame in raw.items():
+                conversion = self._conversions[name]
+                if name == "thermal" and conversion.radiometry is not None:
+                    images["thermal_ck"] = conversion.temperatures(frame)
+                else:
+                    images[name] = conversion.picture(frame)
         except ValueError as fault:
-            raise ProtocolError(
-                "cameras",
-                str(fault),
-                asked="a frame",
-                hint="Correct what the rig file declares of the cameras.",
-            ) from fault
-        return FrameSet(
-            pictures["left"],
-            pictures["right"],
-            pictures.get("thermal"),
-            kelvin,
-            exposed_s,
-            self.identity,
-        )
+            hint = "Correct what the rig file declares of the cameras."
+            raise ProtocolError("cameras", str(fault), asked="a frame", hint=hint) from fault
+        return FrameSet(**images, exposed_s=exposed_s, identity=self.identity)
 
     def close(self) -> None:
         """Let all cameras go; may be called again."""

@@ -20,6 +20,13 @@ from instruments.errors import ProtocolError
 
 Grey = NDArray[np.uint8]
 CentiKelvin = NDArray[np.uint16]
+# of a frame set: name, type, and whether it may be missing
+_IMAGES = (
+    ("left", np.uint8, False),
+    ("right", np.uint8, False),
+    ("thermal", np.uint8, True),
+    ("thermal_ck", np.uint16, True),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,27 +46,23 @@ class FrameSet:
     identity: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _check("left", self.left, np.uint8)
-        _check("right", self.right, np.uint8)
-        if self.thermal is not None:
-            _check("thermal", self.thermal, np.uint8)
-        if self.thermal_ck is not None:
-            _check("thermal_ck", self.thermal_ck, np.uint16)
+        for name, dtype, optional in _IMAGES:
+            image = getattr(self, name)
+            if image is None and optional:
+                continue
+            wanted = f"a frame set's {name} must be an array (height, width) of {np.dtype(dtype)}"
+            if not isinstance(image, np.ndarray):
+                raise ValueError(f"{wanted}, is a {type(image).__name__}")
+            if image.dtype != dtype or image.ndim != 2 or image.size == 0:
+                raise ValueError(
+                    f"{wanted}, is {image.shape} of {image.dtype}; `grey8` makes 8-bit grey of raw"
+                    " images"
+                )
 
     @property
     def thermal_k(self) -> NDArray[np.float64] | None:
         """Apparent temperature in kelvin, sensor's grid, un-mirrored; None if not radiometric."""
         return None if self.thermal_ck is None else self.thermal_ck / 100.0
-
-
-def _check(name: str, image: Any, dtype: type[np.generic]) -> None:
-    wanted = f"a frame set's {name} must be an array (height, width) of {np.dtype(dtype)}"
-    if not isinstance(image, np.ndarray):
-        raise ValueError(f"{wanted}, is a {type(image).__name__}")
-    if image.dtype != dtype or image.ndim != 2 or image.size == 0:
-        raise ValueError(
-            f"{wanted}, is {image.shape} of {image.dtype}; `grey8` makes 8-bit grey of raw images"
-        )
 
 
 def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
@@ -68,23 +71,15 @@ def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
     ``full_scale`` is white in a 16-bit image, 4095 for 12 bits in 16; higher values are white too.
     Raises ValueError.
     """
-    if (
-        image.ndim not in (2, 3)
-        or image.size == 0
-        or (image.ndim == 3 and image.shape[2] not in (1, 3, 4))
-    ):
+    if image.ndim not in (2, 3) or not image.size or image.shape[2:] not in ((), (1,), (3,), (4,)):
         raise ValueError(
             f"an image must be (height, width) with one, three or four channels, is {image.shape}"
         )
     if image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"an image must have 8 or 16 bits, is {image.dtype}")
     if image.ndim == 3:
-        codes = {3: cv2.COLOR_BGR2GRAY, 4: cv2.COLOR_BGRA2GRAY}
-        image = (
-            np.asarray(cv2.cvtColor(image, codes[image.shape[2]]))
-            if image.shape[2] in codes
-            else image[:, :, 0]
-        )
+        code = {3: cv2.COLOR_BGR2GRAY, 4: cv2.COLOR_BGRA2GRAY}.get(image.shape[2])
+        image = image[:, :, 0] if code is None else np.asarray(cv2.cvtColor(image, code))
     if image.dtype == np.uint16:
         return np.clip(np.rint(image * (255.0 / full_scale)), 0.0, 255.0).astype(np.uint8)
     return np.ascontiguousarray(image, dtype=np.uint8)
@@ -150,13 +145,8 @@ class Conversion:
         counts = self._upright(raw.pixels)
         if counts.ndim != 2:
             raise ValueError(f"temperatures come from a grey frame, this one is {counts.shape}")
-        centikelvin = np.rint(
-            100.0
-            * (
-                self.radiometry.kelvin_at_zero
-                + self.radiometry.kelvin_per_count * counts.astype(np.float64)
-            )
-        )
+        zero_k, per_count_k = self.radiometry.kelvin_at_zero, self.radiometry.kelvin_per_count
+        centikelvin = np.rint(100.0 * (zero_k + per_count_k * counts.astype(np.float64)))
         if centikelvin.min() < 0.0 or centikelvin.max() > 65535.0:
             span = f"{centikelvin.min() / 100:g} to {centikelvin.max() / 100:g} K"
             raise ValueError(

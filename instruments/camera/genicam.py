@@ -25,7 +25,10 @@ INSTALL = (
 )
 BUFFERS = 4
 PATIENCE_S = 2.0
-HOLES = ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT")
+# what a buffer's status says of its frame; any other means that none came
+DAMAGED = dict.fromkeys(
+    ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT"), FrameFault.LOST_PACKETS
+) | {"SIZE_MISMATCH": FrameFault.HALF}
 FAKE = "Fake_"  # how the library's own camera in this process is named
 
 
@@ -83,9 +86,7 @@ def set_all(who: str, camera: Any, settings: Settings, failure: type[Exception])
 
 
 def _message(error: Exception) -> str:
-    if isinstance(error, DeviceError):
-        return error.what
-    return str(getattr(error, "message", error))
+    return error.what if isinstance(error, DeviceError) else str(getattr(error, "message", error))
 
 
 def _set_exposure(camera: Any, exposure_us: float) -> None:
@@ -159,7 +160,7 @@ class GenicamCamera:
         self._device = device
         self._lost_control = False
         self._aravis = load_aravis()
-        self._failure = _failure()
+        self._failure: type[Exception] = importlib.import_module("gi.repository.GLib").Error
         if device.startswith(FAKE):
             self._aravis.enable_interface("Fake")
         self._stream: Any = None
@@ -200,9 +201,8 @@ class GenicamCamera:
                 self._camera.software_trigger()
             except self._failure as error:
                 self._check_control()
-                raise LinkError(
-                    self._who, f"did not take the trigger: {error}", asked="TriggerSoftware"
-                ) from error
+                what = f"did not take the trigger: {error}"
+                raise LinkError(self._who, what, asked="TriggerSoftware") from error
 
     def take(self) -> RawFrame:
         """The frame. Raises FrameError where none came or it came with holes."""
@@ -210,25 +210,15 @@ class GenicamCamera:
         arrived_s = self._clock.now()
         if buffer is None:
             self._check_control()
-            hint = (
-                "Did its trigger come?"
-                if self._settings.trigger == "hardware"
-                else "Check cable, power and the network's packet size."
-            )
-            raise FrameError(
-                FrameFault.DROPPED,
-                self._name,
-                self._who,
-                "no frame came",
-                seconds=self._patience_s,
-                hint=hint,
-            )
+            hint = "Check cable, power and the network's packet size."
+            if self._settings.trigger == "hardware":
+                hint = "Did its trigger come?"
+            seconds = self._patience_s
+            raise self._fault(FrameFault.DROPPED, "no frame came", hint, seconds=seconds)
         try:
-            self._check(buffer)
             pixels, bits = self._pixels(buffer)
-            return RawFrame(
-                pixels, self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s), bits
-            )
+            exposed_s = self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s)
+            return RawFrame(pixels, exposed_s, bits)
         finally:
             self._stream.push_buffer(buffer)
 
@@ -277,104 +267,69 @@ class GenicamCamera:
         hint = (
             "Another program took it, or its power was off. It is opened again for the next frame."
         )
-        raise FrameError(FrameFault.DROPPED, self._name, self._who, what, hint=hint)
+        raise self._fault(FrameFault.DROPPED, what, hint)
+
+    def _fault(
+        self, fault: FrameFault, what: str, hint: str, *, seconds: float | None = None
+    ) -> FrameError:
+        return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
     def _by_loopback(self, camera: Any) -> Any:
         """The same camera; one on this machine, found through a network interface, is opened by its
-        address.
-
-        The library takes the interface that answers first, and frames from 127.0.0.1 never reach
-        another one.
+        address: frames from 127.0.0.1 never reach another interface.
         """
         if not camera.is_gv_device():
             return camera
         device = camera.get_device()
-        near, far = (
-            end.get_address()
-            for end in (device.get_interface_address(), device.get_device_address())
-        )
+        near = device.get_interface_address().get_address()
+        far = device.get_device_address().get_address()
         if not far.get_is_loopback() or near.get_is_loopback():
             return camera
         del camera, device  # hands the control of the camera back
         return self._aravis.Camera.new(far.to_string())
 
     def _described(self) -> str:
-        camera = self._camera
-        who = " ".join(
-            str(part())
-            for part in (
-                camera.get_vendor_name,
-                camera.get_model_name,
-                camera.get_device_serial_number,
-            )
-        )
-        region = camera.get_region()
-        return f"{who} ({region.width} x {region.height}, {camera.get_pixel_format_as_string()})"
+        c = self._camera
+        who = f"{c.get_vendor_name()} {c.get_model_name()} {c.get_device_serial_number()}"
+        width, height = _size(c)
+        return f"{who} ({width} x {height}, {c.get_pixel_format_as_string()})"
 
     def _start(self) -> None:
-        camera = self._camera
-        if self._settings.trigger == "free":
+        camera, settings = self._camera, self._settings
+        if settings.trigger == "free":
             camera.clear_triggers()
         else:
-            camera.set_trigger(
-                "Software"
-                if self._settings.trigger == "software"
-                else self._settings.trigger_source
-            )
+            software = settings.trigger == "software"
+            camera.set_trigger("Software" if software else settings.trigger_source)
         camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
         self._stream = camera.create_stream(None, None)
         for _ in range(BUFFERS):
             self._stream.push_buffer(self._aravis.Buffer.new_allocate(camera.get_payload()))
         camera.start_acquisition()
 
-    def _check(self, buffer: Any) -> None:
-        status = buffer.get_status().value_nick.upper().replace("-", "_")
-        if status == "SUCCESS":
-            return
-        fault = (
-            FrameFault.LOST_PACKETS
-            if status in HOLES
-            else FrameFault.HALF
-            if status == "SIZE_MISMATCH"
-            else FrameFault.DROPPED
-        )
-        hint = (
-            "Raise the socket's buffer and the packet size (jumbo frames), or lower the frame rate."
-        )
-        raise FrameError(
-            fault, self._name, self._who, f"a frame's buffer came with status {status}", hint=hint
-        )
-
     def _pixels(self, buffer: Any) -> Any:
-        if buffer.get_payload_type().value_nick not in (
-            "image",
-            "extended-chunk-data",
-            "chunk-data",
-        ):
-            raise ProtocolError(
-                self._who,
-                f"sent {buffer.get_payload_type().value_nick}, not an image",
-                asked="a frame",
+        """Pixels and their bits. Raises FrameError for a damaged buffer, ProtocolError for none of
+        pixels.
+        """
+        status = buffer.get_status().value_nick.upper().replace("-", "_")
+        if status != "SUCCESS":
+            hint = (
+                "Raise the socket's buffer and the packet size (jumbo frames), or lower the frame"
+                " rate."
             )
-        x_padding = int(buffer.get_image_padding().x_padding)
+            what = f"a frame's buffer came with status {status}"
+            raise self._fault(DAMAGED.get(status, FrameFault.DROPPED), what, hint)
+        kind = buffer.get_payload_type().value_nick
+        if kind not in ("image", "extended-chunk-data", "chunk-data"):
+            raise ProtocolError(self._who, f"sent {kind}, not an image", asked="a frame")
         try:
             return unpack(
                 buffer.get_data(),
                 buffer.get_image_pixel_format(),
                 buffer.get_image_width(),
                 buffer.get_image_height(),
-                x_padding,
+                int(buffer.get_image_padding().x_padding),
             )
         except ValueError as fault:
-            raise ProtocolError(
-                self._who,
-                str(fault),
-                asked="a frame",
-                hint="Set another pixel_format in the rig file.",
-            ) from fault
-
-
-def _failure() -> type[Exception]:
-    """What the library raises."""
-    error: type[Exception] = importlib.import_module("gi.repository.GLib").Error
-    return error
+            hint = "Set another pixel_format in the rig file."
+            raise ProtocolError(self._who, str(fault), asked="a frame", hint=hint) from fault

@@ -18,8 +18,10 @@ from instruments.clock import Clock
 from instruments.errors import LinkError
 
 Source = int | str
-SILENCE_MS = 5000.0  # a stream that says nothing for so long is gone
+SILENCE_MS = 5000  # a stream that says nothing for so long is gone
 PATIENCE_S = 2.0  # the longest exposure and interval that a frame may take
+SIZE = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+NUMBERS = {"fps": cv2.CAP_PROP_FPS, "exposure": cv2.CAP_PROP_EXPOSURE, "gain": cv2.CAP_PROP_GAIN}
 # how backends call an exposure that isn't automatic: V4L2's own number, and OpenCV's before 4
 MANUAL, MANUAL_OF_OLD = 1.0, 0.25
 
@@ -35,9 +37,8 @@ def _is_url(source: Source) -> bool:
 
 def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
     """Width and height, 0 where the backend tells none."""
-    return round(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), round(
-        capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
-    )
+    width, height = (capture.get(prop) for prop in SIZE)
+    return round(width), round(height)
 
 
 class OpenCvCamera:
@@ -79,22 +80,17 @@ class OpenCvCamera:
             return
         self._begun_s = self._clock.now()
         if self._file is None or not self._file.grab():
-            raise LinkError(
-                self._who,
-                "gave no frame",
-                asked="a frame",
-                hint="The file has ended, or was closed.",
-            )
+            hint = "The file has ended, or was closed."
+            raise LinkError(self._who, "gave no frame", asked="a frame", hint=hint)
 
     def take(self) -> RawFrame:
         """The frame. Raises FrameError where none came or it can't be decoded."""
         if self._live is not None:
             answer = self._live.answer(self._patience_s)
             if answer is None:
-                what = "the stream broke off" if self._live.broken else "no frame came"
-                raise self._fault(
-                    FrameFault.DROPPED, what, None if self._live.broken else self._patience_s
-                )
+                if self._live.broken:
+                    raise self._fault(FrameFault.DROPPED, "the stream broke off")
+                raise self._fault(FrameFault.DROPPED, "no frame came", self._patience_s)
             image, exposed_s = answer
         else:
             good, decoded = self._file.retrieve() if self._file is not None else (False, None)
@@ -104,12 +100,12 @@ class OpenCvCamera:
             decoded = cv2.imdecode(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
             image = None if decoded is None else np.asarray(decoded, dtype=np.uint8)
         if image is None:
-            raise self._fault(FrameFault.HALF, "a frame came that can't be decoded", None)
+            raise self._fault(FrameFault.HALF, "a frame came that can't be decoded")
         height, width = image.shape[:2]
         if self._size[0] and (width, height) != self._size:
             opened = f"{self._size[0]} x {self._size[1]}"
             what = f"a frame of {width} x {height} came; it was opened with {opened}"
-            raise self._fault(FrameFault.WRONG_SIZE, what, None)
+            raise self._fault(FrameFault.WRONG_SIZE, what)
         return RawFrame(image, exposed_s)
 
     def close(self) -> None:
@@ -124,15 +120,9 @@ class OpenCvCamera:
     def _who(self) -> str:
         return f"{self._name} camera at {self._source}"
 
-    def _fault(self, fault: FrameFault, what: str, seconds: float | None) -> FrameError:
-        return FrameError(
-            fault,
-            self._name,
-            self._who,
-            what,
-            seconds=seconds,
-            hint="Is it still connected, and is the network fast enough?",
-        )
+    def _fault(self, fault: FrameFault, what: str, seconds: float | None = None) -> FrameError:
+        hint = "Is it still connected, and is the network fast enough?"
+        return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
     def _open(self) -> None:
         capture = _opened(self._who, self._source)
@@ -156,13 +146,10 @@ class OpenCvCamera:
 
 def _opened(who: str, source: Source) -> cv2.VideoCapture:
     if _is_url(source):
-        limits = [
-            cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
-            int(SILENCE_MS),
-            cv2.CAP_PROP_READ_TIMEOUT_MSEC,
-            int(SILENCE_MS),
-        ]
-        capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+        limits = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
+        capture = cv2.VideoCapture(
+            source, cv2.CAP_FFMPEG, [part for limit in limits for part in (limit, SILENCE_MS)]
+        )
     else:
         capture = cv2.VideoCapture(source)
     if not capture.isOpened():
@@ -175,31 +162,25 @@ def _opened(who: str, source: Source) -> cv2.VideoCapture:
 def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:
     """Write and read back; notes about tries. Raises DeviceError for what did not take."""
     back = ReadBack(who, settings.tries)
+    asked: list[tuple[int, float]] = []
     if settings.pixel_format is not None:
-        capture.set(
-            cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*settings.pixel_format[:4].ljust(4))
-        )
-    width, height = settings.resolution or (None, None)
+        code = cv2.VideoWriter.fourcc(*settings.pixel_format[:4].ljust(4))
+        asked.append((cv2.CAP_PROP_FOURCC, code))
     if settings.exposure is not None and not capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL):
         capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_OF_OLD)
-    numbers = {
-        "fps": (cv2.CAP_PROP_FPS, settings.fps),
-        "exposure": (cv2.CAP_PROP_EXPOSURE, settings.exposure),
-        "gain": (cv2.CAP_PROP_GAIN, settings.gain),
-    }
-    size = ((cv2.CAP_PROP_FRAME_WIDTH, width), (cv2.CAP_PROP_FRAME_HEIGHT, height))
-    for prop, value in (*size, *numbers.values()):
-        if value is not None:
-            capture.set(prop, value)
+    asked += zip(SIZE, settings.resolution or (), strict=False)
+    numbers = {name: value for name in NUMBERS if (value := getattr(settings, name)) is not None}
+    asked += ((NUMBERS[name], value) for name, value in numbers.items())
+    for prop, value in asked:
+        capture.set(prop, value)
     # all set before any is read: one may change another
     if settings.pixel_format is not None:
         seen = fourcc_name(capture.get(cv2.CAP_PROP_FOURCC))
         back.compare("pixel_format", settings.pixel_format, seen)
     if settings.resolution is not None:
         back.compare("resolution", tuple(settings.resolution), _size(capture))
-    for name, (prop, value) in numbers.items():
-        if value is not None:
-            back.compare(name, value, capture.get(prop))
+    for name, value in numbers.items():
+        back.compare(name, value, capture.get(NUMBERS[name]))
     return back.finish()
 
 

@@ -120,29 +120,17 @@ def unpack(
     payload.
     """
     layout = format_of(code)
-    values = width * layout.channels
-    per_pixel = layout.stored_bits // layout.channels
+    # without padding all lines are one
+    lines, per_line = (height, width) if x_padding else (1, width * height)
+    step = layout.line_bytes(per_line) + x_padding
     raw = np.frombuffer(data, dtype=np.uint8)
-    if x_padding:
-        line = layout.line_bytes(width)
-        _enough(layout, raw, (line + x_padding) * height - x_padding, width, height)
-        rows = [layout.decode(raw[y * (line + x_padding) :][:line], values) for y in range(height)]
-        flat = np.concatenate(rows)
-    else:
-        _enough(layout, raw, -(-width * height * layout.channels * per_pixel // 8), width, height)
-        flat = layout.decode(raw, values * height)
-    shape = (height, width) if layout.channels == 1 else (height, width, layout.channels)
-    image = np.ascontiguousarray(flat.reshape(shape))
-    pixels: Pixels = (
-        image
-        if layout.to_bgr is None
-        else np.asarray(cv2.cvtColor(image, layout.to_bgr), dtype=np.uint8)
-    )
-    return pixels, layout.bits
-
-
-def _enough(layout: PixelFormat, raw: Bytes, needed: int, width: int, height: int) -> None:
-    if len(raw) < needed:
+    if len(raw) < (needed := step * lines - x_padding):
         raise ValueError(
             f"{width} x {height} pixels of {layout.name} take {needed} bytes, {len(raw)} came"
         )
+    count = per_line * layout.channels
+    flat = [layout.decode(raw[y * step :][: step - x_padding], count) for y in range(lines)]
+    image = np.concatenate(flat).reshape((height, width, layout.channels))
+    if layout.to_bgr is not None:
+        return np.asarray(cv2.cvtColor(image, layout.to_bgr), dtype=np.uint8), layout.bits
+    return np.ascontiguousarray(image.squeeze(2) if layout.channels == 1 else image), layout.bits

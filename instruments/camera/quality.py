@@ -37,8 +37,8 @@ def edge_blur_px(picture: NDArray[np.uint8]) -> float | None:
         inner, wide = np.ascontiguousarray(inner[::stride]), wide[::stride]
     if inner.size == 0:
         return None
-    at_least = _upper(inner, STRONGEST)
-    edges = inner >= max(at_least, LEAST_GRADIENT_DN)
+    rank = inner.size - max(1, int(STRONGEST * inner.size))
+    edges = inner >= max(float(np.partition(inner, rank)[rank]), LEAST_GRADIENT_DN)
     if np.count_nonzero(edges) < 16:
         return None
     ratio2 = float(np.median(inner[edges] / np.maximum(wide[edges], 1e-6))) ** 2
@@ -54,11 +54,6 @@ def _gradient(picture: NDArray[np.uint8], sigma: float) -> NDArray[np.float32]:
     smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), sigma)
     x, y = (cv2.Sobel(smooth, cv2.CV_32F, *order, ksize=1, scale=0.5) for order in ((1, 0), (0, 1)))
     return np.asarray(cv2.magnitude(x, y), dtype=np.float32)
-
-
-def _upper(values: NDArray[np.float32], share: float) -> float:
-    kept = max(1, int(share * values.size))
-    return float(np.partition(values.reshape(-1), values.size - kept)[values.size - kept])
 
 
 def level_dn(picture: NDArray[np.uint8], share: float) -> int:
@@ -86,12 +81,11 @@ def missing_rows(picture: NDArray[Any], last: NDArray[Any] | None = None) -> flo
     Noise prevents both in a row that was read out; white rows are the exposure's fault and don't
     count.
     """
-    whole = picture.max(axis=1)
-    missing = (whole == picture.min(axis=1)) & (whole < np.iinfo(picture.dtype).max)
+    least = picture.min(axis=1)
+    missing = picture.max(axis=1) == least
     if last is not None and last.shape == picture.shape:
-        missing |= np.all(picture == last, axis=1) & (
-            picture.min(axis=1) < np.iinfo(picture.dtype).max
-        )
+        missing |= np.all(picture == last, axis=1)
+    missing &= least < np.iinfo(picture.dtype).max
     if np.all(missing):
         return 1.0
     return float(max(np.argmin(missing), np.argmin(missing[::-1])) / len(missing))

@@ -23,6 +23,8 @@ from instruments.errors import DeviceError
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+FIELDS = ("left", "right", "thermal", "thermal_ck")
+FILES = ("left.png", "right.png", "thermal.png", "thermal_radiometric.png")
 COLUMNS = ("frame", "situation", "teat", "x_mm", "y_mm", "z_mm", "visible")
 OPTIONAL = ("u_mm",)
 # a teat is some 20 mm thick: two ends nearer than this are one end, measured twice
@@ -91,77 +93,73 @@ class Recording:
         if not path.exists():
             return {}
         found: dict[str, list[TruthRow]] = {}
+        line_number = 1
         try:
             with path.open(encoding="utf-8-sig", newline="") as file:
                 lines = csv.DictReader(file, strict=True)
-                _check_header(path, lines.fieldnames)
+                if missing := [name for name in COLUMNS if name not in (lines.fieldnames or ())]:
+                    raise RecordingError(
+                        f"the column(s) {', '.join(missing)} are missing; the first line must name"
+                        f" {','.join(COLUMNS)}"
+                    )
                 for line in lines:
-                    frame, row = _truth_row(f"{path}:{lines.line_num}", line)
-                    self._add(f"{path}:{lines.line_num}", found.setdefault(frame, []), frame, row)
+                    line_number = lines.line_num
+                    frame, row = _truth_row(line)
+                    self._check(found.setdefault(frame, []), frame, row)
+                    found[frame].append(row)
+        except RecordingError as fault:
+            raise RecordingError(f"{path}:{line_number}: {fault}") from fault
         except (csv.Error, UnicodeDecodeError) as fault:
             raise RecordingError(
                 f"{path}: is not a table of comma-separated values in UTF-8: {fault}"
             ) from fault
         return {frame: tuple(rows) for frame, rows in found.items()}
 
-    def _add(self, where: str, rows: list[TruthRow], frame: str, row: TruthRow) -> None:
+    def _check(self, rows: Sequence[TruthRow], frame: str, row: TruthRow) -> None:
+        """Raise RecordingError for a row that contradicts the folder or the frame's rows above."""
         if frame not in self.frames:
-            raise RecordingError(f"{where}: names frame {frame!r}, but frames/ has no such folder")
-        if any(other.teat == row.teat for other in rows):
-            raise RecordingError(
-                f"{where}: teat {row.teat!r} of frame {frame!r} stands here a second time"
-            )
-        if rows and rows[0].situation != row.situation:
-            raise RecordingError(
-                f"{where}: frame {frame!r} is {row.situation!r} here and {rows[0].situation!r}"
-                " above"
-            )
+            raise RecordingError(f"names frame {frame!r}, but frames/ has no such folder")
         for other in rows:
+            if other.teat == row.teat:
+                raise RecordingError(
+                    f"teat {row.teat!r} of frame {frame!r} stands here a second time"
+                )
+        for other in rows:
+            if other.situation != row.situation:
+                raise RecordingError(
+                    f"frame {frame!r} is {row.situation!r} here and {other.situation!r} above"
+                )
             if (apart := math.dist(other.xyz_mm, row.xyz_mm)) < SAME_END_MM:
                 names = f"teats {other.teat!r} and {row.teat!r} of frame {frame!r}"
                 raise RecordingError(
-                    f"{where}: the ends of {names} are {apart:.2f} mm apart: one was measured"
-                    " twice; measure them again"
+                    f"the ends of {names} are {apart:.2f} mm apart: one was measured twice; measure"
+                    " them again"
                 )
-        rows.append(row)
 
 
-def _check_header(path: Path, names: Sequence[str] | None) -> None:
-    missing = [name for name in COLUMNS if name not in (names or ())]
-    if missing:
-        raise RecordingError(
-            f"{path}:1: the column(s) {', '.join(missing)} are missing; the first line must name"
-            f" {','.join(COLUMNS)}"
-        )
-
-
-def _truth_row(where: str, line: Mapping[str | Any, Any]) -> tuple[str, TruthRow]:
+def _truth_row(line: Mapping[str | Any, Any]) -> tuple[str, TruthRow]:
     if None in line or any(line.get(name) is None for name in COLUMNS):
-        raise RecordingError(f"{where}: has another number of values than the first line has names")
-    x, y, z = (_number(where, name, line[name]) for name in ("x_mm", "y_mm", "z_mm"))
-    if line["visible"].strip() not in ("0", "1"):
-        raise RecordingError(f"{where}: visible must be 0 or 1, is {line['visible']!r}")
-    given = (line.get("u_mm") or "").strip()
-    u_mm = _number(where, "u_mm", given) if given else None
-    if u_mm is not None and u_mm < 0.0:
-        raise RecordingError(f"{where}: u_mm, a standard uncertainty, can't be below zero: {given}")
-    row = TruthRow(
-        line["situation"].strip(),
-        line["teat"].strip(),
-        (x, y, z),
-        line["visible"].strip() == "1",
-        u_mm,
+        raise RecordingError("has another number of values than the first line has names")
+    x, y, z = (_number(name, line[name]) for name in ("x_mm", "y_mm", "z_mm"))
+    frame, situation, teat, visible = (
+        line[name].strip() for name in ("frame", "situation", "teat", "visible")
     )
-    return line["frame"].strip(), row
+    if visible not in ("0", "1"):
+        raise RecordingError(f"visible must be 0 or 1, is {line['visible']!r}")
+    given = (line.get("u_mm") or "").strip()
+    u_mm = _number("u_mm", given) if given else None
+    if u_mm is not None and u_mm < 0.0:
+        raise RecordingError(f"u_mm, a standard uncertainty, can't be below zero: {given}")
+    return frame, TruthRow(situation, teat, (x, y, z), visible == "1", u_mm)
 
 
-def _number(where: str, name: str, text: str) -> float:
+def _number(name: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise RecordingError(f"{where}: {name} must be a number in mm, is {text!r}") from None
+        raise RecordingError(f"{name} must be a number in mm, is {text!r}") from None
     if not math.isfinite(value):
-        raise RecordingError(f"{where}: {name} must be finite, is {text!r}")
+        raise RecordingError(f"{name} must be finite, is {text!r}")
     return value
 
 
@@ -177,12 +175,10 @@ def _image(path: Path) -> NDArray[Any]:
         raise RecordingError(
             f"{path}: is damaged: {damaged}. Copy it again from where it was taken."
         )
+    image, raw = None, np.frombuffer(data, dtype=np.uint8)
     try:  # through memory, for imread knows only the ASCII paths of Windows
-        image = (
-            cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-            if data
-            else None
-        )
+        if data:
+            image = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED)
     except cv2.error as fault:  # its header claims a size that no memory holds
         raise RecordingError(
             f"{path}: is not an image that can be read: OpenCV refuses it ({fault.err})"
@@ -259,18 +255,18 @@ class RecordingWriter:
         folder = self.path / "frames" / frame_id
         if folder.exists():
             raise RecordingError(f"{folder}: there is such a frame already")
-        images = {
-            "left": frames.left,
-            "right": frames.right,
-            "thermal": frames.thermal,
-            "thermal_radiometric": frames.thermal_ck,
-        }
         # Beside frames/, not in it: whoever reads meanwhile must not take it for a frame.
         making = self.path / f"making {frame_id}"
         making.mkdir(exist_ok=True)
-        for name, image in images.items():
-            if image is not None:
-                _write(making / f"{name}.png", _png(image))
+        for name, field in zip(FILES, FIELDS, strict=True):
+            image = getattr(frames, field)
+            if image is None:
+                continue
+            good, data = cv2.imencode(".png", image, PNG_FAST)
+            if not good:
+                what = f"an image {image.shape} of {image.dtype} can't be written as PNG"
+                raise RecordingError(what)
+            _write(making / name, data.tobytes())
         making.replace(folder)
 
     def add_truth(self, frame_id: str, rows: Sequence[TruthRow]) -> None:
@@ -292,29 +288,16 @@ def _truth_table(truth: Mapping[str, Sequence[TruthRow]]) -> str:
     lines = [",".join((*COLUMNS, *OPTIONAL))]
     for frame, rows in truth.items():
         for row in rows:
-            u_mm = "" if row.u_mm is None else repr(float(row.u_mm))
-            values = (
-                frame,
-                row.situation,
-                row.teat,
-                *(repr(float(v)) for v in row.xyz_mm),
-                str(int(row.visible)),
-                u_mm,
-            )
-            if any(set(value) & set(',"\r\n') for value in values):
+            names = (frame, row.situation, row.teat)
+            if set("".join(names)) & set(',"\r\n'):
                 raise RecordingError(
                     f"frame {frame!r}: names in truth.csv can't hold commas, quotes or line ends,"
-                    f" got {values[:3]}"
+                    f" got {names}"
                 )
-            lines.append(",".join(values))
+            u_mm = "" if row.u_mm is None else repr(float(row.u_mm))
+            place = (repr(float(v)) for v in row.xyz_mm)
+            lines.append(",".join((*names, *place, str(int(row.visible)), u_mm)))
     return "\n".join(lines) + "\n"
-
-
-def _png(image: NDArray[Any]) -> bytes:
-    good, data = cv2.imencode(".png", image, PNG_FAST)
-    if not good:
-        raise RecordingError(f"an image {image.shape} of {image.dtype} can't be written as PNG")
-    return data.tobytes()
 
 
 def _write(path: Path, data: bytes) -> None:

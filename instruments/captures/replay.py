@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import struct
 import threading
-from bisect import bisect_left
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice, repeat
 from types import TracebackType
-from typing import Protocol
 
 from instruments.captures.reader import Capture, Conversation, Exchange
 from instruments.clock import Clock, VirtualClock
@@ -30,20 +29,16 @@ LONGEST = 254
 # real time.
 LEAD_VIRTUAL_S = 2e-6
 LEAD_REAL_S = 2e-3
+MODBUS_TCP = "tcp://"
 SHOWN = 24  # bytes of a mismatch
-
-
-def is_modbus_tcp(url: str) -> bool:
-    """Whether this URL's link carries Modbus TCP: ``tcp://``."""
-    return url.startswith("tcp://")
 
 
 class TransactionIds:
     """The ids of one connection, in both directions of its recorded streams."""
 
     def __init__(self, script: Conversation) -> None:
-        self._asked = _Stream(b"".join(exchange.asked for exchange in script.exchanges))
-        self._came = _Stream(
+        self._asked = _ids(b"".join(exchange.asked for exchange in script.exchanges))
+        self._came = _ids(
             b"".join(piece.data for exchange in script.exchanges for piece in exchange.came)
         )
         self._own: dict[bytes, bytearray] = {}  # the host's id for each recorded one
@@ -51,173 +46,34 @@ class TransactionIds:
     def as_recorded(self, data: bytes) -> bytes:
         """The host's next bytes, with recorded ids in place of its own."""
         changed = bytearray(data)
-        for at, place, recorded in self._asked.ids_in_next(len(data)):
-            own = self._own.setdefault(recorded, bytearray(recorded))
-            own[place], changed[at] = data[at], recorded[place]
+        for at, found in enumerate(islice(self._asked, len(data))):
+            if found:
+                recorded, place = found
+                own = self._own.setdefault(recorded, bytearray(recorded))
+                own[place], changed[at] = data[at], recorded[place]
         return bytes(changed)
 
     def as_asked(self, data: bytes) -> bytes:
         """The next recorded bytes for the host, with its own ids in place of the recorded ones."""
         changed = bytearray(data)
-        for at, place, recorded in self._came.ids_in_next(len(data)):
-            changed[at] = self._own.get(recorded, recorded)[place]
+        for at, found in enumerate(islice(self._came, len(data))):
+            if found:
+                changed[at] = self._own.get(found[0], found[0])[found[1]]
         return bytes(changed)
 
 
-class _Stream:
-    """Where the ids stand in one direction's bytes, up to what is no frame."""
-
-    def __init__(self, stream: bytes) -> None:
-        self._starts: list[int] = []
-        self._stream = stream
-        self._at = start = 0
-        while start + HEADER.size <= len(stream):
-            _, protocol, length = HEADER.unpack_from(stream, start)
-            if protocol != 0 or not 2 <= length <= LONGEST:
-                return
-            self._starts.append(start)
-            start += HEADER.size + length
-
-    def ids_in_next(self, count: int) -> Iterator[tuple[int, int, bytes]]:
-        """Transaction id bytes within the next ``count``: place, which byte, recorded id."""
-        begin, end = self._at, self._at + count
-        self._at = end
-        first = bisect_left(self._starts, begin - ID_BYTES + 1)
-        for start in self._starts[first : bisect_left(self._starts, end)]:
-            for place in range(ID_BYTES):
-                if begin <= start + place < end:
-                    yield start + place - begin, place, self._stream[start : start + ID_BYTES]
-
-
-class Tell(Protocol):
-    """Who is told of a mismatch: the line of the capture, the sentence, and the bytes."""
-
-    def __call__(self, line: int, what: str, expected: bytes, got: bytes, /) -> None: ...
-
-
-class Player:
-    """The far end of connection ``number`` (from 0); answers at once when ``fast``."""
-
-    def __init__(
-        self,
-        script: Conversation,
-        number: int,
-        connection: Connection,
-        clock: Clock,
-        *,
-        fast: bool,
-        tell: Tell,
-    ) -> None:
-        self.number = number
-        self._script = script
-        self._connection = connection
-        self._clock = clock
-        self._fast = fast
-        self._lead_s = LEAD_VIRTUAL_S if isinstance(clock, VirtualClock) else LEAD_REAL_S
-        self._tell = tell
-        self._ids = TransactionIds(script) if is_modbus_tcp(script.url) else None
-        self._turn = 0  # the exchange whose request was seen last
-        self._asked_s = clock.now()  # when it was seen
-        self._said = 0  # of what came of it
-        self._heard = b""  # of the next request
-        self._lost = False
-
-    @property
-    def left(self) -> str:
-        """What has not been played; empty when all has."""
-        requests = len(self._script.exchanges) - 1
-        if self._lost:
-            return f"{self._turn} of {requests} requests as recorded, then a mismatch"
-        return (
-            f"the host left after {self._turn} of {requests} requests"
-            if self._turn < requests
-            else ""
-        )
-
-    def start(self) -> None:
-        """Say what came unasked."""
-        self._answer()
-
-    def take(self, data: bytes) -> None:
-        """Bytes of the host: compare, and answer each request that they complete."""
-        if self._ids:
-            data = self._ids.as_recorded(data)
-        while data and not self._lost:
-            if self._turn + 1 == len(self._script.exchanges):
-                self._after_the_end(data)
-                return
-            asked = self._script.exchanges[self._turn + 1].asked
-            new, data = data[: len(asked) - len(self._heard)], data[len(asked) - len(self._heard) :]
-            self._heard += new
-            if not asked.startswith(self._heard):
-                self._differs(self._script.exchanges[self._turn + 1], self._heard + data)
-            elif len(self._heard) == len(asked):
-                self._say_all()
-                self._turn += 1
-                self._said, self._heard, self._asked_s = 0, b"", self._clock.now()
-                self._answer()
-
-    def _after_the_end(self, data: bytes) -> None:
-        """Silence; and where the recording ends because the host closed, that it didn't is told."""
-        self._lost = self._script.closed_s is not None and not self._script.broke
-        if self._lost:
-            self._tell(
-                self._script.exchanges[-1].line,
-                "the host sends more than was recorded on this connection",
-                b"",
-                data[:SHOWN],
-            )
-
-    def _differs(self, exchange: Exchange, got: bytes) -> None:
-        self._lost = True
-        pairs = enumerate(zip(exchange.asked, got, strict=False))
-        same = next(at for at, (one, other) in pairs if one != other)
-        shown = slice(max(0, same - SHOWN // 2), max(0, same - SHOWN // 2) + SHOWN)
-        what = (
-            f"connection {self.number + 1}, request {self._turn + 1}: byte {same} of it is another"
-            " than recorded"
-        )
-        self._tell(exchange.line, what, bytes(exchange.asked[shown]), got[shown])
-
-    def _answer(self) -> None:
-        """Say what is due of what came of the request, and come back for the rest."""
-        exchange = self._script.exchanges[self._turn]
-        while self._said < len(exchange.came):
-            wait_s = self._wait_s(exchange.came[self._said].t_s)
-            if wait_s > 0:
-                self._connection.after(wait_s, partial(self._go_on, self._turn))
-                return
-            self._say(exchange)
-        if (
-            self._script.broke
-            and self._script.closed_s is not None
-            and self._turn + 1 == len(self._script.exchanges)
-        ):
-            wait_s = self._wait_s(self._script.closed_s)
-            if wait_s > 0:
-                self._connection.after(wait_s, self._connection.hang_up)
-            else:
-                self._connection.hang_up()
-
-    def _go_on(self, turn: int) -> None:
-        if turn == self._turn and not self._lost:
-            self._answer()
-
-    def _wait_s(self, recorded_s: float) -> float:
-        if self._fast:
-            return 0.0
-        after_s = recorded_s - self._script.exchanges[self._turn].asked_s - self._lead_s
-        return self._asked_s + after_s - self._clock.now()
-
-    def _say(self, exchange: Exchange) -> None:
-        data = exchange.came[self._said].data
-        self._said += 1
-        self._connection.send(self._ids.as_asked(data) if self._ids else data)
-
-    def _say_all(self) -> None:
-        exchange = self._script.exchanges[self._turn]
-        while self._said < len(exchange.came):
-            self._say(exchange)
+def _ids(stream: bytes) -> Iterator[tuple[bytes, int] | None]:
+    """For each byte of one direction: the id that it is of, and which byte of it; None for all
+    others, and from what is no frame on.
+    """
+    start = 0
+    while start + HEADER.size <= len(stream):
+        _, protocol, length = HEADER.unpack_from(stream, start)
+        if protocol != 0 or not 2 <= length <= LONGEST:
+            return
+        yield from ((stream[start : start + ID_BYTES], place) for place in range(ID_BYTES))
+        yield from repeat(None, HEADER.size - ID_BYTES + length)
+        start += HEADER.size + length
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,6 +95,100 @@ class Mismatch:
 
     def __str__(self) -> str:
         return f"{self.link}: line {self.line}: {self.sentence}"
+
+
+class Player:
+    """The far end of connection ``number`` (from 0) of ``end``."""
+
+    def __init__(self, end: FarEnd, number: int, connection: Connection) -> None:
+        self.number = number
+        self._end = end
+        self._script = end.conversations[number]
+        self._exchanges = self._script.exchanges
+        self._connection = connection
+        self._ids = (
+            TransactionIds(self._script) if self._script.url.startswith(MODBUS_TCP) else None
+        )
+        self._turn = 0  # the exchange whose request was seen last
+        self._asked_s = end.clock.now()  # when it was seen
+        self._said = 0  # of what came of it
+        self._heard = b""  # of the next request
+        self._lost = False
+
+    @property
+    def left(self) -> str:
+        """What has not been played; empty when all has."""
+        of = f"{self._turn} of {len(self._exchanges) - 1} requests"
+        if self._lost:
+            return f"{of} as recorded, then a mismatch"
+        return f"the host left after {of}" if self._turn + 1 < len(self._exchanges) else ""
+
+    def take(self, data: bytes) -> None:
+        """Bytes of the host: compare, and answer each request that they complete."""
+        if self._ids:
+            data = self._ids.as_recorded(data)
+        while data and not self._lost:
+            if self._turn + 1 == len(self._exchanges):
+                # silence; but where the recording ends because the host closed, it should have
+                self._lost = self._script.closed_s is not None and not self._script.broke
+                if self._lost:
+                    what = "the host sends more than was recorded on this connection"
+                    self._end.report(self._exchanges[-1].line, what, b"", data[:SHOWN])
+                return
+            asked = self._exchanges[self._turn + 1].asked
+            missing = len(asked) - len(self._heard)
+            self._heard, data = self._heard + data[:missing], data[missing:]
+            if not asked.startswith(self._heard):
+                self._differs(self._exchanges[self._turn + 1], self._heard + data)
+            elif len(self._heard) == len(asked):
+                while self._said < len(self._exchanges[self._turn].came):
+                    self._say()
+                self._turn += 1
+                self._said, self._heard, self._asked_s = 0, b"", self._end.clock.now()
+                self.answer(self._turn)
+
+    def _differs(self, exchange: Exchange, got: bytes) -> None:
+        self._lost = True
+        pairs = enumerate(zip(exchange.asked, got, strict=False))
+        same = next(at for at, (one, other) in pairs if one != other)
+        shown = slice(max(0, same - SHOWN // 2), max(0, same - SHOWN // 2) + SHOWN)
+        what = (
+            f"connection {self.number + 1}, request {self._turn + 1}: byte {same} of it is another"
+            " than recorded"
+        )
+        self._end.report(exchange.line, what, bytes(exchange.asked[shown]), got[shown])
+
+    def answer(self, turn: int) -> None:
+        """Say what is due of what came of request ``turn``, and come back for the rest."""
+        if turn != self._turn or self._lost:
+            return
+        came = self._exchanges[turn].came
+        while self._said < len(came):
+            wait_s = self._wait_s(came[self._said].t_s)
+            if wait_s > 0:
+                self._connection.after(wait_s, partial(self.answer, turn))
+                return
+            self._say()
+        closed_s = self._script.closed_s
+        if self._script.broke and closed_s is not None and turn + 1 == len(self._exchanges):
+            wait_s = self._wait_s(closed_s)
+            if wait_s > 0:
+                self._connection.after(wait_s, self._connection.hang_up)
+            else:
+                self._connection.hang_up()
+
+    def _wait_s(self, recorded_s: float) -> float:
+        if self._end.fast:
+            return 0.0
+        clock = self._end.clock
+        lead_s = LEAD_VIRTUAL_S if isinstance(clock, VirtualClock) else LEAD_REAL_S
+        after_s = recorded_s - self._exchanges[self._turn].asked_s - lead_s
+        return self._asked_s + after_s - clock.now()
+
+    def _say(self) -> None:
+        data = self._exchanges[self._turn].came[self._said].data
+        self._said += 1
+        self._connection.send(self._ids.as_asked(data) if self._ids else data)
 
 
 class Replay:
@@ -267,7 +217,7 @@ class Replay:
             for link, conversations in capture.links.items():
                 if links is None or link in links:
                     end = FarEnd(
-                        link, conversations, clock, self.mismatches.append, fast=fast, again=again
+                        link, conversations, clock, self.mismatches, fast=fast, again=again
                     )
                     listener = Listener(end, clock, lock=lock, name=f"replayed {link}", host=host)
                     self._listeners.append(listener)
@@ -312,16 +262,16 @@ class FarEnd:
         link: str,
         conversations: Sequence[Conversation],
         clock: Clock,
-        tell: Callable[[Mismatch], None],
+        mismatches: list[Mismatch],
         *,
-        fast: bool = False,
-        again: bool = False,
+        fast: bool,
+        again: bool,
     ) -> None:
-        self.link = link
-        self._conversations = conversations
-        self._clock = clock
-        self._tell_mismatch = tell
-        self._fast = fast
+        self.conversations = conversations
+        self.clock = clock
+        self.fast = fast
+        self._link = link
+        self._mismatches = mismatches
         self._again = again
         self._next = 0
         self._players: dict[Connection, Player] = {}
@@ -330,7 +280,7 @@ class FarEnd:
     @property
     def finished(self) -> bool:
         """Whether the last recorded connection has been made, and none is open."""
-        return self._next == len(self._conversations) and not self._players
+        return self._next == len(self.conversations) and not self._players
 
     @property
     def unplayed(self) -> str:
@@ -341,8 +291,8 @@ class FarEnd:
             for number, what in sorted({**self._left, **playing}.items())
             if what
         ]
-        if missing := len(self._conversations) - self._next:
-            left.append(f"{missing} of {len(self._conversations)} connections were never made")
+        if missing := len(self.conversations) - self._next:
+            left.append(f"{missing} of {len(self.conversations)} connections were never made")
         return "; ".join(left)
 
     def connect(self, connection: Connection) -> None:
@@ -350,22 +300,14 @@ class FarEnd:
         if self._again and self.finished:
             self._next = 0
             self._left.clear()
-        if self._next == len(self._conversations):
-            line = self._conversations[-1].exchanges[-1].line
-            self._tell(line, f"connected once more than the {self._next} times that were recorded")
+        if self._next == len(self.conversations):
+            line = self.conversations[-1].exchanges[-1].line
+            self.report(line, f"connected once more than the {self._next} times that were recorded")
             return
-        player = Player(
-            self._conversations[self._next],
-            self._next,
-            connection,
-            self._clock,
-            fast=self._fast,
-            tell=self._tell,
-        )
-        self._players[connection] = player
+        player = self._players[connection] = Player(self, self._next, connection)
         # last, as below: somebody may be waiting on another thread for ``finished``
         self._next += 1
-        player.start()
+        player.answer(0)
 
     def receive(self, connection: Connection, data: bytes) -> None:
         """Bytes of the host, cut anywhere."""
@@ -374,13 +316,13 @@ class FarEnd:
 
     def disconnect(self, connection: Connection) -> None:
         """The connection is over, by whichever end."""
-        player = self._players.get(connection)
-        if player:
+        if player := self._players.get(connection):
             self._left[player.number] = player.left
             del self._players[connection]
 
-    def _tell(self, line: int, what: str, expected: bytes = b"", got: bytes = b"") -> None:
-        self._tell_mismatch(Mismatch(self.link, line, what, expected, got))
+    def report(self, line: int, what: str, expected: bytes = b"", got: bytes = b"") -> None:
+        """Note a mismatch at ``line`` of the capture."""
+        self._mismatches.append(Mismatch(self._link, line, what, expected, got))
 
 
 def _shown(data: bytes) -> str:
@@ -393,7 +335,7 @@ def _shown(data: bytes) -> str:
 
 def _like(link: str, talk: Conversation, url: str) -> str:
     """``url`` in the recorded driver's form: a bath's has the framing, and the unit if not 1."""
-    if is_modbus_tcp(talk.url):
+    if talk.url.startswith(MODBUS_TCP):
         scheme, place = "tcp", 6
     # on a serial port it is RTU
     elif talk.url.startswith("rtu+tcp://") or (link == "bath" and "://" not in talk.url):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from instruments.clock import Clock
-from instruments.errors import LimitError, ProtocolError
+from instruments.errors import InstrumentError, LimitError, ProtocolError
 from instruments.link import Link
 from instruments.microscribe import configuration as conf
 from instruments.microscribe import protocol as wire
@@ -118,24 +118,17 @@ class ArmConnection:
         seconds = self.clock.now() - start
         self.untidy = not reply or len(reply) > len(reply[:end])
         reply = reply[:end]
-        if not reply:
-            what = "the arm does not answer"
-            raise SilentArmError(
-                self.who, what, asked=asked, seen=b"", seconds=seconds, hint=ON_HINT
-            )
+        kind: type[InstrumentError] = SilentArmError
+        what, hint = "the arm does not answer", ON_HINT
         try:
-            return decode(reply)
+            if reply:
+                return decode(reply)
         except WireError as error:
             self.untidy = True
             unusable = isinstance(error, conf.BlockLengthError)
-            raise (UnusableArmError if unusable else ProtocolError)(
-                self.who,
-                f"{error}",
-                asked=asked,
-                seen=reply,
-                seconds=seconds,
-                hint=f"{CABLE_HINT}, then sign on again",
-            ) from error
+            kind = UnusableArmError if unusable else ProtocolError
+            what, hint = f"{error}", f"{CABLE_HINT}, then sign on again"
+        raise kind(self.who, what, asked=asked, seen=reply, seconds=seconds, hint=hint)
 
     def ask_packet(self) -> tuple[Packet | None, bytes]:
         """Poll once: the packet (None where damaged or missing) and the bytes. Raises

@@ -163,32 +163,27 @@ class MicroScribe:
         """
         before, deadline = self._info, self._clock.now() + timeout_s
         try:
-            now = self._sign_on_again(deadline)
+            while True:
+                patience_s = min(_RETRY_SIGN_ON_S, max(_RETRY_S, deadline - self._clock.now()))
+                try:
+                    now = self._sign_on((self.baud,), patience_s)
+                    break
+                except UnusableArmError:
+                    raise
+                except (LinkError, ProtocolError):
+                    if self._clock.now() + _RETRY_S >= deadline:
+                        raise
+                self._clock.sleep(_RETRY_S)
             if before and before.names.serial_number != now.serial_number:
                 self.safe()
-                raise AnotherArmError(
-                    self.who,
-                    f"arm {before.names.serial_number} was lost, and arm {now.serial_number}"
-                    " answers",
-                    hint="Plug the first arm in again, or sign on to the new one",
-                )
+                lost, there = before.names.serial_number, now.serial_number
+                what = f"arm {lost} was lost, and arm {there} answers"
+                hint = "Plug the first arm in again, or sign on to the new one"
+                raise AnotherArmError(self.who, what, hint=hint)
         except BaseException:
             self._info = before  # still the arm that is waited for
             raise
         return now
-
-    def _sign_on_again(self, deadline: float) -> Identity:
-        """Try until the deadline; what is refused for good is raised at once."""
-        while True:
-            patience_s = min(_RETRY_SIGN_ON_S, max(_RETRY_S, deadline - self._clock.now()))
-            try:
-                return self._sign_on((self.baud,), patience_s)
-            except UnusableArmError:
-                raise
-            except (LinkError, ProtocolError):
-                if self._clock.now() + _RETRY_S >= deadline:
-                    raise
-            self._clock.sleep(_RETRY_S)
 
     def _sign_on(self, rates: Sequence[int], patience_s: float) -> Identity:
         self._lose_homing("the session was opened anew")
@@ -325,13 +320,10 @@ class MicroScribe:
             counts.append(self.poll().counts)
         reading = reading_of(self.info.geometry(), counts)
         if not reading.spread_mm <= max_spread_mm:
-            raise ArmMovesError(
-                self.who,
-                f"the arm moves: {n} packets spread by {reading.spread_mm:.2f} mm, more than"
-                f" {max_spread_mm:g} mm",
-                asked="a reading",
-                hint="Hold the tip still in its place and read again",
-            )
+            spread = f"{reading.spread_mm:.2f} mm, more than {max_spread_mm:g} mm"
+            what = f"the arm moves: {n} packets spread by {spread}"
+            hint = "Hold the tip still in its place and read again"
+            raise ArmMovesError(self.who, what, asked="a reading", hint=hint)
         return reading
 
     @contextlib.contextmanager
@@ -375,12 +367,8 @@ class MicroScribe:
     def _samples(self, command: int) -> Iterator[Sample]:
         while True:
             if not self._arm.streaming:
-                raise NoSessionError(
-                    self.who,
-                    "the stream has ended",
-                    asked="the next sample",
-                    hint="Start another stream",
-                )
+                what, hint = "the stream has ended", "Start another stream"
+                raise NoSessionError(self.who, what, asked="the next sample", hint=hint)
             with self._noticing():
                 packets = self._arm.stream_packets()
             if not packets:  # the command may have been lost, or the arm

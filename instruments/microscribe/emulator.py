@@ -215,13 +215,9 @@ class ArmEmulator:
         self.unreachable: OutOfReachError | None = None
         home = self.unit.home
         self._firmware = Firmware(self)
+        geometry = self.unit.geometry()
         self._mechanics = Mechanics(
-            self.unit.geometry(),
-            home,
-            hand,
-            seed=seed,
-            accuracy_mm=accuracy_mm,
-            tremor_mm=tremor_mm,
+            geometry, home, hand, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm
         )
         self._contacts = Contacts(seed)
         self._clock = clock
@@ -383,15 +379,15 @@ class ArmEmulator:
         if not data and not broken:
             return
 
+        def arrive() -> None:
+            connection.send(data)
+            if broken:
+                connection.hang_up()
+
         now = self._clock.now()
         late_s = self.faults.amount_now(Fault.SLOW_ADAPTER)
         self._sent_until_s = max(self._sent_until_s, now + late_s)
         if self._sent_until_s > now:
-            connection.after(self._sent_until_s - now, lambda: self._pass(connection, data, broken))
+            connection.after(self._sent_until_s - now, arrive)
         else:
-            self._pass(connection, data, broken)
-
-    def _pass(self, connection: Connection, data: bytes, broken: bool) -> None:
-        connection.send(data)
-        if broken:
-            connection.hang_up()
+            arrive()

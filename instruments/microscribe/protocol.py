@@ -260,30 +260,6 @@ def _packet(command: int, payload: bytes) -> Packet:
     return Packet(command, payload[0], counts, ticks, analogs)
 
 
-LONGEST_DELAY_MS = 0x3FBF  # the longest that is harmless
-
-
-def harmless_delay_ms(period_s: float) -> int:
-    """The longest delay up to ``period_s``, at least 1 ms, neither byte of which has bit 6.
-
-    If the stream's first byte is lost, such a byte is a command: 66 ms (42) re-homes the arm. So 64
-    to 127 ms become 63.
-    """
-    delay = min(max(1, int(period_s * 1000 + 1e-6)), LONGEST_DELAY_MS)
-    while delay & (CONFIGURE << 8 | CONFIGURE):
-        delay -= 1
-    return delay
-
-
-def encode_set_baud(baud: int) -> bytes:
-    """The command; its echo comes at the old rate. Raises WireError for a rate that no arm has."""
-    if baud not in BAUD_CODES:
-        raise WireError(
-            f"an arm has no rate {baud}; it has {', '.join(map(str, sorted(BAUD_CODES)))}"
-        )
-    return bytes([Code.SET_BAUD, BAUD_CODES[baud]])
-
-
 class ArmTime:
     """Seconds since the first stamp by the arm's clock: 14-bit ticks that wrap after 18 s.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
+from functools import partial
 
 from instruments.errors import InstrumentError, LinkError, ProtocolError
 from instruments.microscribe import configuration as conf
@@ -105,19 +106,17 @@ def _begin(arm: ArmConnection) -> None:
     answer = arm.link.read_until(b"\0", seconds)
     if answer.rstrip(b"\0").endswith(wire.PRODUCT_ID):
         return
+    kind: type[InstrumentError] = NoMicroScribeError
+    what, hint = "the answer is not that of a MicroScribe", errors.what_to_try(answer)
     if not answer:
-        what = "the arm echoed, then fell silent"
-        raise SilentArmError(
-            arm.who, what, asked=wire.BEGIN, seen=b"", seconds=seconds, hint=ON_HINT
-        )
-    if wire.INTERFACE_BOX in answer:
+        kind, what, hint = SilentArmError, "the arm echoed, then fell silent", ON_HINT
+    elif wire.INTERFACE_BOX in answer:
+        kind, hint = UnusableArmError, "Connect the MicroScribe's own port"
         what = (
             "this is an Immersion Interface Box, not an arm: its encoder bits mean something else"
         )
-        hint = "Connect the MicroScribe's own port"
-        raise UnusableArmError(arm.who, what, asked=wire.BEGIN, seen=answer, hint=hint)
-    what, hint = "the answer is not that of a MicroScribe", errors.what_to_try(answer)
-    raise NoMicroScribeError(arm.who, what, asked=wire.BEGIN, seen=answer, hint=hint)
+    waited_s = None if answer else seconds
+    raise kind(arm.who, what, asked=wire.BEGIN, seen=answer, seconds=waited_s, hint=hint)
 
 
 def _read_device_info(arm: ArmConnection) -> DeviceInfo:
@@ -134,16 +133,17 @@ def _read_device_info(arm: ArmConnection) -> DeviceInfo:
             return info
         seen.append(info)
     what = f"what the arm says of itself came differently each of {READINGS} times"
-    raise last or ProtocolError(
-        arm.who,
-        what,
-        asked="names, maxima, parameters",
-        hint="Check cable and plugs, then sign on again",
-    )
+    asked, hint = "names, maxima, parameters", "Check cable and plugs, then sign on again"
+    raise last or ProtocolError(arm.who, what, asked=asked, hint=hint)
 
 
 def _read_once(arm: ArmConnection) -> DeviceInfo:
-    names = Identity(*(_name(arm, code) for code in conf.NAMES))
+    names = Identity(
+        *(
+            arm.ask(code, partial(conf.decode_name, code), timeout_s=SIGN_ON_S)
+            for code in conf.NAMES
+        )
+    )
     maxima = arm.ask(Code.MAXIMA, conf.decode_maxima, timeout_s=SIGN_ON_S)
     if names.format != conf.FORMAT:
         what = (
@@ -157,7 +157,3 @@ def _read_once(arm: ArmConnection) -> DeviceInfo:
     if names.has_beta:
         beta = arm.ask(Code.EXTENDED, conf.decode_extended, timeout_s=SIGN_ON_S)
     return DeviceInfo(names, maxima, parameters, beta)
-
-
-def _name(arm: ArmConnection, code: Code) -> str:
-    return arm.ask(code, lambda reply: conf.decode_name(code, reply), timeout_s=SIGN_ON_S)

@@ -8,6 +8,8 @@ import json
 import sys
 import threading
 import tracemalloc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +18,9 @@ import pytest
 from instruments.captures.capture import NO_CAPTURE, CaptureError, CaptureFile
 from instruments.captures.reader import read_capture
 from instruments.clock import RealClock, VirtualClock
-from instruments.link import Link
-from instruments.listener import Connection, Listener
+from instruments.errors import LinkError
+from instruments.tap import Tap
+from tests.instruments.listening_in import Echo, linked
 
 FACTS = {"teatbench": "1.2.3", "command": "teatbench check 'my rig.toml'", "machine": "Linux"}
 
@@ -27,18 +30,13 @@ def told(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()[1:]]
 
 
-class Upper:
-    """Answers in capitals; ``x`` hangs up."""
-
-    def connect(self, connection: Connection) -> None:
-        connection.send(b"hello")
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        connection.send(data.upper())
-        if data == b"x":
-            connection.hang_up()
-
-    def disconnect(self, connection: Connection) -> None: ...
+@contextmanager
+def opened(path: Path, url: str = "u", **facts: str) -> Iterator[tuple[CaptureFile, Tap]]:
+    """A capture in which the arm's link was opened, and its tap."""
+    with CaptureFile(path, {**FACTS, **facts}) as capture:
+        tap = capture.tap("arm", VirtualClock())
+        tap.opened(url)
+        yield capture, tap
 
 
 def test_the_file_is_json_lines_as_documented(tmp_path: Path) -> None:
@@ -64,26 +62,23 @@ def test_the_file_is_json_lines_as_documented(tmp_path: Path) -> None:
 
 
 def test_every_line_is_there_before_the_file_is_closed(tmp_path: Path) -> None:
-    with CaptureFile(tmp_path / "c", FACTS) as capture:
-        tap = capture.tap("arm", VirtualClock())
+    with opened(tmp_path / "c") as (_, tap):
         for count in range(1, 20):
-            tap.opened("u") if count == 1 else tap.sent(b"x")
             assert len(told(tmp_path / "c")) == count
+            tap.sent(b"x")
 
 
 def test_a_link_tells_all_it_sees_and_why_it_broke(tmp_path: Path) -> None:
     clock = VirtualClock()
-    listener = Listener(Upper(), clock, lock=threading.RLock(), name="upper")
     with CaptureFile(tmp_path / "c", FACTS) as capture:
-        link = Link(listener.url, clock, who="arm", tap=capture.tap("arm", clock))
-        assert link.read(5, 1.0) == b"hello"
-        link.write(b"x")
-        assert link.read(1, 1.0) == b"X"
-        with pytest.raises(Exception, match="hung up"):
-            link.receive(1.0)
-        link.close()
-        link.close()
-    listener.close()
+        echo = Echo(greeting=b"hello", farewell=b"X")
+        with linked(echo, clock, tap=capture.tap("arm", clock)) as (link, _):
+            assert link.read(5, 1.0) == b"hello"
+            link.write(b"x")
+            assert link.read(1, 1.0) == b"X"
+            with pytest.raises(LinkError, match="hung up"):
+                link.receive(1.0)
+            link.close()
     assert [
         (line["event"], line.get("data"), line.get("why")) for line in told(tmp_path / "c")
     ] == [
@@ -125,9 +120,7 @@ def test_several_links_from_several_threads_share_a_file(tmp_path: Path) -> None
 
 def test_long_writes_are_cut_into_lines_that_the_reader_takes(tmp_path: Path) -> None:
     long = bytes(range(256)) * 5000
-    with CaptureFile(tmp_path / "c", FACTS) as capture:
-        tap = capture.tap("arm", VirtualClock())
-        tap.opened("u")
+    with opened(tmp_path / "c") as (_, tap):
         tap.sent(long)
         tap.sent(b"")
     assert max(len(line) for line in (tmp_path / "c").read_bytes().splitlines()) < 140_000
@@ -136,9 +129,7 @@ def test_long_writes_are_cut_into_lines_that_the_reader_takes(tmp_path: Path) ->
 
 
 def test_nothing_is_kept_in_memory(tmp_path: Path) -> None:
-    with CaptureFile(tmp_path / "c", FACTS) as capture:
-        tap = capture.tap("arm", VirtualClock())
-        tap.opened("u")
+    with opened(tmp_path / "c") as (_, tap):
         tap.received(bytes(1000))
         tracemalloc.start()
         for _ in range(5000):
@@ -169,8 +160,8 @@ def test_where_no_file_can_be_is_told(tmp_path: Path) -> None:
     "name", ["-rf", "two\nlines", "a b;c'd\"e", "ü\u202e", "%s{0}$HOME", "\x1b[2J", "*"]
 )
 def test_a_file_may_be_called_anything(tmp_path: Path, name: str) -> None:
-    with CaptureFile(tmp_path / name, FACTS) as capture:
-        capture.tap("arm", VirtualClock()).opened("u")
+    with opened(tmp_path / name):
+        pass
     assert list(read_capture(tmp_path / name).links) == ["arm"]
 
 
@@ -187,9 +178,7 @@ def test_a_link_may_not(tmp_path: Path, name: str) -> None:
 
 def test_hostile_texts_stay_within_their_line(tmp_path: Path) -> None:
     url = '/dev/"\n{"t_s": 0}\u2028\x00\ud800\\'
-    with CaptureFile(tmp_path / "c", {**FACTS, "command": url}) as capture:
-        tap = capture.tap("arm", VirtualClock())
-        tap.opened(url)
+    with opened(tmp_path / "c", url, command=url) as (_, tap):
         tap.closed(url)
     read = read_capture(tmp_path / "c")
     assert read.facts["command"] == read.links["arm"][0].url == read.links["arm"][0].broke == url
@@ -202,9 +191,8 @@ def test_a_capture_without_an_event_leaves_no_file(tmp_path: Path) -> None:
 
 
 def test_what_comes_after_the_end_is_dropped(tmp_path: Path) -> None:
-    with CaptureFile(tmp_path / "c", FACTS) as capture:
-        tap = capture.tap("arm", VirtualClock())
-        tap.opened("u")
+    with opened(tmp_path / "c") as (capture, tap):
+        pass
     tap.sent(b"late")
     tap.closed()
     capture.close()
@@ -216,11 +204,9 @@ def test_a_full_disk_ends_the_capture_and_not_the_run(tmp_path: Path) -> None:
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with CaptureFile(tmp_path / "c", FACTS) as capture:
-        tap = capture.tap("arm", VirtualClock())
+    with opened(tmp_path / "c") as (capture, tap):
         resource.setrlimit(resource.RLIMIT_FSIZE, (2000, hard))
         try:
-            tap.opened("u")
             for _ in range(100):
                 tap.sent(b"0123456789")
         finally:

@@ -32,6 +32,16 @@ RECEIVED = '{"t_s": 1.25, "link": "arm", "event": "received", "data": "83 00"}\n
 CLOSED = '{"t_s": 2, "link": "arm", "event": "closed"}\n'
 
 
+ONE_FOLDER = settings(
+    max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
+
+
+def sent(old: str, new: str) -> str:
+    """A capture of a link that was opened, and of one line that was sent, changed."""
+    return HEAD + OPENED + SENT.replace(old, new)
+
+
 def written(folder: Path, text: str | bytes) -> Path:
     path = folder / "c.jsonl"
     path.write_bytes(text.encode("utf-8") if isinstance(text, str) else text)
@@ -118,30 +128,30 @@ def test_what_is_written_into_a_broken_link_never_arrived_and_what_is_read_from_
         (HEAD + OPENED + "\n", 3, "not JSON"),
         (HEAD + OPENED + SENT[:30] + "\n" + RECEIVED, 3, "not JSON"),
         (
-            HEAD + OPENED + SENT.replace("sent", "said"),
+            sent("sent", "said"),
             3,
             "no event 'said'; there are opened, sent, received, closed",
         ),
-        (HEAD + OPENED + SENT.replace('"sent"', "[]"), 3, "no event \\[\\]"),
-        (HEAD + OPENED + SENT.replace("03", "3"), 3, "data is not hex: '3'"),
-        (HEAD + OPENED + SENT.replace("03", "0g"), 3, "data is not hex"),
-        (HEAD + OPENED + SENT.replace("03", ""), 3, "data is empty"),
-        (HEAD + OPENED + SENT.replace('"03"', "3"), 3, "data is no text: 3"),
-        (HEAD + OPENED + SENT.replace('"03"', '"03", "data": "04"'), 3, "a key is there twice"),
+        (sent('"sent"', "[]"), 3, "no event \\[\\]"),
+        (sent("03", "3"), 3, "data is not hex: '3'"),
+        (sent("03", "0g"), 3, "data is not hex"),
+        (sent("03", ""), 3, "data is empty"),
+        (sent('"03"', "3"), 3, "data is no text: 3"),
+        (sent('"03"', '"03", "data": "04"'), 3, "a key is there twice"),
         (
-            HEAD + OPENED + SENT.replace('"03"', '"03", "\\u001b[2J": 1'),
+            sent('"03"', '"03", "\\u001b[2J": 1'),
             3,
             r"'\\x1b\[2J': unknown here",
         ),
-        (HEAD + OPENED + SENT.replace(', "data": "03"', ""), 3, "data: missing"),
-        (HEAD + OPENED + SENT.replace("1.0", '"1"'), 3, "t_s is no time: '1'"),
-        (HEAD + OPENED + SENT.replace("1.0", "true"), 3, "t_s is no time: True"),
-        (HEAD + OPENED + SENT.replace("1.0", "NaN"), 3, "t_s is no time: nan"),
-        (HEAD + OPENED + SENT.replace("1.0", "1e999"), 3, "t_s is no time: inf"),
-        (HEAD + OPENED + SENT.replace("1.0", "-1"), 3, "t_s is no time: -1"),
-        (HEAD + OPENED + SENT.replace("1.0", "1" + 400 * "0"), 3, "t_s is no time: .{1,60}$"),
-        (HEAD + OPENED + SENT.replace("1.0", "9" * 5000), 3, "not JSON"),
-        (HEAD + OPENED + SENT.replace("1.0", "0.4"), 3, "t_s goes back, from 0.5 to 0.4"),
+        (sent(', "data": "03"', ""), 3, "data: missing"),
+        (sent("1.0", '"1"'), 3, "t_s is no time: '1'"),
+        (sent("1.0", "true"), 3, "t_s is no time: True"),
+        (sent("1.0", "NaN"), 3, "t_s is no time: nan"),
+        (sent("1.0", "1e999"), 3, "t_s is no time: inf"),
+        (sent("1.0", "-1"), 3, "t_s is no time: -1"),
+        (sent("1.0", "1" + 400 * "0"), 3, "t_s is no time: .{1,60}$"),
+        (sent("1.0", "9" * 5000), 3, "not JSON"),
+        (sent("1.0", "0.4"), 3, "t_s goes back, from 0.5 to 0.4"),
         (HEAD + OPENED.replace("arm", "\\u001b[2J"), 2, r"no name for a link: '\\x1b\[2J'"),
         (HEAD + OPENED.replace('"COM5"', "5"), 2, "url is no text"),
         (HEAD + CLOSED.replace("}", ', "why": 1}'), 2, "before it was opened"),
@@ -191,7 +201,7 @@ def test_a_last_line_cut_anywhere_is_no_fault(tmp_path: Path) -> None:
 
 def test_a_last_line_that_is_whole_and_wrong_is_a_fault(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="not hex"):
-        read_capture(written(tmp_path, HEAD + OPENED + SENT.replace("03", "0x").rstrip()))
+        read_capture(written(tmp_path, sent("03", "0x").rstrip()))
 
 
 EVENTS = st.lists(
@@ -204,9 +214,7 @@ EVENTS = st.lists(
 
 
 @given(EVENTS)
-@settings(
-    max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+@settings(ONE_FOLDER, max_examples=100)
 def test_whatever_taps_are_told_is_read_back(
     tmp_path: Path, events: list[tuple[str, str, bytes]]
 ) -> None:
@@ -237,18 +245,14 @@ def test_whatever_taps_are_told_is_read_back(
 
 
 @given(st.binary() | st.binary().map(lambda tail: (HEAD + OPENED).encode() + tail))
-@settings(
-    max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+@ONE_FOLDER
 def test_no_file_gives_an_error_but_ours(tmp_path: Path, content: bytes) -> None:
     with contextlib.suppress(CaptureError):
         read_capture(written(tmp_path, content))
 
 
 @given(st.integers(0, 300), st.integers(0, 255))
-@settings(
-    max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+@ONE_FOLDER
 def test_no_damaged_byte_gives_an_error_but_ours(tmp_path: Path, at: int, byte: int) -> None:
     content = bytearray((HEAD + OPENED + SENT + RECEIVED + CLOSED).encode())
     content[at] = byte

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from types import FrameType
-from typing import Protocol
+from typing import Any, Protocol
 
 import pytest
 
@@ -82,7 +82,9 @@ class Cable:
 
 
 class Wired:
-    """The far end of an instrument on loopback, under virtual time."""
+    """An instrument on loopback, under virtual time."""
+
+    driver: Any
 
     def __init__(self, clock: VirtualClock, device: Device, name: str, late_s: float) -> None:
         self.clock = clock
@@ -94,20 +96,29 @@ class Wired:
     def link(self, who: str) -> Link:
         return Link(self.listener.url, self.clock, who=who)
 
+    def safe(self) -> None:
+        self.driver.safe()
+
+    def close(self) -> None:
+        self.driver.close()
+
     def cut(self) -> None:
         self.listener.close()
 
     def mend(self) -> None:
         self.listener = self.listen(port=self.listener.port)
 
-    def interrupted(self, read: Callable[[], object]) -> None:
+    def read(self) -> object:
+        raise NotImplementedError
+
+    def read_interrupted(self) -> None:
         def interrupt() -> None:
             raise KeyboardInterrupt
 
         self.cable.late_s = self.late_s
         self.clock.call_at(self.clock.now() + self.late_s / 2, interrupt)
         try:
-            read()
+            self.read()
         finally:
             self.cable.late_s = 0.0
 
@@ -125,7 +136,7 @@ class Arm(Wired):
         self.driver = MicroScribe(self.link("arm"), self.clock)
 
     def identify(self) -> str:
-        return self.driver.sign_on().serial_number
+        return str(self.driver.sign_on().serial_number)
 
     def read(self) -> object:
         return self.driver.poll().counts
@@ -136,17 +147,8 @@ class Arm(Wired):
     def recover(self) -> None:
         self.driver.recover()
 
-    def safe(self) -> None:
-        self.driver.safe()
-
     def is_safe(self) -> bool:
         return self.emulator.state is State.FINDING_BAUD
-
-    def close(self) -> None:
-        self.driver.close()
-
-    def read_interrupted(self) -> None:
-        self.interrupted(self.read)
 
 
 class WaterBath(Wired):
@@ -171,17 +173,8 @@ class WaterBath(Wired):
     def recover(self) -> None:
         self.driver.read()
 
-    def safe(self) -> None:
-        self.driver.safe()
-
     def is_safe(self) -> bool:
         return not self.plant.running
-
-    def close(self) -> None:
-        self.driver.close()
-
-    def read_interrupted(self) -> None:
-        self.interrupted(self.read)
 
 
 class Table(Wired):
@@ -208,17 +201,8 @@ class Table(Wired):
     def recover(self) -> None:
         self.driver.reconnect()
 
-    def safe(self) -> None:
-        self.driver.safe()
-
     def is_safe(self) -> bool:
         return not any(self.emulator.velocity())
-
-    def close(self) -> None:
-        self.driver.close()
-
-    def read_interrupted(self) -> None:
-        self.interrupted(self.read)
 
 
 class Cameras:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Iterator
+from types import FrameType
 
 import pytest
 
@@ -12,51 +14,26 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Listener
-from tests.instruments.listening_in import Heard
+from tests.instruments.listening_in import Echo, Heard, linked
 
-
-class Echo:
-    """Greets, answers at once, and once more after ``later_s``; ``x`` hangs up."""
-
-    def __init__(self, later_s: float = 12.0) -> None:
-        self.later_s = later_s
-        self.hosts = 0
-
-    def connect(self, connection: Connection) -> None:
-        self.hosts += 1
-        connection.send(b"hello\n")
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        if data == b"x":
-            connection.hang_up()
-            return
-        if data == b"silent":
-            return
-        connection.send(data.upper())
-        connection.after(self.later_s, lambda: connection.send(b"done\n"))
-
-    def disconnect(self, connection: Connection) -> None:
-        self.hosts -= 1
+Virtual = tuple[VirtualClock, Link]
 
 
 @pytest.fixture
-def virtual() -> Iterator[tuple[VirtualClock, Link, Echo]]:
-    clock, device = VirtualClock(), Echo()
-    listener = Listener(device, clock, lock=threading.RLock(), name="echo")
-    link = Link(listener.url, clock, who="echo")
-    yield clock, link, device
-    link.close()
-    listener.close()
+def virtual() -> Iterator[Virtual]:
+    clock = VirtualClock()
+    with linked(Echo(12.0), clock) as (link, _):
+        yield clock, link
 
 
-def test_the_greeting_is_there_before_time_moves(virtual: tuple[VirtualClock, Link, Echo]) -> None:
-    clock, link, _ = virtual
+def test_the_greeting_is_there_before_time_moves(virtual: Virtual) -> None:
+    clock, link = virtual
     assert link.read_until(b"\n", 1.0) == b"hello\n"
     assert clock.now() == 0.0
 
 
-def test_a_later_answer_comes_at_its_time_exactly(virtual: tuple[VirtualClock, Link, Echo]) -> None:
-    clock, link, _ = virtual
+def test_a_later_answer_comes_at_its_time_exactly(virtual: Virtual) -> None:
+    clock, link = virtual
     for turn in range(50):
         start = clock.now()
         link.drain(0.1)
@@ -68,16 +45,16 @@ def test_a_later_answer_comes_at_its_time_exactly(virtual: tuple[VirtualClock, L
         assert clock.now() == pytest.approx(asked + 12.0, abs=1e-9), f"turn {turn}"
 
 
-def test_silence_costs_virtual_time_only(virtual: tuple[VirtualClock, Link, Echo]) -> None:
-    clock, link, _ = virtual
+def test_silence_costs_virtual_time_only(virtual: Virtual) -> None:
+    clock, link = virtual
     link.read_until(b"\n", 1.0)
     link.write(b"silent")
     assert link.receive(3600.0) == b""
     assert clock.now() == 3600.0
 
 
-def test_what_follows_the_terminator_is_kept(virtual: tuple[VirtualClock, Link, Echo]) -> None:
-    _, link, _ = virtual
+def test_what_follows_the_terminator_is_kept(virtual: Virtual) -> None:
+    _, link = virtual
     link.read_until(b"\n", 1.0)
     link.write(b"one\ntwo\nthree")
     assert link.read_until(b"\n", 1.0) == b"ONE\n"
@@ -85,36 +62,34 @@ def test_what_follows_the_terminator_is_kept(virtual: tuple[VirtualClock, Link, 
     assert link.read(4, 1.0) == b"HREE"
 
 
-@pytest.fixture(params=["virtual", "real"])
-def served(request: pytest.FixtureRequest) -> Iterator[tuple[Clock, Listener, Link]]:
-    clock = VirtualClock() if request.param == "virtual" else RealClock()
-    listener = Listener(Echo(later_s=0.05), clock, lock=threading.RLock(), name="echo")
-    link = Link(listener.url, clock, who="echo")
-    assert link.read_until(b"\n", 1.0) == b"hello\n"
-    yield clock, listener, link
-    link.close()
-    listener.close()
+Served = tuple[Clock, Listener, Link]
+
+
+@pytest.fixture(params=[VirtualClock, RealClock])
+def served(request: pytest.FixtureRequest) -> Iterator[Served]:
+    clock = request.param()
+    with linked(Echo(0.05), clock) as (link, listener):
+        assert link.read_until(b"\n", 1.0) == b"hello\n"
+        yield clock, listener, link
     if isinstance(clock, RealClock):
         clock.close()
 
 
-def test_a_later_answer_is_waited_for(served: tuple[Clock, Listener, Link]) -> None:
+def test_a_later_answer_is_waited_for(served: Served) -> None:
     clock, _, link = served
     link.write(b"a")
     assert link.read_until(b"\n", 5.0) == b"Adone\n"
     assert clock.now() >= 0.05
 
 
-def test_a_device_that_hangs_up_breaks_the_link(served: tuple[Clock, Listener, Link]) -> None:
+def test_a_device_that_hangs_up_breaks_the_link(served: Served) -> None:
     _, _, link = served
     link.write(b"x")
     with pytest.raises(LinkError, match="hung up"):
         link.receive(5.0)
 
 
-def test_a_closed_link_says_so_to_every_call_until_it_is_opened_again(
-    served: tuple[Clock, Listener, Link],
-) -> None:
+def test_a_closed_link_says_so_to_every_call_until_it_is_opened_again(served: Served) -> None:
     _, listener, link = served
     link.close()
     for call in (
@@ -140,13 +115,11 @@ def test_a_closed_link_says_so_to_every_call_until_it_is_opened_again(
 def test_closing_leaves_no_thread() -> None:
     before = threading.active_count()
     device = Echo()
-    listener = Listener(device, RealClock(), lock=threading.RLock(), name="echo")
-    link = Link(listener.url, RealClock(), who="echo")
-    link.read_until(b"\n", 1.0)
-    listener.close()
-    link.close()
+    with linked(device, RealClock()) as (link, listener):
+        link.read_until(b"\n", 1.0)
+        listener.close()
     assert threading.active_count() == before
-    assert device.hosts == 0
+    assert (len(device.connections), device.gone) == (1, 1)
 
 
 @pytest.mark.parametrize(
@@ -177,15 +150,12 @@ def test_planned_actions_run_in_order_of_time() -> None:
 
 
 def test_a_tap_hears_every_byte_once_and_in_order() -> None:
-    clock, tap = VirtualClock(), Heard()
-    listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")
-    link = Link(listener.url, clock, who="echo", tap=tap)
-    link.read_until(b"\n", 1.0)
-    link.write(b"one\ntwo")
-    link.read_until(b"\n", 1.0)
-    link.read(3, 1.0)
-    link.close()
-    listener.close()
+    tap = Heard()
+    with linked(Echo(12.0), VirtualClock(), tap=tap) as (link, listener):
+        link.read_until(b"\n", 1.0)
+        link.write(b"one\ntwo")
+        link.read_until(b"\n", 1.0)
+        link.read(3, 1.0)
     assert tap.told == [
         ("opened", listener.url),
         ("received", b"hello\n"),
@@ -195,44 +165,30 @@ def test_a_tap_hears_every_byte_once_and_in_order() -> None:
     ]
 
 
-def test_a_reopened_link_has_forgotten_what_came_before() -> None:
-    clock = VirtualClock()
-    listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")
-    link = Link(listener.url, clock, who="echo")
+def test_a_reopened_link_has_forgotten_what_came_before(virtual: Virtual) -> None:
+    _, link = virtual
     link.read_until(b"\n", 1.0)
     link.write(b"old\nolder")
     assert link.read_until(b"\n", 1.0) == b"OLD\n"
     link.reopen()
     assert link.drain(20.0) == b"hello\n"
-    listener.close()
-    with pytest.raises(LinkError, match="nothing takes the connection"):
-        link.reopen()
-    link.close()
 
 
 def test_what_was_sent_is_taken_before_time_moves() -> None:
+    clock, heard_s = VirtualClock(), []
+
     class Slow(Echo):
         """Notes when it hears, after a while of real time."""
 
-        def __init__(self, clock: VirtualClock) -> None:
-            super().__init__()
-            self.clock = clock
-            self.heard_s: list[float] = []
-
         def receive(self, connection: Connection, data: bytes) -> None:
             time.sleep(0.02)
-            self.heard_s.append(self.clock.now())
+            heard_s.append(clock.now())
 
-    clock = VirtualClock()
-    device = Slow(clock)
-    listener = Listener(device, clock, lock=threading.RLock(), name="slow")
-    link = Link(listener.url, clock, who="slow")
-    for _ in range(5):
-        link.write(b"x")
-        clock.sleep(1.0)
-    link.close()
-    listener.close()
-    assert device.heard_s == [0.0, 1.0, 2.0, 3.0, 4.0]
+    with linked(Slow(), clock) as (link, _):
+        for _ in range(5):
+            link.write(b"x")
+            clock.sleep(1.0)
+    assert heard_s == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 
 def test_an_emulator_that_is_held_up_amid_sending_does_not_let_time_move(
@@ -242,19 +198,53 @@ def test_an_emulator_that_is_held_up_amid_sending_does_not_let_time_move(
     longer than a host waits for them.
     """
     monkeypatch.setattr("instruments.link.COUNTED_S", 0.01)
-    clock = VirtualClock()
-    listener = Listener(Echo(), clock, lock=threading.RLock(), name="echo")
-    write = Connection._write
+    clock, write = VirtualClock(), Connection._write
 
     def held_up(connection: Connection, data: bytes) -> None:
         time.sleep(0.1)
         write(connection, data)
 
     monkeypatch.setattr(Connection, "_write", held_up)
-    link = Link(listener.url, clock, who="echo")
-    assert link.read_until(b"\n", 1.0) == b"hello\n"
-    link.write(b"one\n")
-    assert link.read_until(b"\n", 1.0) == b"ONE\n"
-    assert clock.now() == 0.0
-    link.close()
-    listener.close()
+    with linked(Echo(12.0), clock) as (link, _):
+        assert link.read_until(b"\n", 1.0) == b"hello\n"
+        link.write(b"one\n")
+        assert link.read_until(b"\n", 1.0) == b"ONE\n"
+        assert clock.now() == 0.0
+
+
+# Ctrl-C at any instruction of a conversation: the link can go on, and nothing hangs
+
+INTERRUPTS = 300
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs interval timers")
+def test_a_conversation_that_was_interrupted_anywhere_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    armed = False
+
+    def alarm(_number: int, _frame: FrameType | None) -> None:
+        """Raises wherever the main thread is, while it is armed."""
+        nonlocal armed
+        if armed:
+            armed = False
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, alarm)
+    monkeypatch.setattr("instruments.link.COUNTED_S", 0.05)
+    try:
+        with linked(Echo(0.5), VirtualClock()) as (link, _):
+            for number in range(INTERRUPTS):
+                signal.setitimer(signal.ITIMER_REAL, 0.0005 + (number % 37) * 0.00003)
+                with pytest.raises(KeyboardInterrupt):  # noqa: PT012 - wherever it strikes
+                    armed = True
+                    while True:
+                        link.write(b"a\n")
+                        link.read_until(b"done\n", 5.0)
+            monkeypatch.undo()  # from here on nothing is cut: a starved emulator has its time
+            link.drain(2.0)
+            link.write(b"still there\n")
+            assert link.read_until(b"done\n", 5.0) == b"STILL THERE\ndone\n"
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

@@ -15,8 +15,8 @@ import serial
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link
-from instruments.listener import Connection
 from instruments.pty_listener import PtyListener
+from tests.instruments.listening_in import Echo
 
 LATE_S = 10.0  # what a loaded machine may add to any time here
 
@@ -25,31 +25,11 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-class Echo:
-    """Greets, answers in capitals, and hangs up when told ``x`` where ``obeys``."""
-
-    def __init__(self) -> None:
-        self.obeys = False
-        self.connections: list[Connection] = []
-        self.gone = 0
-
-    def connect(self, connection: Connection) -> None:
-        self.connections.append(connection)
-        connection.send(b"hello\n")
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        if data == b"x" and self.obeys:
-            connection.hang_up()
-            return
-        connection.send(data.upper())
-
-    def disconnect(self, connection: Connection) -> None:
-        self.gone += 1
-
-
 @pytest.fixture
 def echo() -> Echo:
-    return Echo()
+    echo = Echo()
+    echo.bye = b""  # whatever comes is echoed
+    return echo
 
 
 @pytest.fixture
@@ -128,7 +108,7 @@ def test_a_host_that_sets_nothing_up_gets_raw_bytes_too(listener: PtyListener) -
 
 
 def test_what_a_host_says_before_it_is_noticed_is_heard(listener: PtyListener, echo: Echo) -> None:
-    echo.obeys = True
+    echo.bye = b"x"
     end = os.open(listener.url, os.O_RDWR | os.O_NOCTTY)
     os.write(end, b"x")  # the device hangs up, so that nothing is left to read but the end
     os.close(end)
@@ -138,7 +118,7 @@ def test_what_a_host_says_before_it_is_noticed_is_heard(listener: PtyListener, e
 def test_a_device_that_hangs_up_breaks_the_link_and_comes_back_elsewhere(
     listener: PtyListener, echo: Echo, clock: RealClock
 ) -> None:
-    echo.obeys, before = True, listener.url
+    echo.bye, before = b"x", listener.url
     link = Link(before, clock, who="echo")
     link.read_until(b"\n", 5.0)
     with pytest.raises(LinkError, match="broke"):  # noqa: PT012 - amid the write, or behind what came before

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from instruments.captures.reader import Capture, read_capture
+from instruments.captures.reader import read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError
@@ -35,45 +36,51 @@ TALK: list[Line] = [
     (14.0, "sent", "reset"),
     (14.0, "received", "done"),
 ]
-Write = Callable[..., Capture]
 
 
-@pytest.fixture
-def write(tmp_path: Path) -> Write:
-    def one(*lines: Line, link: str = "arm", more: str = "") -> Capture:
+class Bench:
+    """The far end of the lines of one link, played; ``more`` stands behind them in the file."""
+
+    def __init__(
+        self,
+        path: Path,
+        *lines: Line,
+        name: str = "arm",
+        more: str = "",
+        clock: Clock | None = None,
+        fast: bool = False,
+        again: bool = False,
+    ) -> None:
         keys = {"opened": "url", "closed": "why"}
         text = HEAD
         for t_s, event, fact in lines:
             fact = fact if event in keys else fact.encode("latin-1").hex()
             key = f', "{keys.get(event, "data")}": "{fact}"' if fact else ""
-            text += f'{{"t_s": {t_s}, "link": "{link}", "event": "{event}"{key}}}\n'
-        (tmp_path / "c.jsonl").write_text(text + more, encoding="utf-8")
-        return read_capture(tmp_path / "c.jsonl")
-
-    return one
-
-
-class Bench:
-    def __init__(
-        self, capture: Capture, clock: Clock, *, fast: bool = False, again: bool = False
-    ) -> None:
-        self.clock = clock
-        self.replay = Replay(capture, clock, fast=fast, again=again)
+            text += f'{{"t_s": {t_s}, "link": "{name}", "event": "{event}"{key}}}\n'
+        path.write_text(text + more, encoding="utf-8")
+        self.clock = clock or VirtualClock()
+        self.capture = read_capture(path)
+        self.replay = Replay(self.capture, self.clock, fast=fast, again=again)
+        self.url = self.replay.urls[name]
         self.links: list[Link] = []
 
-    def link(self, name: str = "arm") -> Link:
-        self.links.append(
-            Link(
-                self.replay.urls[name].replace("tcp://", "socket://").split("?")[0],
-                self.clock,
-                who=name,
-            )
-        )
+    def link(self) -> Link:
+        url = self.url.replace("tcp://", "socket://").split("?")[0]
+        self.links.append(Link(url, self.clock, who="host"))
         return self.links[-1]
 
     @property
     def told(self) -> list[str]:
         return [str(mismatch) for mismatch in self.replay.mismatches]
+
+    def settled(self) -> bool:
+        """Whether all is played within real time that is ample for a thread to see that a host has
+        gone.
+        """
+        clock = RealClock()
+        while not self.replay.finished and clock.now() < 5.0:
+            clock.sleep(0.005)
+        return self.replay.finished
 
     def close(self) -> None:
         for link in self.links:
@@ -83,24 +90,19 @@ class Bench:
             self.clock.close()
 
 
-@pytest.fixture
-def play() -> Iterator[Callable[..., Bench]]:
-    benches: list[Bench] = []
-
-    def one(capture: Capture, clock: Clock | None = None, **options: bool) -> Bench:
-        benches.append(Bench(capture, clock or VirtualClock(), **options))
-        return benches[-1]
-
-    yield one
-    for bench in benches:
-        bench.close()
-
-
 Play = Callable[..., Bench]
 
 
-def test_each_answer_comes_after_the_recorded_while(write: Write, play: Play) -> None:
-    bench = play(write(*TALK))
+@pytest.fixture
+def play(tmp_path: Path) -> Iterator[Play]:
+    with ExitStack() as stack:
+        yield lambda *lines, **options: stack.enter_context(
+            closing(Bench(tmp_path / "c.jsonl", *lines, **options))
+        )
+
+
+def test_each_answer_comes_after_the_recorded_while(play: Play) -> None:
+    bench = play(*TALK)
     link = bench.link()
     came = []
     link.clock.sleep(0.1)
@@ -123,16 +125,16 @@ def test_each_answer_comes_after_the_recorded_while(write: Write, play: Play) ->
     assert bench.replay.unplayed == []
 
 
-def test_what_a_driver_read_at_the_end_of_a_wait_is_there_again(write: Write, play: Play) -> None:
-    link = play(write((0.0, "opened", SERIAL), (0.1, "sent", "a"), (0.3, "received", "b"))).link()
+def test_what_a_driver_read_at_the_end_of_a_wait_is_there_again(play: Play) -> None:
+    link = play((0.0, "opened", SERIAL), (0.1, "sent", "a"), (0.3, "received", "b")).link()
     link.write(b"a")
     assert link.receive(0.0) == b""
     link.clock.sleep(0.2)
     assert link.receive(0.0) == b"b"
 
 
-def test_fast_answers_at_once(write: Write, play: Play) -> None:
-    bench = play(write(*TALK), fast=True)
+def test_fast_answers_at_once(play: Play) -> None:
+    bench = play(*TALK, fast=True)
     link = bench.link()
     assert link.read(5, 0.0) == b"hello"
     link.write(b"who?")
@@ -146,22 +148,17 @@ def test_fast_answers_at_once(write: Write, play: Play) -> None:
 @settings(
     max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
 )
-def test_requests_may_be_cut_anywhere(write: Write, cuts: set[int]) -> None:
-    bench = Bench(write(*TALK), VirtualClock())
-    try:
+def test_requests_may_be_cut_anywhere(tmp_path: Path, cuts: set[int]) -> None:
+    with closing(Bench(tmp_path / "c", *TALK)) as bench:
         link, stream, places = bench.link(), b"who?reset", [0, *sorted(cuts), 9]
         for start, end in pairwise(places):
             link.write(stream[start:end])
         assert link.drain(5.0) == b"helloit is me!alarmdone"
         assert bench.told == []
-    finally:
-        bench.close()
 
 
-def test_a_host_that_is_faster_than_it_was_gets_everything_in_order(
-    write: Write, play: Play
-) -> None:
-    bench = play(write(*TALK))
+def test_a_host_that_is_faster_than_it_was_gets_everything_in_order(play: Play) -> None:
+    bench = play(*TALK)
     link = bench.link()
     link.write(b"who?")
     assert link.read(11, 0.25) == b"helloit is "
@@ -171,10 +168,8 @@ def test_a_host_that_is_faster_than_it_was_gets_everything_in_order(
     assert bench.told == []
 
 
-def test_what_the_host_sends_otherwise_is_told_and_answered_by_silence(
-    write: Write, play: Play
-) -> None:
-    bench = play(write(*TALK))
+def test_what_the_host_sends_otherwise_is_told_and_answered_by_silence(play: Play) -> None:
+    bench = play(*TALK)
     link = bench.link()
     link.write(b"who?")
     link.drain(3.0)
@@ -192,8 +187,8 @@ def test_what_the_host_sends_otherwise_is_told_and_answered_by_silence(
     ]
 
 
-def test_of_a_long_request_the_place_is_shown(write: Write, play: Play) -> None:
-    bench = play(write((0.0, "opened", SERIAL), (0.0, "sent", "x" * 1000)))
+def test_of_a_long_request_the_place_is_shown(play: Play) -> None:
+    bench = play((0.0, "opened", SERIAL), (0.0, "sent", "x" * 1000))
     link = bench.link()
     link.write(b"x" * 500 + b"y" * 500)
     link.drain(1.0)
@@ -203,30 +198,20 @@ def test_of_a_long_request_the_place_is_shown(write: Write, play: Play) -> None:
     assert len(mismatch.expected) == 24
 
 
-def settled(bench: Bench, wanted: Callable[[], bool]) -> bool:
-    """Whether ``wanted`` comes true within real time that is ample for a thread to see that a host
-    has gone.
-    """
-    clock = RealClock()
-    while not wanted() and clock.now() < 5.0:
-        clock.sleep(0.005)
-    return wanted()
-
-
-def test_a_host_that_leaves_early_is_told_on(write: Write, play: Play) -> None:
-    bench = play(write(*TALK, (15.0, "closed", "")))
+def test_a_host_that_leaves_early_is_told_on(play: Play) -> None:
+    bench = play(*TALK, (15.0, "closed", ""))
     link = bench.link()
     assert bench.replay.unplayed == ["arm: connection 1: the host left after 0 of 2 requests"]
     link.write(b"who?")
     link.read(8, 3.0)
     link.close()
-    assert settled(bench, lambda: bench.replay.finished)
+    assert bench.settled()
     assert bench.replay.unplayed == ["arm: connection 1: the host left after 1 of 2 requests"]
     assert bench.told == []
 
 
-def test_a_host_that_goes_on_where_it_had_closed_is_told_on(write: Write, play: Play) -> None:
-    bench = play(write(*TALK, (15.0, "closed", "")))
+def test_a_host_that_goes_on_where_it_had_closed_is_told_on(play: Play) -> None:
+    bench = play(*TALK, (15.0, "closed", ""))
     link = bench.link()
     link.write(b"who?reset\x03")
     link.drain(5.0)
@@ -239,10 +224,8 @@ def test_a_host_that_goes_on_where_it_had_closed_is_told_on(write: Write, play: 
 
 
 @pytest.mark.parametrize("more", ["", '{"t_s": 14.5, "li'])
-def test_at_the_end_of_a_capture_that_was_killed_there_is_silence(
-    write: Write, play: Play, more: str
-) -> None:
-    bench = play(write(*TALK, more=more))
+def test_at_the_end_of_a_capture_that_was_killed_there_is_silence(play: Play, more: str) -> None:
+    bench = play(*TALK, more=more)
     link = bench.link()
     link.write(b"who?reset")
     link.drain(5.0)
@@ -251,8 +234,8 @@ def test_at_the_end_of_a_capture_that_was_killed_there_is_silence(
     assert bench.told == []
 
 
-def test_a_recorded_hang_up_hangs_up_at_its_time(write: Write, play: Play) -> None:
-    bench = play(write(*TALK, (14.5, "closed", "the other end hung up")))
+def test_a_recorded_hang_up_hangs_up_at_its_time(play: Play) -> None:
+    bench = play(*TALK, (14.5, "closed", "the other end hung up"))
     link = bench.link()
     link.write(b"who?")
     link.drain(3.0)
@@ -262,13 +245,13 @@ def test_a_recorded_hang_up_hangs_up_at_its_time(write: Write, play: Play) -> No
     with pytest.raises(LinkError, match="hung up"):
         link.receive(60.0)
     assert bench.clock.now() - start == pytest.approx(0.5, abs=1e-5)
-    assert settled(bench, lambda: bench.replay.finished)
+    assert bench.settled()
     assert (bench.told, bench.replay.unplayed) == ([], [])
 
 
-def test_each_connection_plays_the_next_that_was_recorded(write: Write, play: Play) -> None:
+def test_each_connection_plays_the_next_that_was_recorded(play: Play) -> None:
     again: list[Line] = [(20.0, "opened", SERIAL), (20.0, "received", "back"), (21.0, "closed", "")]
-    bench = play(write(*TALK, (15.0, "closed", "unplugged"), *again))
+    bench = play(*TALK, (15.0, "closed", "unplugged"), *again)
     link = bench.link()
     link.write(b"who?reset")
     assert link.drain(0.5) == b"helloit is me!alarmdone"
@@ -280,14 +263,14 @@ def test_each_connection_plays_the_next_that_was_recorded(write: Write, play: Pl
     assert bench.told == ["arm: line 11: connected once more than the 2 times that were recorded"]
 
 
-def test_again_begins_anew_once_all_is_played(write: Write, play: Play) -> None:
-    bench = play(write(*TALK, (15.0, "closed", "")), again=True)
+def test_again_begins_anew_once_all_is_played(play: Play) -> None:
+    bench = play(*TALK, (15.0, "closed", ""), again=True)
     for _ in range(3):
         link = bench.link()
         assert link.read(5, 1.0) == b"hello"
         link.write(b"who?")
         link.close()
-        assert settled(bench, lambda: bench.replay.finished)
+        assert bench.settled()
     assert bench.told == []
 
 
@@ -306,26 +289,25 @@ def test_again_begins_anew_once_all_is_played(write: Write, play: Play) -> None:
     ],
 )
 def test_an_url_has_the_form_that_the_recorded_driver_takes(
-    write: Write, play: Play, link: str, recorded: str, request_hex: str, scheme: str, settings: str
+    play: Play, link: str, recorded: str, request_hex: str, scheme: str, settings: str
 ) -> None:
     lines: list[Line] = [(0.0, "opened", recorded.replace("\x1b", "\\u001b"))]
     if request_hex:
         lines.append((0.0, "sent", bytes.fromhex(request_hex).decode("latin-1")))
-    (url,) = play(write(*lines, link=link)).replay.urls.values()
+    url = play(*lines, name=link).url
     assert re.fullmatch(rf"{re.escape(scheme)}://127\.0\.0\.1:\d+{re.escape(settings)}", url)
 
 
-def test_only_some_links_are_played_if_one_wishes(write: Write) -> None:
-    capture = write(
+def test_only_some_links_are_played_if_one_wishes(play: Play) -> None:
+    bench = play(
         *TALK, more='{"t_s": 20, "link": "bath", "event": "opened", "url": "tcp://192.168.0.40"}\n'
     )
-    with Replay(capture, VirtualClock()) as replay:
-        assert list(replay.urls) == ["arm", "bath"]
-    with Replay(capture, VirtualClock(), links=["bath"]) as replay:
+    assert list(bench.replay.urls) == ["arm", "bath"]
+    with Replay(bench.capture, VirtualClock(), links=["bath"]) as replay:
         assert list(replay.urls) == ["bath"]
 
 
-def test_in_real_time_too(write: Write, play: Play) -> None:
+def test_in_real_time_too(play: Play) -> None:
     lines: list[Line] = [
         (0.0, "opened", SERIAL),
         (0.1, "sent", "a"),
@@ -333,7 +315,7 @@ def test_in_real_time_too(write: Write, play: Play) -> None:
         (0.2, "sent", "c"),
         (0.2, "received", "d"),
     ]
-    bench = play(write(*lines, (0.3, "closed", "gone")), RealClock())
+    bench = play(*lines, (0.3, "closed", "gone"), clock=RealClock())
     link = bench.link()
     start = bench.clock.now()
     link.write(b"a")
@@ -343,14 +325,14 @@ def test_in_real_time_too(write: Write, play: Play) -> None:
     assert link.read(1, 5.0) == b"d"
     with pytest.raises(LinkError):
         link.receive(5.0)
-    assert settled(bench, lambda: bench.replay.finished)
+    assert bench.settled()
     assert bench.told == []
 
 
-def test_a_stream_of_an_hour_is_planned_piece_by_piece(write: Write, play: Play) -> None:
+def test_a_stream_of_an_hour_is_planned_piece_by_piece(play: Play) -> None:
     stream: list[Line] = [(n / 100, "received", "p") for n in range(20_000)]
     clock = VirtualClock()
-    link = play(write((0.0, "opened", SERIAL), *stream), clock).link()
+    link = play((0.0, "opened", SERIAL), *stream, clock=clock).link()
     assert len(link.drain(1.0, at_most_s=100.0)) == pytest.approx(10_000, abs=5)
     assert len(clock._planned) == 1
 
@@ -376,8 +358,8 @@ def as_bytes(text: str) -> bytes:
 
 
 @pytest.mark.parametrize("step", [1, 2, 5, 12, 24])
-def test_an_answer_carries_the_id_of_its_own_request(write: Write, play: Play, step: int) -> None:
-    bench = play(write(*MODBUS))
+def test_an_answer_carries_the_id_of_its_own_request(play: Play, step: int) -> None:
+    bench = play(*MODBUS)
     link = bench.link()
     requests = b"\xab\xcd" + as_bytes(READ)[2:] + b"\xab\xce" + as_bytes(OTHER)[2:]
     for at in range(0, len(requests), step):
@@ -389,33 +371,27 @@ def test_an_answer_carries_the_id_of_its_own_request(write: Write, play: Play, s
     assert bench.told == []
 
 
-def test_all_else_in_a_frame_has_to_be_as_recorded(write: Write, play: Play) -> None:
+def test_all_else_in_a_frame_has_to_be_as_recorded(play: Play) -> None:
     for place in range(2, 12):
         request = bytearray(as_bytes(READ))
         request[place] ^= 1
-        bench = play(write(*MODBUS))
+        bench = play(*MODBUS)
         link = bench.link()
         link.write(bytes(request))
         link.drain(1.0)
         assert f"byte {place} of it is another than recorded" in bench.told[0]
 
 
-def test_on_a_link_that_is_no_modbus_no_byte_is_free(write: Write, play: Play) -> None:
-    bench = play(write((0.0, "opened", SERIAL), *MODBUS[1:]))
+def test_on_a_link_that_is_no_modbus_no_byte_is_free(play: Play) -> None:
+    bench = play((0.0, "opened", SERIAL), *MODBUS[1:])
     link = bench.link()
     link.write(b"\xab\xcd" + as_bytes(READ)[2:])
     link.drain(1.0)
     assert "byte 0 of it" in bench.told[0]
 
 
-def test_nonsense_on_a_modbus_link_is_played_as_it_came(write: Write, play: Play) -> None:
-    bench = play(
-        write(
-            (0.0, "opened", "tcp://bath:502"),
-            (1.0, "sent", READ),
-            (1.1, "received", "HTTP/1.1 400 Bad"),
-        )
-    )
+def test_nonsense_on_a_modbus_link_is_played_as_it_came(play: Play) -> None:
+    bench = play(*MODBUS[:2], (1.1, "received", "HTTP/1.1 400 Bad"))
     link = bench.link()
     link.write(b"\0\1" + as_bytes(READ)[2:])
     assert link.drain(1.0) == b"HTTP/1.1 400 Bad"

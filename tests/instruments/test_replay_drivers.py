@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -52,12 +52,9 @@ class Hand:
 
 
 def arm_session(url: str, clock: Clock, tap: Tap | None) -> Found:
-    arm = MicroScribe(
-        Link(url, clock, who="arm", tap=tap),
-        clock,
-        answer_s=ANSWER_S if isinstance(clock, VirtualClock) else 30.0,
-    )
-    try:
+    answer_s = ANSWER_S if isinstance(clock, VirtualClock) else 30.0
+    link = Link(url, clock, who="arm", tap=tap)
+    with closing(MicroScribe(link, clock, answer_s=answer_s)) as arm:
         found: Found = [asdict(arm.sign_on()), asdict(arm.info.parameters), arm.info.beta]
         arm.confirm_homed()
         for _ in range(3):
@@ -65,13 +62,10 @@ def arm_session(url: str, clock: Clock, tap: Tap | None) -> Found:
             found += [reading.tip_mm.tolist(), reading.spread_mm, reading.counts]
             clock.sleep(0.2)
         return found
-    finally:
-        arm.close()
 
 
 def stage_session(url: str, clock: Clock, tap: Tap | None) -> Found:
-    stage = Stage(Link(url, clock, who="stage", tap=tap), clock)
-    try:
+    with closing(Stage(Link(url, clock, who="stage", tap=tap), clock)) as stage:
         found: Found = [asdict(stage.connect()), asdict(stage.settings)]
         stage.home()
         for place in ((-20.0, -30.0), (-21.0, -30.5), (-5.0, -80.0)):
@@ -79,13 +73,10 @@ def stage_session(url: str, clock: Clock, tap: Tap | None) -> Found:
             found.append(stage.position().tolist())
         stage.stop()
         return found
-    finally:
-        stage.close()
 
 
 def bath_session(url: str, clock: Clock, tap: Tap | None) -> Found:
-    bath = Bath(url, load_profile("julabo-presto"), clock, tap=tap)
-    try:
+    with closing(Bath(url, load_profile("julabo-presto"), clock, tap=tap)) as bath:
         found: Found = [{key: value for key, value in bath.identity.items() if key != "url"}]
         bath.start(33.0)
         for _ in range(60):
@@ -94,8 +85,6 @@ def bath_session(url: str, clock: Clock, tap: Tap | None) -> Found:
             found.append((reading.temp_c, reading.power_percent))
         bath.standby()
         return found
-    finally:
-        bath.close()
 
 
 SESSIONS: dict[str, Session] = {"arm": arm_session, "stage": stage_session, "bath": bath_session}
@@ -104,11 +93,9 @@ SESSIONS: dict[str, Session] = {"arm": arm_session, "stage": stage_session, "bat
 def device(name: str, clock: Clock) -> Device:
     if name == "arm":
         return ArmEmulator(Hand(), clock, seed=3)
-    return (
-        StageEmulator(clock)
-        if name == "stage"
-        else BathEmulator(Plant(3), load_profile("julabo-presto"), clock)
-    )
+    if name == "stage":
+        return StageEmulator(clock)
+    return BathEmulator(Plant(3), load_profile("julabo-presto"), clock)
 
 
 @contextmanager
@@ -120,10 +107,16 @@ def served(far_end: Device, clock: Clock, name: str) -> Iterator[str]:
         listener.close()
 
 
-def captured(name: str, path: Path, session: Session, far_end: Callable[[Clock], Device]) -> Found:
+def captured(
+    name: str,
+    path: Path,
+    session: Session | None = None,
+    far_end: Callable[[Clock], Device] | None = None,
+) -> Found:
     clock = VirtualClock()
-    with CaptureFile(path, FACTS) as capture, served(far_end(clock), clock, name) as url:
-        return session(url, clock, capture.tap(name, clock))
+    end = far_end(clock) if far_end else device(name, clock)
+    with CaptureFile(path, FACTS) as capture, served(end, clock, name) as url:
+        return (session or SESSIONS[name])(url, clock, capture.tap(name, clock))
 
 
 def replayed(
@@ -139,26 +132,22 @@ def replayed(
 
 
 @pytest.mark.parametrize("name", SESSIONS)
-def test_the_driver_finds_the_same_again(name: str, tmp_path: Path) -> None:
-    found = captured(name, tmp_path / "c", SESSIONS[name], lambda clock: device(name, clock))
+def test_the_driver_finds_the_same_again_and_listening_in_changes_nothing(
+    name: str, tmp_path: Path
+) -> None:
+    found = captured(name, tmp_path / "c")
     capture = read_capture(tmp_path / "c")
-    assert replayed(capture, name, SESSIONS[name], VirtualClock()) == (found, [])
-    assert replayed(capture, name, SESSIONS[name], VirtualClock(), fast=True) == (found, [])
-
-
-@pytest.mark.parametrize("name", SESSIONS)
-def test_listening_in_changes_nothing(name: str, tmp_path: Path) -> None:
+    for fast in (False, True):
+        again = replayed(capture, name, SESSIONS[name], VirtualClock(), fast=fast)
+        assert again == (found, [])
     clock = VirtualClock()
     with served(device(name, clock), clock, name) as url:
-        plain = SESSIONS[name](url, clock, None)
-    assert (
-        captured(name, tmp_path / "c", SESSIONS[name], lambda clock: device(name, clock)) == plain
-    )
+        assert SESSIONS[name](url, clock, None) == found
 
 
 def test_a_replay_can_be_captured_and_is_the_capture(tmp_path: Path) -> None:
     """All but the times, which a replay keeps to within its lead."""
-    captured("stage", tmp_path / "one", stage_session, lambda clock: device("stage", clock))
+    captured("stage", tmp_path / "one")
     clock = VirtualClock()
     with (
         CaptureFile(tmp_path / "two", FACTS) as capture,
@@ -180,22 +169,16 @@ def test_a_session_in_real_time_is_replayed_in_real_time(name: str, tmp_path: Pa
     def short(url: str, clock: Clock, tap: Tap | None) -> Found:
         if name == "arm":
             return arm_session(url, clock, tap)
-        bath = Bath(url, load_profile("julabo-presto"), clock, tap=tap)
-        found: Found = [bath.read().temp_c for _ in range(20)]
-        bath.close()
-        return found
+        with closing(Bath(url, load_profile("julabo-presto"), clock, tap=tap)) as bath:
+            return [bath.read().temp_c for _ in range(20)]
 
-    clock, again = RealClock(), RealClock()
-    try:
+    with closing(RealClock()) as clock, closing(RealClock()) as again:
         with (
             CaptureFile(tmp_path / "c", FACTS) as capture,
             served(device(name, clock), clock, name) as url,
         ):
             found = short(url, clock, capture.tap(name, clock))
         assert replayed(read_capture(tmp_path / "c"), name, short, again, fast=True) == (found, [])
-    finally:
-        clock.close()
-        again.close()
 
 
 def failing(session: Session) -> Session:
@@ -221,26 +204,24 @@ def test_an_arm_with_a_fault_has_it_again(fault: Fault, tmp_path: Path) -> None:
         arm.faults.inject(fault)
         return arm
 
-    found = captured("arm", tmp_path / "c", failing(arm_session), faulty)
-    assert replayed(read_capture(tmp_path / "c"), "arm", failing(arm_session), VirtualClock()) == (
-        found,
-        [],
-    )
+    session = failing(arm_session)
+    found = captured("arm", tmp_path / "c", session, faulty)
+    again = replayed(read_capture(tmp_path / "c"), "arm", session, VirtualClock())
+    assert again == (found, [])
 
 
 def test_a_bath_on_rtu_is_on_rtu_again(tmp_path: Path) -> None:
     profile = load_profile("eurotherm-2400")
 
     def session(url: str, clock: Clock, tap: Tap | None) -> Found:
-        bath = Bath(url.replace("socket://", "rtu+tcp://"), profile, clock, tap=tap)
-        found: Found = [bath.read().temp_c for _ in range(20)]
-        bath.close()
-        return found
+        rtu = f"rtu+tcp://{url.split('://')[1]}"
+        with closing(Bath(rtu, profile, clock, tap=tap)) as bath:
+            return [bath.read().temp_c for _ in range(20)]
 
-    clock = VirtualClock()
-    emulator = BathEmulator(Plant(3), profile, clock, framing="rtu")
-    with CaptureFile(tmp_path / "c", FACTS) as file, served(emulator, clock, "bath on RTU") as url:
-        found = session(url, clock, file.tap("bath", clock))
+    def on_rtu(clock: Clock) -> Device:
+        return BathEmulator(Plant(3), profile, clock, framing="rtu")
+
+    found = captured("bath", tmp_path / "c", session, on_rtu)
     assert replayed(read_capture(tmp_path / "c"), "bath", session, VirtualClock()) == (found, [])
 
 
@@ -259,16 +240,13 @@ class PulledCable:
 
 
 def test_a_pulled_cable_is_pulled_again(tmp_path: Path) -> None:
+    session = failing(stage_session)
     found = captured(
-        "stage",
-        tmp_path / "c",
-        failing(stage_session),
-        lambda clock: PulledCable(StageEmulator(clock), 12.0),
+        "stage", tmp_path / "c", session, lambda clock: PulledCable(StageEmulator(clock), 12.0)
     )
     assert found == ["LinkError", "the link broke while reading: the other end hung up"]
-    assert replayed(
-        read_capture(tmp_path / "c"), "stage", failing(stage_session), VirtualClock()
-    ) == (found, [])
+    again = replayed(read_capture(tmp_path / "c"), "stage", session, VirtualClock())
+    assert again == (found, [])
 
 
 def test_a_bath_that_broke_off_is_met_anew_in_the_replay(tmp_path: Path) -> None:
@@ -295,17 +273,14 @@ def test_a_bath_that_broke_off_is_met_anew_in_the_replay(tmp_path: Path) -> None
 
 
 def test_a_driver_that_asks_otherwise_is_told_on(tmp_path: Path) -> None:
-    captured("stage", tmp_path / "c", stage_session, lambda clock: device("stage", clock))
+    captured("stage", tmp_path / "c")
 
     def elsewhere(url: str, clock: Clock, tap: Tap | None) -> Found:
-        stage = Stage(Link(url, clock, who="stage", tap=tap), clock)
-        try:
+        with closing(Stage(Link(url, clock, who="stage", tap=tap), clock)) as stage:
             stage.connect()
             stage.home()
             with pytest.raises(LinkError, match="no answer"):
                 stage.move_to(-20.0, -31.0)
-        finally:
-            stage.close()
         return []
 
     _, told = replayed(read_capture(tmp_path / "c"), "stage", elsewhere, VirtualClock())

@@ -64,12 +64,9 @@ def test_pixel_formats_of_the_camera_in_this_process(
     with opened(IN_PROCESS, clock, pixel_format=pixel_format, resolution=(320, 240)) as camera:
         assert camera.identity == f"Aravis Fake 1 (320 x 240, {pixel_format})"
         frame = whole(camera)
-    assert (frame.pixels.shape[:2], str(frame.pixels.dtype), frame.bits, frame.pixels.ndim) == (
-        (240, 320),
-        kind,
-        bits,
-        dimensions,
-    )
+    pixels = frame.pixels
+    assert (pixels.shape[:2], pixels.ndim) == ((240, 320), dimensions)
+    assert (str(pixels.dtype), frame.bits) == (kind, bits)
     assert frame.pixels.max() > frame.pixels.min()
 
 
@@ -90,11 +87,8 @@ def test_over_gige_vision_everything_that_is_asked_for_is_read_back(clock: RealC
         times = []
         for _ in range(4):
             frame = whole(camera)
-            assert (frame.pixels.shape, str(frame.pixels.dtype), frame.bits) == (
-                (128, 256),
-                "uint16",
-                16,
-            )
+            assert (frame.pixels.shape, frame.bits) == ((128, 256), 16)
+            assert frame.pixels.dtype == "uint16"
             times.append(frame.exposed_s)
             assert frame.exposed_s <= clock.now()
         assert times == sorted(set(times)), "the camera's own stamps go on"
@@ -112,8 +106,7 @@ def test_lost_packets_are_told_and_the_next_frame_is_whole(clock: RealClock) -> 
     seen: Counter[str] = Counter()
     with gige_camera("-r", "1"), opened(ADDRESS, clock, fps=100.0) as camera:
         for _ in range(300):
-            camera.begin()
-            seen[outcome(camera)] += 1
+            seen[outcome(camera).split(":")[0]] += 1
             if min(seen["lost packets"], seen["whole"]) >= 3:
                 break
     assert min(seen["lost packets"], seen["whole"]) >= 3
@@ -136,42 +129,29 @@ def test_one_that_lost_control_says_so_and_is_opened_again(
         camera = GenicamCamera("left", ADDRESS, clock, Settings(trigger=trigger), patience_s=0.5)
         whole(camera)
     with gige_camera():  # as after its power was off: it knows nobody any more
-        said = [refusal(camera)]
-        while "no longer under this program's control" not in said[-1]:
-            said.append(refusal(camera))
-        assert "opened again" in said[-1]
+        while "no longer under this program's control" not in (said := outcome(camera)):
+            pass
+        assert "opened again" in said
         assert whole(camera).pixels.shape == (512, 512)
         camera.close()
-
-
-def refusal(camera: GenicamCamera) -> str:
-    """Why the next frame does not come."""
-    try:
-        camera.begin()
-        camera.take()
-    except (FrameError, LinkError) as error:
-        return str(error)
-    return "it came"
 
 
 def outcome(camera: GenicamCamera) -> str:
     """What became of the next frame."""
     try:
+        camera.begin()
         camera.take()
     except FrameError as error:
-        return str(error.fault)
+        return f"{error.fault}: {error}"
+    except LinkError as error:
+        return str(error)
     return "whole"
 
 
 def test_a_hardware_trigger_that_never_comes(clock: RealClock) -> None:
     with gige_camera():
-        camera = GenicamCamera(
-            "thermal",
-            ADDRESS,
-            clock,
-            Settings(trigger="hardware", trigger_source="Line0"),
-            patience_s=0.3,
-        )
+        asked = Settings(trigger="hardware", trigger_source="Line0")
+        camera = GenicamCamera("thermal", ADDRESS, clock, asked, patience_s=0.3)
         camera.begin()
         with pytest.raises(
             FrameError, match=r"no frame came .*after 0\.3 s\)\. Did its trigger come\?"
@@ -192,19 +172,14 @@ def test_settings_that_do_not_take(aravis: Any, clock: RealClock) -> None:
             r" .*did you mean"
         ),
     ):
-        GenicamCamera(
-            "left",
-            IN_PROCESS,
-            clock,
-            Settings(pixel_format="Mono12p", features={"TrigerMode": "On"}),
-        )
+        opened(IN_PROCESS, clock, pixel_format="Mono12p", features={"TrigerMode": "On"})
     at_odds: dict[str, Any] = {
         "exposure": 5000.0,
         "features": {"ExposureTimeAbs": 20000.0, "Nonsense": 3},
     }
     # one setting undid another
     with pytest.raises(DeviceError, match=r"Nonsense was refused.*exposure asked 5000, is 20000"):
-        GenicamCamera("left", IN_PROCESS, clock, Settings(**at_odds))
+        opened(IN_PROCESS, clock, **at_odds)
     with opened(IN_PROCESS, clock, **at_odds, tries=frozenset({"exposure", "Nonsense"})) as camera:
         assert "exposure asked 5000, is 20000" in camera.identity
 

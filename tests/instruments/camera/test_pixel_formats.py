@@ -124,23 +124,11 @@ def test_codes_are_those_of_aravis() -> None:
         aravis = importlib.import_module("gi.repository.Aravis")
     except (ImportError, ValueError):
         absent("needs Aravis: apt-get install gir1.2-aravis-0.8, pip install 'PyGObject<3.51'")
-    theirs = {
-        "Mono8": "MONO_8",
-        "Mono10": "MONO_10",
-        "Mono12": "MONO_12",
-        "Mono14": "MONO_14",
-        "Mono16": "MONO_16",
-        "Mono10Packed": "MONO_10_PACKED",
-        "Mono12Packed": "MONO_12_PACKED",
-        "Mono10p": "MONO_10_P",
-        "Mono12p": "MONO_12_P",
-        "RGB8": "RGB_8_PACKED",
-        "BGR8": "BGR_8_PACKED",
-        "BayerGR8": "BAYER_GR_8",
-        "BayerRG8": "BAYER_RG_8",
-        "BayerGB8": "BAYER_GB_8",
-        "BayerBG8": "BAYER_BG_8",
-    }
+    names = """Mono8=MONO_8 Mono10=MONO_10 Mono12=MONO_12 Mono14=MONO_14 Mono16=MONO_16
+        Mono10Packed=MONO_10_PACKED Mono12Packed=MONO_12_PACKED Mono10p=MONO_10_P Mono12p=MONO_12_P
+        RGB8=RGB_8_PACKED BGR8=BGR_8_PACKED BayerGR8=BAYER_GR_8 BayerRG8=BAYER_RG_8
+        BayerGB8=BAYER_GB_8 BayerBG8=BAYER_BG_8"""
+    theirs = dict(name.split("=") for name in names.split())
     known = {
         name: getattr(aravis, f"PIXEL_FORMAT_{word}")
         for name, word in theirs.items()

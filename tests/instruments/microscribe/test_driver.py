@@ -258,15 +258,6 @@ def test_a_cable_that_is_pulled_is_noticed_and_back_within_two_seconds(rig: Rig)
     driver.read()
 
 
-def test_sign_on_opens_a_broken_link_again(rig: Rig) -> None:
-    driver = rig.signed_on()
-    rig.ear.hosts[-1].hang_up()
-    with pytest.raises(LinkError):
-        driver.poll()
-    driver.sign_on()
-    assert driver.poll().counts == UNIT.home
-
-
 def test_nothing_read_before_counts_as_read_after(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.hand.point = POINT

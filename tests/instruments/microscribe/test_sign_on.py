@@ -34,15 +34,8 @@ def test_sign_on_goes_by_the_sheet_and_reads_who_it_is_twice(rig: Rig) -> None:
     driver = rig.driver()
     identity = driver.sign_on()
     assert rig.ear.heard == b"\xc5\xc5IMMCBEGIN" + MAKERS_ORDER + MAKERS_ORDER
-    assert dataclasses.astuple(identity) == (
-        "MicroScribe3D",
-        "MSCR",
-        "DX",
-        "40937",
-        "Standard+Beta",
-        "Format DH0.5",
-        "HCI 2.0",
-    )
+    names = ["MicroScribe3D", "MSCR", "DX", "40937", "Standard+Beta", "Format DH0.5", "HCI 2.0"]
+    assert dataclasses.astuple(identity) == tuple(names)
     assert driver.identity == identity
     assert driver.info.maxima.turns == (16384, 16384, 8192, 4096, 4096, 0)
     assert driver.info.parameters.d == (8300, -878, -3, 9244, 320, -5274)
@@ -158,11 +151,7 @@ def test_silence_at_sign_on(rig: Rig) -> None:
     [
         (UNIT, "IBOX", "Immersion Interface Box"),
         (UNIT, "parameter block of another length", "says it has 34 bytes; 36 are understood"),
-        (
-            renamed(format="Format DH1.0"),
-            "",
-            r"not understood: 'Format DH1.0', not 'Format DH0.5'",
-        ),
+        (renamed(format="Format DH1.0"), "", r"not understood: 'Format DH1.0', not 'Format DH0.5'"),
     ],
     ids=["interface box", "block length", "format"],
 )
