@@ -14,14 +14,7 @@ import numpy as np
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.results.latency import Latency, latency_of
-from bench.rig.arm_files import (
-    Limits,
-    LocationTest,
-    Verification,
-    broken_by,
-    from_dict,
-    gaps_of,
-)
+from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
     Decision,
     Verdict,
@@ -126,9 +119,7 @@ def _rule(rule: ArmRequirement) -> str:
 
 
 def _check_faults(
-    rule: ArmRequirement,
-    checks: Mapping[str, Mapping[str, Any]],
-    tests: Mapping[str, LocationTest],
+    rule: ArmRequirement, checks: Mapping[str, Mapping[str, Any]], tests: Mapping[str, LocationTest]
 ) -> list[str]:
     faults = []
     for when, fact in checks.items():

@@ -15,13 +15,7 @@ import pytest
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import Row
 from bench.record.writer import Store
-from bench.truth.carrying import (
-    REFERENCE_FACT,
-    UNCONFIRMED_FACT,
-    CarriedTruth,
-    CarryState,
-    resumed,
-)
+from bench.truth.carrying import REFERENCE_FACT, UNCONFIRMED_FACT, CarriedTruth, CarryState, resumed
 from bench.truth.registration import Registration
 from bench.truth.touching import ExpectedScene, NoTruthError, TouchedTruth, Toucher, TrialTruth
 from bench.truth.uncertainty import How, Triple, triple
@@ -198,14 +192,9 @@ def test_a_person_is_needed_only_where_something_was_touched() -> None:
         bench.source.before(shown)
         asked.append(not bench.source.unattended(shown))
         bench.source.stored(shown.trial, bench.source.of_trial(shown))
-    assert asked == [
-        True,
-        True,
-        False,
-        True,
-        False,
-        True,
-    ], "to touch, to put the arm away, and the same after each check"
+    assert asked == [True, True, False, True, False, True], (
+        "to touch, to put the arm away, and the same after each check"
+    )
 
 
 def test_who_skips_the_last_check_leaves_trials_unconfirmed() -> None:
