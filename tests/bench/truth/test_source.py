@@ -1,11 +1,11 @@
 """When the ends are touched, carried and checked, and which trials lose their truth: the sources
-against a stage that can slip.
+against a stage that can slip. Set-ups of carried trials pass without a prompt.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
@@ -19,7 +19,17 @@ from bench.truth.carrying import REFERENCE_FACT, UNCONFIRMED_FACT, CarriedTruth,
 from bench.truth.registration import Registration
 from bench.truth.touching import ExpectedScene, NoTruthError, TouchedTruth, Toucher, TrialTruth
 from bench.truth.uncertainty import How, Triple, triple
-from tests.bench.truth.touches import ENDS_MM, Hand, registered, stage_of, table_5_1, toucher
+from instruments.operators.operator import Arrangement, Prompt
+from instruments.operators.prompted import PromptedOperator
+from tests.bench.truth.touches import (
+    ENDS_MM,
+    Hand,
+    layout,
+    registered,
+    stage_of,
+    table_5_1,
+    toucher,
+)
 
 HOME = np.array([-150.0, -137.5, -1.0])
 
@@ -288,3 +298,42 @@ def test_a_stopped_run_goes_on_from_what_is_in_the_store() -> None:
     assert bench.trial(6, 60.0).how is How.CARRIED
     bench.source.end()
     assert bench.confirmed == ["001", "002", "003", "004", "005", "006"]
+
+
+ASKED = Arrangement("plane", layout("table-5-1"), (), "Teats as in table 5.1.")
+CARRIED = replace(ASKED, unattended=True)
+
+
+class Person(PromptedOperator):
+    """Goes on at every prompt, and says at the first that the third end is hidden."""
+
+    def __init__(self) -> None:
+        self.prompts: list[Prompt] = []
+
+    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+        check()
+        self.prompts.append(prompt)
+        return frozenset({3}) if len(self.prompts) == 1 else frozenset()
+
+    def say(self, text: str) -> None:
+        raise AssertionError(f"nothing is to be said here: {text}")
+
+
+def test_what_stands_as_asked_and_was_not_touched_needs_nobody() -> None:
+    person = Person()
+    operator = person
+    seen = [operator.ask(one).visible for one in (ASKED, CARRIED, CARRIED)]
+    assert len(person.prompts) == 1
+    assert seen == [(True, True, False, True)] * 3, (
+        "what was hidden when it was set up counts as hidden"
+    )
+
+
+def test_another_scene_and_an_attended_trial_are_asked_for() -> None:
+    person = Person()
+    operator = person
+    operator.ask(CARRIED)
+    operator.ask(ASKED)
+    operator.ask(replace(CARRIED, objects=({"kind": "cold_teat"},)))
+    operator.ask(replace(CARRIED, phantom=layout("overlapping")))
+    assert len(person.prompts) == 4
