@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
-from scipy.stats import binomtest, norm, permutation_test, ttest_1samp, ttest_rel
+from scipy.stats import binomtest, norm, permutation_test, ttest_1samp
 from statsmodels.stats.contingency_tables import mcnemar  # type: ignore[import-untyped]
 from statsmodels.stats.multitest import multipletests  # type: ignore[import-untyped]
 
@@ -44,14 +44,8 @@ MET, NOT_MET, OPEN = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE
 
 
 def scored(found: Any, **changes: Any) -> SceneScore:
-    settings: dict[str, Any] = {
-        "u_mm": 0.2,
-        "seconds": 0.4,
-        "limit_mm": 5.0,
-        "time_limit_s": 2.0,
-        "hidden_claimed": 0,
-    }
-    return score_scene(found, TRUTH, [True] * 4, **(settings | changes))
+    settings = {"u_mm": 0.2, "seconds": 0.4, "limit_mm": 5.0, "time_limit_s": 2.0, **changes}
+    return score_scene(found, TRUTH, [True] * 4, hidden_claimed=0, **settings)
 
 
 def noisy(seed: int, sd_mm: float = 0.4) -> Floats:
@@ -87,10 +81,8 @@ def test_the_same_answers_are_shown_to_be_no_worse_by_72_poses(n: int, verdict: 
     assert same.pooled.radial.mean == 0.0
     told = "; ".join(same.gate.reasons)
     if verdict is MET:
-        assert (
-            "grew by at most 0.250 mm (margin 0.25 mm) and at most 5.0 % of poses are lost anew (72"
-            " poses, 97.5 % confidence" in told
-        )
+        lost = "at most 5.0 % of poses are lost anew (72 poses, 97.5 % confidence"
+        assert f"grew by at most 0.250 mm (margin 0.25 mm) and {lost}" in told
     else:
         assert told.endswith("(margin 0.25 mm): 72 poses with such changes show less")
 
@@ -107,12 +99,13 @@ def test_a_gate_is_hardly_ever_green_where_some_poses_got_worse_by_more_than_the
     for _ in range(60):
         worse = np.where(rng.random(n) < 0.07, 4.0, 0.0)
         olds = rng.normal(0.0, 0.1, n)
-        scores = [
-            (one(start, 0.5 + old), one(start, 0.5 + old + by))
-            for old, by in zip(olds, worse, strict=True)
-        ]
         found = compare(
-            [ScenePair(str(k), str(k), "ideal", *both) for k, both in enumerate(scores)]
+            [
+                ScenePair(
+                    str(k), str(k), "ideal", one(start, 0.5 + old), one(start, 0.5 + old + by)
+                )
+                for k, (old, by) in enumerate(zip(olds, worse, strict=True))
+            ]
         )
         green += found.gate.verdict is MET
     assert green <= 6
@@ -177,9 +170,8 @@ def test_a_false_teat_more_and_a_miss_more_in_scenes_that_failed_before() -> Non
 
 def test_scenes_without_a_counterpart_leave_it_open() -> None:
     same = [noisy(1)] * 72
-    assert compare(pairs(same, same), unpaired=2).gate.reasons == (
-        "2 scenes of the old one were not run with the new one",
-    )
+    (reason,) = compare(pairs(same, same), unpaired=2).gate.reasons
+    assert reason == "2 scenes of the old one were not run with the new one"
 
 
 def test_nothing_found_by_both_compares_no_error() -> None:
@@ -247,10 +239,9 @@ def test_bad_questions() -> None:
     for margin in (-1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="0 or more"):
             compare(pairs([TRUTH], [TRUTH]), margin_mm=margin)
-    with pytest.raises(
-        ValueError, match="scored within 5 mm and 10 mm; score both by the same rules"
-    ):
-        compare([ScenePair("001-a-1", "a", "dim", scored(TRUTH), scored(TRUTH, limit_mm=10.0))])
+    other = ScenePair("001-a-1", "a", "dim", scored(TRUTH), scored(TRUTH, limit_mm=10.0))
+    with pytest.raises(ValueError, match="within 5 mm and 10 mm; score both by the same rules"):
+        compare([other])
 
 
 COUNTS = st.builds(Discordance, *[st.integers(0, 30)] * 4)
@@ -266,10 +257,8 @@ def test_six_scenes_all_one_way_are_needed() -> None:
 def test_mcnemar_against_statsmodels_and_the_binomial_test(d: Discordance) -> None:
     table = [[d.both, d.only_old], [d.only_new, d.neither]]
     assert d.p_value == pytest.approx(float(mcnemar(table, exact=True).pvalue), rel=1e-9)
-    if d.only_old + d.only_new:
-        assert d.p_value == pytest.approx(
-            binomtest(d.only_old, d.only_old + d.only_new).pvalue, rel=1e-9
-        )
+    if told := d.only_old + d.only_new:
+        assert d.p_value == pytest.approx(binomtest(d.only_old, told).pvalue, rel=1e-9)
 
 
 def test_the_interval_of_a_published_table() -> None:
@@ -339,9 +328,8 @@ def test_who_succeeded_is_counted() -> None:
 def test_of_0_and_the_limit_the_bound_is_clopper_and_pearsons(n: int, share: float) -> None:
     bad = round(share * n)
     values = np.where(np.arange(n) < bad, 5.0, 0.0)
-    assert upper_bound(values, 5.0, 0.975) == pytest.approx(
-        5.0 * (Rate(bad, n).upper_bound(0.975) or 0.0), abs=1e-5
-    )
+    clopper_pearson = 5.0 * (Rate(bad, n).upper_bound(0.975) or 0.0)
+    assert upper_bound(values, 5.0, 0.975) == pytest.approx(clopper_pearson, abs=1e-5)
 
 
 @pytest.mark.parametrize("n", [2, 8, 40])
@@ -355,9 +343,8 @@ def test_the_bound_is_the_quantile_of_means_with_random_weights(n: int) -> None:
 
 def test_of_many_values_the_bound_is_students() -> None:
     values = np.random.default_rng(1).normal(0.1, 0.5, 4000)
-    assert upper_bound(values, 5.0, 0.975) == pytest.approx(
-        float(ttest_1samp(values, 0.0).confidence_interval(0.95).high), abs=0.005
-    )
+    students = float(ttest_1samp(values, 0.0).confidence_interval(0.95).high)
+    assert upper_bound(values, 5.0, 0.975) == pytest.approx(students, abs=0.005)
 
 
 @pytest.mark.parametrize("n", [8, 20, 60])
@@ -383,11 +370,8 @@ def test_how_many_poses_show_it() -> None:
     assert needed is not None
     assert needed > 72
     times = -(-needed // len(values))
-    assert (
-        upper_bound(np.tile(values, times), 5.0, 0.975)
-        <= 0.25
-        < upper_bound(np.tile(values, times - 1), 5.0, 0.975)
-    )
+    most, more = (upper_bound(np.tile(values, k), 5.0, 0.975) for k in (times, times - 1))
+    assert most <= 0.25 < more
     assert poses_to_show(np.full(5, 0.3), 5.0, 0.25, 0.975) is None
 
 
@@ -414,17 +398,15 @@ def test_sign_flips_against_scipy(values: list[float]) -> None:
     """Sums of 1024ths are exact, so that both see the same ties: theirs takes two that rounding
     keeps apart for different.
     """
-    theirs = permutation_test(
-        (np.array(values),), np.sum, permutation_type="samples", n_resamples=np.inf
-    ).pvalue
+    flips = {"permutation_type": "samples", "n_resamples": np.inf}
+    theirs = permutation_test((np.array(values),), np.sum, **flips).pvalue
     assert sign_flip_p(np.array(values)) == pytest.approx(float(theirs), abs=1e-9)
 
 
 def test_many_signs_are_drawn() -> None:
     values = np.random.default_rng(5).normal(0.3, 1.0, 40)
-    assert sign_flip_p(values, seed=1) == pytest.approx(
-        ttest_rel(values, np.zeros(40)).pvalue, abs=0.02
-    )
+    students = ttest_1samp(values, 0.0).pvalue
+    assert sign_flip_p(values, seed=1) == pytest.approx(students, abs=0.02)
     assert sign_flip_p(np.zeros(40)) == 1.0
 
 
@@ -446,17 +428,15 @@ def test_what_cannot_be_said() -> None:
 
 
 def test_a_change_counts_up_to_the_limit() -> None:
-    assert pose_differences(
-        [1.0, 20.0, 1.0], [20.0, 1.0, 1.5], ["a", "b", "a"], limit=5.0
-    ) == pytest.approx([2.75, -5.0])
+    found = pose_differences([1.0, 20.0, 1.0], [20.0, 1.0, 1.5], ["a", "b", "a"], limit=5.0)
+    assert found == pytest.approx([2.75, -5.0])
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 12])
 def test_holm_against_statsmodels(n: int) -> None:
     p_values = np.random.default_rng(n).random(n) ** 2
-    assert holm(p_values.tolist()) == pytest.approx(
-        tuple(multipletests(p_values, method="holm")[1])
-    )
+    theirs = tuple(multipletests(p_values, method="holm")[1])
+    assert holm(p_values.tolist()) == pytest.approx(theirs)
 
 
 def test_holm_by_hand() -> None:

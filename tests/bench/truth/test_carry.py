@@ -92,9 +92,8 @@ def test_the_stated_region_holds_the_truth_in_95_of_100_poses() -> None:
 
 @pytest.mark.parametrize("scale", [0.0, 1e-3, 2.5e-3, 5e-3])
 def test_it_does_so_for_one_stage_too_better_or_ten_times_worse_than_stated(scale: float) -> None:
-    assert 0.93 <= coverage(off_by(scale), 700) <= 0.985, (
-        "more than stated is a pity, less is a lie"
-    )
+    # more than stated is a pity, less is a lie
+    assert 0.93 <= coverage(off_by(scale), 700) <= 0.985
 
 
 def test_without_its_line_for_the_carry_the_region_would_lie() -> None:
@@ -172,17 +171,15 @@ def test_a_reference_outlives_the_bench() -> None:
 def test_what_is_carried_together_has_one_key() -> None:
     phantom = layout("table-5-1")
     key = fixed_key(phantom, PlatePose(), 0.0)
-    assert key == fixed_key(phantom.moved(PlatePose(30.0, -20.0)), PlatePose(), 0.0), (
-        "the stage's shifts change nothing"
-    )
+    # the stage's shifts change nothing
+    assert key == fixed_key(phantom.moved(PlatePose(30.0, -20.0)), PlatePose(), 0.0)
     others = [
         fixed_key(layout("overlapping"), PlatePose(), 0.0),
         fixed_key(phantom, PlatePose(1.0), 0.0),
         fixed_key(phantom, PlatePose(), 0.1),
     ]
-    assert len({key, *others}) == 4, (
-        "other teats, a plate shifted by hand, and a turn each need a touch of their own"
-    )
+    # other teats, a plate shifted by hand, and a turn each need a touch of their own
+    assert len({key, *others}) == 4
 
 
 TIPS = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.3, 0.3]])

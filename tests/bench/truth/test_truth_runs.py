@@ -66,7 +66,8 @@ CARRY = 'mode = "carry"\nregistration = "first"\ncheck_every = 3\n'
 
 def off_mm(row: Row) -> np.ndarray:
     """How far one end's truth lies from the exact one, (3,)."""
-    return np.subtract([row["x_mm"], row["y_mm"], row["z_mm"]], json.loads(row["exact_mm"]))
+    place = [row["x_mm"], row["y_mm"], row["z_mm"]]
+    return np.asarray(np.subtract(place, json.loads(row["exact_mm"])))
 
 
 @dataclass(frozen=True)
@@ -203,9 +204,8 @@ def test_a_lost_step_is_caught_by_the_next_check_and_costs_the_right_trials(slip
     run = slipped.run
     assert run.ending == "finished"
     ids = [trial.id for trial in run.trials]
-    assert [trial.id for trial in run.trials if trial.invalid] == ids[4:7], (
-        "all since the good check after the fourth trial"
-    )
+    # all since the good check after the fourth trial
+    assert [trial.id for trial in run.trials if trial.invalid] == ids[4:7]
     assert [row["held"] for row in run.checks if row["number"] == 1] == [1, 1, 1, 1]
     assert 0 in [row["held"] for row in run.checks if row["number"] == 2]
     assert run.trials[7].how == "carried"
@@ -224,9 +224,8 @@ def test_what_was_invalidated_is_in_no_count_and_plain_to_see(slipped: Done) -> 
     assert sum("carried since the last good check" in line for line in table.splitlines()) == 3
     truth = (slipped.recording / "truth.csv").read_text(encoding="utf-8")
     recorded = {line.split(",")[0] for line in truth.splitlines()[1:]}
-    assert recorded == {trial.id for trial in run.counted}, (
-        "a recording never holds a truth that was taken back"
-    )
+    # a recording never holds a truth that was taken back
+    assert recorded == {trial.id for trial in run.counted}
 
 
 def test_a_ball_tip_gives_the_same_ends(tmp_path: Path) -> None:
