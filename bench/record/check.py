@@ -131,15 +131,11 @@ def _provenance(
 ) -> Iterator[Finding]:
     """What the chain and the copied files say; ``links`` gets the chain's."""
     if version < CHAINED_SINCE:
-        if "chain" in tables_of(db):
-            yield _damage(
-                f"{DATABASE} says that it has schema {version}, which has no chain, and it has one"
-            )
-        else:
-            yield _note(
-                f"the run is of an older bench (schema {version}): it has no chain, so that later"
-                " edits can't be told"
-            )
+        unseen = "it has no chain, so that later edits can't be told"
+        there = f"{DATABASE} says that it has schema {version}, which has no chain, and it has one"
+        damaged = "chain" in tables_of(db)
+        older = f"the run is of an older bench (schema {version}): {unseen}"
+        yield _damage(there) if damaged else _note(older)
         return
     links += db.execute(f"SELECT {COLUMNS} FROM chain ORDER BY number")  # noqa: S608
     yield from _chain(db, links)
@@ -166,15 +162,11 @@ def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
         if file.is_dir() or path.as_posix() in kept:
             continue
         if path.parts[1] in trials and file.suffix != ".part":
-            yield _damage(
-                f"{path.as_posix()} is in no row of the record: it came later, or its row was"
-                " removed"
-            )
+            why = "it came later, or its row was removed"
+            yield _damage(f"{path.as_posix()} is in no row of the record: {why}")
         else:
-            yield _note(
-                f"{path.as_posix()} belongs to no finished trial: the bench died or gave the trial"
-                " up while it was written"
-            )
+            why = "the bench died or gave the trial up while it was written"
+            yield _note(f"{path.as_posix()} belongs to no finished trial: {why}")
 
 
 def _file(folder: Path, name: Any, sha256: Any) -> Iterator[Finding]:
@@ -201,10 +193,8 @@ def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Fin
     for number, covers, digest, wall_covers, wall_digest in links:
         given = Head(number, digest, wall_digest)
         if linked(before, covers, wall_covers) != given:
-            yield _damage(
-                f"link {number} of the chain doesn't follow from the one before: links were"
-                " changed, added or removed"
-            )
+            why = "links were changed, added or removed"
+            yield _damage(f"link {number} of the chain doesn't follow from the one before: {why}")
         before = given
         try:
             plain, whole = json.loads(covers), json.loads(wall_covers)
@@ -217,10 +207,8 @@ def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Fin
     for table, end in ends.items():
         (last,) = db.execute(f"SELECT coalesce(max(rowid), 0) FROM {table}").fetchone()  # noqa: S608 - our names
         if last > end:
-            yield _damage(
-                f"table {table}, rows {end + 1} to {last} are in no link of the chain: they were"
-                " added later"
-            )
+            rows = f"rows {end + 1} to {last} are in no link of the chain"
+            yield _damage(f"table {table}, {rows}: they were added later")
 
 
 def _rows(
@@ -231,18 +219,15 @@ def _rows(
     ends: dict[str, int],
 ) -> Iterator[Finding]:
     for table, (first, last, plain) in covers.items():
-        if first != ends[table] + 1:
-            yield _damage(
-                f"link {number} of the chain begins with row {first} of {table}; {ends[table] + 1}"
-                " was to come"
-            )
+        if first != (wanted := ends[table] + 1):
+            begins = f"link {number} of the chain begins with row {first} of {table}"
+            yield _damage(f"{begins}; {wanted} was to come")
         ends[table] = last
         if fingerprint(db, table, first, last) != (plain, wall[table][2]):
             rows = f"row {first} is" if first == last else f"rows {first} to {last} are"
-            yield _damage(
-                f"table {table}, {rows} not as written (link {number}{_whose(db, table, first)}):"
-                " changed, added or removed"
-            )
+            where = f"link {number}{_whose(db, table, first)}"
+            why = "changed, added or removed"
+            yield _damage(f"table {table}, {rows} not as written ({where}): {why}")
 
 
 def _facts(db: sqlite3.Connection, said: Mapping[str, str]) -> Iterator[Finding]:
@@ -261,23 +246,17 @@ def _printed(folder: Path, links: list[tuple[Any, ...]], digest: str | None) -> 
     off, or all of it made anew.
     """
     known = {value: row[0] for row in links for value in (row[2], row[4])}
+    why = "the record was cut off or made anew since"
     if digest is not None and digest.lower() not in known:
-        yield _damage(
-            f"the chain doesn't pass through {digest}: the record was cut off or made anew since"
-            " that was printed"
-        )
+        yield _damage(f"the chain doesn't pass through {digest}: {why} that was printed")
+    name = PRINTED.as_posix()
     try:
         printed = printed_chain(folder)
         if printed and known.get(printed["wall_digest"]) != printed["links"]:
-            why = "the record was cut off or made anew since"
-            yield _damage(
-                f"the chain doesn't pass through the digest of {PRINTED.as_posix()}: {why}"
-            )
+            yield _damage(f"the chain doesn't pass through the digest of {name}: {why}")
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        yield _damage(
-            f"{PRINTED.as_posix()} can't be read: {error!r}. Without the folder report, 'teatbench"
-            " report' makes it anew"
-        )
+        hint = "Without the folder report, 'teatbench report' makes it anew"
+        yield _damage(f"{name} can't be read: {error!r}. {hint}")
 
 
 def printed_chain(folder: Path) -> Any:

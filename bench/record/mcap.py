@@ -55,82 +55,50 @@ FRAMES_OF = {"left": "left", "right": "right", "thermal": "thermal", RADIOMETRIC
 NS = 1_000_000_000
 MM_PER_M = 1000.0
 NO_TURN = Quaternion(w=1.0)
-LEVELS = {
-    "trip": Log.ERROR,
-    "fault": Log.ERROR,
-    "aborted": Log.WARNING,
-    "camera": Log.WARNING,
-    "skipped": Log.WARNING,
-    "repeated": Log.WARNING,
-}
+LEVELS = {"trip": Log.ERROR, "fault": Log.ERROR}
+LEVELS |= dict.fromkeys(("aborted", "camera", "skipped", "repeated"), Log.WARNING)
 
 
-def _own(name: str, /, **kinds: FieldDescriptorProto.Type.ValueType) -> Any:
-    """The class of a message `teatbench.<name>` with a timestamp and these fields, numbered from 2.
+def _own(name: str, fields: str) -> Any:
+    """The class of a message `teatbench.<name>`: a timestamp, then ``fields``, each a name after
+    its kind or after a field of the same kind.
 
     No field is an int64, which viewers in a browser don't read as a number.
     """
-    when, optional = Timestamp.DESCRIPTOR, FieldDescriptorProto.LABEL_OPTIONAL
-    message, its_name = FieldDescriptorProto.TYPE_MESSAGE, f".{when.full_name}"
-    fields = [
-        FieldDescriptorProto(
-            name="timestamp", number=1, label=optional, type=message, type_name=its_name
-        )
-    ]
-    fields += [
-        FieldDescriptorProto(name=field, number=number, label=optional, type=kind)
-        for number, (field, kind) in enumerate(kinds.items(), 2)
-    ]
+    message = DescriptorProto(name=name)
+    optional, kind = FieldDescriptorProto.LABEL_OPTIONAL, FieldDescriptorProto.TYPE_MESSAGE
+    message.field.add(name="timestamp", number=1, label=optional, type=kind)
+    message.field[0].type_name = f".{Timestamp.DESCRIPTOR.full_name}"
+    for word in fields.split():
+        if word in _KINDS:
+            kind = _KINDS[word]
+        else:
+            number = len(message.field) + 1
+            message.field.add(name=word, number=number, label=optional, type=kind)
     file = FileDescriptorProto(
         name=f"teatbench/{name}.proto",
         package="teatbench",
-        dependency=[when.file.name],
-        message_type=[DescriptorProto(name=name, field=fields)],
+        dependency=[Timestamp.DESCRIPTOR.file.name],
+        message_type=[message],
         syntax="proto3",
     )
     Default().Add(file)
     return GetMessageClass(Default().FindMessageTypeByName(f"teatbench.{name}"))
 
 
+_KINDS = {
+    "double": FieldDescriptorProto.TYPE_DOUBLE,
+    "string": FieldDescriptorProto.TYPE_STRING,
+    "uint32": FieldDescriptorProto.TYPE_UINT32,
+}
 # NaN is what was not measured, an empty text what was not said
-_DOUBLE = FieldDescriptorProto.TYPE_DOUBLE
-_STRING = FieldDescriptorProto.TYPE_STRING
-_UINT32 = FieldDescriptorProto.TYPE_UINT32
-Bath = _own("Bath", temp_c=_DOUBLE, external_c=_DOUBLE, power_percent=_DOUBLE, state=_STRING)
-Answer = _own(
-    "Answer",
-    trial=_STRING,
-    detector=_STRING,
-    outcome=_STRING,
-    hidden=_UINT32,
-    reason=_STRING,
-    seconds=_DOUBLE,
-    success=_DOUBLE,
-    max_error_mm=_DOUBLE,
-)
-Trial = _own(
-    "Trial",
-    id=_STRING,
-    number=_UINT32,
-    name=_STRING,
-    situation=_STRING,
-    repeat=_UINT32,
-    bath_c=_DOUBLE,
-    bath_state=_STRING,
-    invalid=_STRING,
-)
-MESSAGES: tuple[type[Message], ...] = (
-    CompressedImage,
-    RawImage,
-    CameraCalibration,
-    FrameTransforms,
-    PoseInFrame,
-    PosesInFrame,
-    Log,
-    Bath,
-    Answer,
-    Trial,
-)
+Bath = _own("Bath", "double temp_c external_c power_percent string state")
+_ANSWER = "string trial detector outcome uint32 hidden string reason double seconds success"
+Answer = _own("Answer", f"{_ANSWER} max_error_mm")
+_TRIAL = "string id uint32 number string name situation uint32 repeat double bath_c"
+Trial = _own("Trial", f"{_TRIAL} string bath_state invalid")
+_OF_FOXGLOVE = (CompressedImage, RawImage, CameraCalibration, FrameTransforms, PoseInFrame)
+MESSAGES: tuple[type[Message], ...] = (*_OF_FOXGLOVE, PosesInFrame, Log, Bath, Answer, Trial)
 
 
 def camera(at: Timestamp, frame: str, lens: Camera) -> CameraCalibration:

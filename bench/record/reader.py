@@ -216,10 +216,8 @@ def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
             db.row_factory = sqlite3.Row
             record = _read(folder, db, damage)
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
-        why = (
-            f"{type(error).__name__}: {error}. 'teatbench store check {folder}' says what is"
-            " damaged."
-        )
+        hint = f"'teatbench store check {folder}' says what is damaged."
+        why = f"{type(error).__name__}: {error}. {hint}"
         raise ConfigError.plain(f"the record in {folder} can't be read: {why}") from error
     if "detectors" not in record.facts:
         why = "the bench died before it wrote down what is under test. Delete the folder."
@@ -228,14 +226,9 @@ def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
 
 
 def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunRecord:
-    facts = {
-        row["key"]: json.loads(row["value"]) for row in db.execute("SELECT key, value FROM facts")
-    }
-    bath = list(
-        db.execute(
-            "SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"
-        )
-    )
+    facts = {key: json.loads(value) for key, value in db.execute("SELECT key, value FROM facts")}
+    query = "SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"
+    bath = list(db.execute(query))
     columns = [[np.nan if row[k] is None else row[k] for k in range(4)] for row in bath]
     table = np.array(columns, dtype=np.float64).reshape(-1, 4)
     return RunRecord(

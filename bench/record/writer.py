@@ -145,20 +145,14 @@ class Store:
 
     def event(self, t_s: float | None, kind: str, text: str, wall_time: datetime) -> None:
         """Write down what happened."""
-        row = {
-            "session": self.session,
-            "t_s": t_s,
-            "kind": kind,
-            "text": text,
-            "wall_time": wall_time.isoformat(timespec="milliseconds"),
-        }
+        now = wall_time.isoformat(timespec="milliseconds")
+        row = {"session": self.session, "t_s": t_s, "kind": kind, "text": text, "wall_time": now}
         self._say("events", row, urgent=not self._steps or kind in URGENT)
 
     def bath(self, reading: Row) -> None:
         """Write down a bath reading; it waits for whatever is written next."""
-        self._say(
-            "bath", {**reading, "session": self.session, "wall_time": self._now()}, urgent=False
-        )
+        row = {**reading, "session": self.session, "wall_time": self._now()}
+        self._say("bath", row, urgent=False)
 
     def flush(self) -> None:
         """Make durable all that was said so far."""
@@ -197,9 +191,8 @@ class Store:
         """
         now = self._now()
         lost = [{"trial": trial, "reason": reason, "wall_time": now} for trial in invalid]
-        self._write(
-            [("checks", [{**touch, "wall_time": now} for touch in touches]), ("invalidated", lost)]
-        )
+        rows = [{**touch, "wall_time": now} for touch in touches]
+        self._write([("checks", rows), ("invalidated", lost)])
 
     def frames(
         self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
@@ -234,12 +227,10 @@ class Store:
                 self._db.close()
 
     def _begun(self) -> int:
-        number = int(
-            self._db.execute("SELECT coalesce(max(number), 0) + 1 FROM sessions").fetchone()[0]
-        )
-        self._write(
-            [("sessions", [{"number": number, "bench": __version__, "wall_time": self._now()}])]
-        )
+        query = "SELECT coalesce(max(number), 0) + 1 FROM sessions"
+        number = int(self._db.execute(query).fetchone()[0])
+        row = {"number": number, "bench": __version__, "wall_time": self._now()}
+        self._write([("sessions", [row])])
         self._clear_unfinished()
         return number
 
@@ -305,9 +296,8 @@ class Store:
         for table, rows in tables:
             verb = "REPLACE" if table == LATER_WORD else "INSERT"
             for row in rows:
-                command = (
-                    f"{verb} INTO {table} ({', '.join(row)}) VALUES ({', '.join('?' * len(row))})"
-                )
+                marks = ", ".join("?" * len(row))
+                command = f"{verb} INTO {table} ({', '.join(row)}) VALUES ({marks})"
                 at = self._db.execute(command, tuple(row.values())).lastrowid or 0
                 if table == LATER_WORD:
                     facts[row["key"]] = None

@@ -47,11 +47,8 @@ def checked(detection: Any) -> Detection:
     if not isinstance(detection, Detection):
         raise DetectionFailure(f"its answer is a {type(detection).__name__}, not a Detection")
     hidden = detection.hidden
-    if (
-        isinstance(hidden, bool)
-        or not isinstance(hidden, int | np.integer)
-        or not 0 <= hidden <= MOST_TEATS
-    ):
+    whole = isinstance(hidden, int | np.integer) and not isinstance(hidden, bool)
+    if not whole or not 0 <= hidden <= MOST_TEATS:
         raise DetectionFailure(
             f"its answer counts {hidden!r} teats as hidden; a whole number from 0 to {MOST_TEATS}"
             " is asked for"
@@ -122,12 +119,8 @@ def _numbers(given: Any, shape: tuple[int, ...], what: str, wanted: str) -> Any:
         found = np.ma.asarray(given) if isinstance(given, np.ma.MaskedArray) else np.asarray(given)
     except (TypeError, ValueError, OverflowError):
         raise DetectionFailure(f"{what} is {_short(given)}, not {wanted}") from None
-    if (
-        found.shape != shape
-        or found.dtype.kind not in "iuf"
-        or np.ma.is_masked(found)
-        or not np.isfinite(found).all()
-    ):
+    plain = found.shape == shape and found.dtype.kind in "iuf" and not np.ma.is_masked(found)
+    if not plain or not np.isfinite(found).all():
         raise DetectionFailure(f"{what} is {_short(found.tolist())}, not {wanted}")
     return np.array(found, dtype=np.float64)
 
@@ -285,9 +278,8 @@ def score_answer(
     )
     if answer.outcome is Outcome.ANSWERED:
         return score
-    return replace(
-        score, success=False, in_time=score.in_time and answer.outcome is not Outcome.TIMEOUT
-    )
+    in_time = score.in_time and answer.outcome is not Outcome.TIMEOUT
+    return replace(score, success=False, in_time=in_time)
 
 
 def points_of(detection: Detection) -> NDArray[np.float64]:
@@ -308,16 +300,16 @@ def _named(error: BaseException) -> str:
 
 
 class _Shown:
-    """A frame set for one detector: copies, so that it can't change what others see."""
+    """A frame set for one detector: read-only, so that it can't change what others see."""
 
     def __init__(self, frames: Frames) -> None:
         self.left, self.right = _fixed(frames.left), _fixed(frames.right)
-        self.thermal = None if frames.thermal is None else _fixed(frames.thermal)
-        kelvin = frames.thermal_k
-        self.thermal_k = None if kelvin is None else _fixed(kelvin)
+        self.thermal, self.thermal_k = _fixed(frames.thermal), _fixed(frames.thermal_k)
 
 
-def _fixed(picture: NDArray[Any]) -> NDArray[Any]:
+def _fixed(picture: Any) -> Any:
+    if picture is None:
+        return None
     view = picture.view()
     view.setflags(write=False)
     return view

@@ -79,21 +79,10 @@ def _wrong(
     trial: TrialRecord, score: SceneScore, detector: str
 ) -> Iterator[tuple[What, str, Cause, str]]:
     names = [str(row["teat"]) for row in trial.truth]
-    reason = next(
-        (
-            str(row["reason"])
-            for row in trial.detections
-            if row["detector"] == detector and row["reason"]
-        ),
-        "",
-    )
+    reasons = [row["reason"] for row in trial.detections if row["detector"] == detector]
+    unseen = "it was visible and nothing was found within the gate"
     for teat in score.match.missed:
-        yield (
-            What.MISSED,
-            names[teat],
-            Cause.DETECTOR,
-            reason or "it was visible and nothing was found within the gate",
-        )
+        yield What.MISSED, names[teat], Cause.DETECTOR, str(next(filter(None, reasons), unseen))
     for (_, teat), distance in zip(score.match.pairs, score.radial_mm, strict=True):
         if distance > score.limit_mm:
             near = teat in score.doubtful
@@ -117,23 +106,12 @@ def _not_judged(run: RunRecord, detector: str) -> Iterator[Attributed]:
     }
     for row in run.skipped:
         trial, reason = str(row["trial"]), str(row["reason"])
-        cause = (
-            Cause.OPERATOR
-            if trial in by_operator
-            else Cause.BENCH
-            if "the bench died in it" in reason
-            else Cause.TRUTH
-        )
+        cause = Cause.BENCH if "the bench died in it" in reason else Cause.TRUTH
+        cause = Cause.OPERATOR if trial in by_operator else cause
         yield Attributed(trial, detector, "", What.NOT_JUDGED, cause, reason)
     known = {trial.id for trial in run.trials} | {str(row["trial"]) for row in run.skipped}
     cause = Cause.OPERATOR if run.ending == "aborted" else Cause.BENCH
+    why = f"the run was {run.ending} before it"
     for pose in run.facts.get("pose set", {}).get("poses", ()):
         if str(pose[0]) not in known:
-            yield Attributed(
-                str(pose[0]),
-                detector,
-                "",
-                What.NOT_JUDGED,
-                cause,
-                f"the run was {run.ending} before it",
-            )
+            yield Attributed(str(pose[0]), detector, "", What.NOT_JUDGED, cause, why)

@@ -48,9 +48,8 @@ class Side:
     def label(self) -> str:
         """The detector, its version, and its run's folder."""
         version = self.run.facts["items"].get(self.detector, {}).get("version")
-        return (
-            f"{self.detector}{f' {version}' if version else ''} in {self.run.folder.resolve().name}"
-        )
+        named = f"{self.detector} {version}" if version else self.detector
+        return f"{named} in {self.run.folder.resolve().name}"
 
     @property
     def trials(self) -> tuple[TrialRecord, ...]:
@@ -116,14 +115,10 @@ def compare_sides(
     check_limits(old, new)
     matched, elsewhere = _paired(old.trials, new.trials)
     if not matched:
-        moved = (
-            f" {elsewhere} have the same name, but their teats stood at other places."
-            if elsewhere
-            else ""
-        )
-        hint = "Run both on one recording, or one script on one seed."
+        moved = f" {elsewhere} have the same name, but their teats stood at other places."
         raise ConfigError.plain(
-            f"{old.label} and {new.label} have no scored trial in common.{moved} {hint}"
+            f"{old.label} and {new.label} have no scored trial in common."
+            f"{moved if elsewhere else ''} Run both on one recording, or one script on one seed."
         )
     pairs = tuple(
         ScenePair(
@@ -165,23 +160,19 @@ def sides(runs: Sequence[RunRecord], detectors: Sequence[str] = ()) -> Iterator[
 def _between(
     old: RunRecord, new: RunRecord, detectors: Sequence[str]
 ) -> Iterator[tuple[Side, Side]]:
-    shared = [
-        name
-        for name in new.detectors
-        if name in old.detectors and (not detectors or name in detectors)
-    ]
-    if shared:
+    asked = set(detectors or new.detectors) & set(old.detectors)
+    if shared := [name for name in new.detectors if name in asked]:
         yield from ((Side(old, name), Side(new, name)) for name in shared)
     elif len(old.detectors) == len(new.detectors) == 1 and not detectors:
         yield Side(old, old.detectors[0]), Side(new, new.detectors[0])
     else:
-        there = (
-            f"{old.folder} has {', '.join(old.detectors)}; {new.folder} has"
-            f" {', '.join(new.detectors)}"
-        )
-        raise ConfigError.plain(
-            f"no detector{' of those named' if detectors else ''} is in both runs: {there}"
-        )
+        raise _none_shared((old, new), detectors, "both")
+
+
+def _none_shared(runs: Sequence[RunRecord], detectors: Sequence[str], which: str) -> ConfigError:
+    there = "; ".join(f"{run.folder} has {', '.join(run.detectors)}" for run in runs)
+    named = " of those named" if detectors else ""
+    return ConfigError.plain(f"no detector{named} is in {which} runs: {there}")
 
 
 def _paired(
@@ -207,31 +198,25 @@ def _paired(
 
 def _same_place(one: TrialRecord, other: TrialRecord) -> bool:
     """Whether the truths of both have the same teats, each end within SAME_PLACE_MM."""
-    ends = [
-        [(str(row["teat"]), (row["x_mm"], row["y_mm"], row["z_mm"])) for row in trial.truth]
-        for trial in (one, other)
-    ]
-    return len(ends[0]) == len(ends[1]) and all(
-        a == b and math.dist(p, q) <= SAME_PLACE_MM for (a, p), (b, q) in zip(*ends, strict=True)
-    )  # fmt: skip
+    axes = ("x_mm", "y_mm", "z_mm")
+    return len(one.truth) == len(other.truth) and all(
+        str(a["teat"]) == str(b["teat"])
+        and math.dist([a[axis] for axis in axes], [b[axis] for axis in axes]) <= SAME_PLACE_MM
+        for a, b in zip(one.truth, other.truth, strict=True)
+    )
 
 
 def check_limits(old: Side, new: Side) -> None:
     """Raises ConfigError where the limit of the error, or of the time, differs."""
     errors = [{t.scores[side.detector].limit_mm for t in side.trials} for side in (old, new)]
-    times = [
-        set() if (rules := rules_of(side.run)) is None else {rules.time_limit_s}
-        for side in (old, new)
-    ]
-    for what, (a, b) in (("mm", errors), ("s", times)):
-        if a and b and a != b:
-            told = " and ".join(
-                ", ".join(f"{limit:g}" for limit in sorted(limits)) for limits in (a, b)
-            )
-            hint = "success would mean two things. Run or score both by the same rules."
+    rules = [rules_of(side.run) for side in (old, new)]
+    times = [{rule.time_limit_s} if rule else set() for rule in rules]
+    for what, limits in (("mm", errors), ("s", times)):
+        if all(limits) and limits[0] != limits[1]:
+            told = " and ".join(", ".join(f"{one:g}" for one in sorted(each)) for each in limits)
             raise ConfigError.plain(
                 f"{old.label} and {new.label} were held against different limits ({told} {what}):"
-                f" {hint}"
+                " success would mean two things. Run or score both by the same rules."
             )
 
 
@@ -284,10 +269,7 @@ def judge_folders(
         if all(name in run.detectors for run in runs) and (not detectors or name in detectors)
     ]
     if not names:
-        there = "; ".join(f"{run.folder} has {', '.join(run.detectors)}" for run in runs)
-        raise ConfigError.plain(
-            f"no detector{' of those named' if detectors else ''} is in all runs: {there}"
-        )
+        raise _none_shared(runs, detectors, "all")
     rules = rules_of(runs[0]) or read_config(runs[0].folder / RULES, Rules, stored=True)
     return tuple(_judged(runs, rules, name) for name in names)
 

@@ -63,21 +63,10 @@ class ErrorRows:
     def of_teat(self, teat: str) -> ErrorRows:
         """The rows of one teat."""
         rows = np.array([name == teat for name in self.teats], dtype=np.bool_)
-
-        def kept(names: tuple[str, ...]) -> tuple[str, ...]:
-            return tuple(compress(names, rows))
-
-        return ErrorRows(
-            self.places_mm[rows],
-            self.found[rows],
-            self.errors_mm[rows[self.found]],
-            self.time_s[rows],
-            self.bath_c[rows],
-            self.tilt_deg[rows],
-            kept(self.poses),
-            kept(self.trials),
-            kept(self.teats),
-        )
+        columns = (self.time_s[rows], self.bath_c[rows], self.tilt_deg[rows])
+        names = (tuple(compress(all_of, rows)) for all_of in (self.poses, self.trials, self.teats))
+        errors = self.errors_mm[rows[self.found]]
+        return ErrorRows(self.places_mm[rows], self.found[rows], errors, *columns, *names)
 
     @property
     def quantities(self) -> dict[str, Floats]:
@@ -206,38 +195,23 @@ def pose_places(rows: ErrorRows) -> tuple[PosePlace, ...]:
     for teat, pose in sorted(at, key=lambda key: (key[0], at[key][0])):
         here = at[teat, pose]
         missed = [row for row in here if not rows.found[row]]
-        worst = max(
-            (row for row in here if rows.found[row]),
-            key=lambda row: float(distances[row]),
-            default=None,
-        )
+        seen = [(float(distances[row]), -row) for row in here if rows.found[row]]
+        worst_mm, row = max(seen, default=(None, 0))
         x, y, z = rows.places_mm[here].mean(axis=0).tolist()
-        places.append(
-            PosePlace(
-                teat,
-                pose,
-                (x, y, z),
-                repeats=len(here),
-                found=len(here) - len(missed),
-                worst_mm=None if worst is None else float(distances[worst]),
-                worst_trial=None if worst is None else rows.trials[worst],
-                missed_trial=rows.trials[missed[0]] if missed else None,
-            )
-        )
+        worst = None if worst_mm is None else rows.trials[-row]
+        first_missed = rows.trials[missed[0]] if missed else None
+        counts = len(here), len(here) - len(missed)
+        places.append(PosePlace(teat, pose, (x, y, z), *counts, worst_mm, worst, first_missed))
     return tuple(places)
 
 
 def run_precision(rows: ErrorRows) -> tuple[Precision, Precision, Precision]:
     """ISO 5725 along x, y and z: s_r of repeats at a pose, s_R over all teats and poses."""
     groups: dict[tuple[str, str], list[Floats]] = {}
-    for pose, teat, error in zip(
-        rows.of_found(rows.poses), rows.of_found(rows.teats), rows.errors_mm, strict=True
-    ):
-        groups.setdefault((pose, teat), []).append(error)
-    x, y, z = (
-        precision([[error[axis] for error in group] for group in groups.values()])
-        for axis in range(3)
-    )
+    names = zip(rows.of_found(rows.poses), rows.of_found(rows.teats), strict=True)
+    for name, error in zip(names, rows.errors_mm, strict=True):
+        groups.setdefault(name, []).append(error)
+    x, y, z = (precision([np.array(g)[:, k] for g in groups.values()]) for k in range(3))
     return x, y, z
 
 

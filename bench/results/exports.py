@@ -107,11 +107,9 @@ def _chain(run: RunRecord) -> Any:
         with suppress(OSError, ValueError, AttributeError, RecursionError):
             return printed_chain(run.folder)
         return None
-    return (
-        {"links": run.head.number, "digest": run.head.digest, "wall_digest": run.head.wall_digest}
-        if run.head
-        else None
-    )
+    if (head := run.head) is None:
+        return None
+    return {"links": head.number, "digest": head.digest, "wall_digest": head.wall_digest}
 
 
 def junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
@@ -130,12 +128,8 @@ def junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
                 undecided += 1
                 why = f"{decision.verdict.value}: {decision.sentence}"
                 ET.SubElement(case, "skipped", message=why)
-        numbers = {
-            "tests": len(judgement.decisions),
-            "failures": failures,
-            "skipped": undecided,
-            "errors": 0,
-        }
+        tests = len(judgement.decisions)
+        numbers = {"tests": tests, "failures": failures, "skipped": undecided, "errors": 0}
         suite.attrib |= {name: str(number) for name, number in numbers.items()}
     ET.indent(root)
     text = sanitized(ET.tostring(root, encoding="unicode"))

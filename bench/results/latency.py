@@ -73,16 +73,12 @@ class Latency:
         used = [(cpu_s, seconds) for cpu_s, seconds, _ in timed if cpu_s is not None]
         loads = [load for cpu_s, _, load in timed if load is not None and cpu_s is None]
         cpu_s, wall_s = (sum(column) for column in zip(*used, strict=True)) if used else (0.0, 0.0)
+        load = percentile(loads, 50) if loads else 0.0
         if wall_s >= LEAST_TIMED_S and cpu_s < STARVED_BELOW * wall_s:
-            why = (
-                f"in {wall_s:.1f} s of detection it had a processor for {cpu_s:.1f} s; it waited"
-                " for one, or for something else"
-            )
-        elif loads and percentile(loads, 50) > 1.0 / STARVED_BELOW:
-            why = (
-                f"half of the time {percentile(loads, 50):.1f} or more processes wanted each"
-                " processor"
-            )
+            why = f"in {wall_s:.1f} s of detection it had a processor for {cpu_s:.1f} s; it waited"
+            why += " for one, or for something else"
+        elif load > 1.0 / STARVED_BELOW:
+            why = f"half of the time {load:.1f} or more processes wanted each processor"
         else:
             return ""
         return (
@@ -119,7 +115,5 @@ def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> L
 
 def failures_told(latency: Latency) -> str:
     """``3 timeout, 1 failure``; ``none``."""
-    return (
-        ", ".join(f"{count} {outcome}" for outcome, count in sorted(latency.unanswered.items()))
-        or "none"
-    )
+    counts = sorted(latency.unanswered.items())
+    return ", ".join(f"{count} {outcome}" for outcome, count in counts) or "none"

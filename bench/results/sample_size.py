@@ -102,6 +102,9 @@ def make_plan(
             shown = shown_error_mm(there or needed[0], rate, limit_mm, u_mm, confidence)
             claim = replace(claim, at_the_edge=edge, error_shown_mm=shown)
         claims.append(claim)
+    needed_for_shift = None
+    if shift_mm and sd_mm:
+        needed_for_shift = poses_for_shift(shift_mm, sd_mm, power, alpha)
     return Plan(
         confidence=confidence,
         claims=tuple(claims),
@@ -118,9 +121,7 @@ def make_plan(
         sd_mm=sd_mm,
         shift_shown_mm=detectable_shift(there, sd_mm, power, alpha) if there and sd_mm else None,
         shift_mm=shift_mm,
-        poses_for_shift=(
-            poses_for_shift(shift_mm, sd_mm, power, alpha) if shift_mm and sd_mm else None
-        ),
+        poses_for_shift=needed_for_shift,
     )
 
 
@@ -159,10 +160,8 @@ def plan_lines(plan: Plan) -> Iterator[str]:
 
 def _told_of_error(plan: Plan) -> Iterator[str]:
     """How near to its limit the largest error may lie."""
-    truth = (
-        f"An error below {plan.limit_mm:g} mm, against a truth of u = {plan.u_mm:g} mm along an"
-        " axis"
-    )
+    against = f"against a truth of u = {plan.u_mm:g} mm along an axis"
+    truth = f"An error below {plan.limit_mm:g} mm, {against}"
     if plan.accept_mm is None:
         yield f"{truth}: no error can be accepted; the truth is too uncertain."
         return
@@ -170,16 +169,12 @@ def _told_of_error(plan: Plan) -> Iterator[str]:
     for claim in plan.claims:
         poses = plan.poses or claim.poses_needed[0]
         most = claim.error_shown_mm
-        shown = (
-            "don't show it"
-            if most is None
-            else f"show it where the largest is at most {floor(1000 * most) / 1000:.3f} mm"
-        )
+        shown = "don't show it"
+        if most is not None:
+            shown = f"show it where the largest is at most {floor(1000 * most) / 1000:.3f} mm"
         edge = "no number" if claim.at_the_edge is None else str(claim.at_the_edge)
-        yield (
-            f"  {exact_percent(claim.rate)}: {plural(poses, 'pose')} {shown}; {edge} up to the"
-            " acceptance limit."
-        )
+        told = f"{plural(poses, 'pose')} {shown}; {edge} up to the acceptance limit."
+        yield f"  {exact_percent(claim.rate)}: {told}"
 
 
 def _told_of_poses(plan: Plan, sure: str) -> Iterator[str]:
@@ -195,28 +190,17 @@ def _told_of_poses(plan: Plan, sure: str) -> Iterator[str]:
     for claim in plan.claims:
         if claim.failures_allowed is None:
             missing = claim.poses_needed[0] - there
-            yield (
-                f"  {exact_percent(claim.rate)}: can't be shown; {missing} more"
-                f" {'is' if missing == 1 else 'are'} needed."
-            )
+            are = "is" if missing == 1 else "are"
+            yield f"  {exact_percent(claim.rate)}: can't be shown; {missing} more {are} needed."
             continue
-        chance = (
-            ""
-            if claim.chance is None
-            else (
-                f"; one that truly does {exact_percent(plan.true_rate or 0.0)} shows it with"
-                f" {percent(claim.chance)}"
-            )
-        )
-        yield (
-            f"  {exact_percent(claim.rate)}: shown with up to {claim.failures_allowed}"
-            f" failed{chance}."
-        )
-    loss = (
-        "no loss at all"
-        if plan.loss_shown is None
-        else f"a loss of {percent(plan.loss_shown)} of poses"
-    )
+        chance = ""
+        if claim.chance is not None:
+            truly = f"one that truly does {exact_percent(plan.true_rate or 0.0)}"
+            chance = f"; {truly} shows it with {percent(claim.chance)}"
+        allowed = f"up to {claim.failures_allowed} failed"
+        yield f"  {exact_percent(claim.rate)}: shown with {allowed}{chance}."
+    shown_loss = plan.loss_shown
+    loss = "no loss at all" if shown_loss is None else f"a loss of {percent(shown_loss)} of poses"
     yield f"  Two detectors on them: {loss} shows with a chance of {exact_percent(plan.power)}."
     if plan.shift_shown_mm is not None:
         yield (

@@ -85,11 +85,8 @@ class Tally:
     failures: int = 0
 
     def __add__(self, other: Tally) -> Tally:
-        return Tally(
-            self.distances_mm + other.distances_mm,
-            self.false + other.false,
-            self.failures + other.failures,
-        )
+        distances = self.distances_mm + other.distances_mm
+        return Tally(distances, self.false + other.false, self.failures + other.failures)
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,11 +220,8 @@ def at_range(range_m: float, seed: int, renderer: Renderer) -> Situation:
     found = situation(FAMILY, seed)
     depth = renderer.cameras[1].camera_from_world(found.phantom.ends_mm)[:, 2]
     away = PlatePose(y_mm=float(1e3 * range_m - depth.mean()))
-    return replace(
-        found,
-        phantom=found.phantom.moved(away),
-        backdrop=replace(found.backdrop, board_y_mm=FAR_BOARD_MM),
-    )
+    backdrop = replace(found.backdrop, board_y_mm=FAR_BOARD_MM)
+    return replace(found, phantom=found.phantom.moved(away), backdrop=backdrop)
 
 
 def of_contrast(contrast: float, seed: int, _renderer: Renderer) -> Situation:
@@ -235,9 +229,8 @@ def of_contrast(contrast: float, seed: int, _renderer: Renderer) -> Situation:
     found = situation(FAMILY, seed)
     board = replace(found.backdrop, board_albedo=BOARD_ALBEDO, board_texture=0.0)
     even = Lighting(lamps=(), ambient=EVEN_LIGHT)
-    return replace(
-        found, backdrop=board, lighting=even, teat_paint=Paint(BOARD_ALBEDO * (1.0 - contrast))
-    )
+    paint = Paint(BOARD_ALBEDO * (1.0 - contrast))
+    return replace(found, backdrop=board, lighting=even, teat_paint=paint)
 
 
 def leaning(lean_deg: float, seed: int, _renderer: Renderer) -> Situation:
@@ -270,12 +263,10 @@ def _behind(near: Teat, far: Teat, share: float, way: float) -> Teat:
     near_y = near.base_mm[1] - eye_y
     far_y = near_y + BEHIND_MM
     touching = near.shape.radius_mm / near_y + far.shape.radius_mm / far_y
-    bearing = (near.base_mm[0] - eye_x) / near_y + way * (
-        touching - 2.0 * share * far.shape.radius_mm / far_y
-    )
-    return replace(
-        far, base_mm=(float(eye_x + bearing * far_y), float(far_y + eye_y)), tilt_rad=(0.0, 0.0)
-    )
+    apart_by = touching - 2.0 * share * far.shape.radius_mm / far_y
+    bearing = (near.base_mm[0] - eye_x) / near_y + way * apart_by
+    base_mm = (float(eye_x + bearing * far_y), float(far_y + eye_y))
+    return replace(far, base_mm=base_mm, tilt_rad=(0.0, 0.0))
 
 
 def before_arm(gap_mm: float, seed: int, _renderer: Renderer) -> Situation:
@@ -298,9 +289,8 @@ def before_arm(gap_mm: float, seed: int, _renderer: Renderer) -> Situation:
 
 
 def _noisy(noise_dn: float, usual: Optics) -> Optics:
-    return replace(
-        usual, optical=replace(usual.optical, read_noise_e=noise_dn / usual.optical.gain_dn_per_e)
-    )
+    noise_e = noise_dn / usual.optical.gain_dn_per_e
+    return replace(usual, optical=replace(usual.optical, read_noise_e=noise_e))
 
 
 def _warm_noise(netd_k: float, usual: Optics) -> Optics:

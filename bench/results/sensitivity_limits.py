@@ -70,9 +70,8 @@ def _pieces(phantom: Phantom, teat: int, camera: CameraModel) -> tuple[Floats, F
     down = np.arange(0.0, shape.length_mm - shape.radius_mm - FLANGE_HEIGHT_MM, OUTLINE_STEP_MM)
     turn = np.linspace(0.0, np.pi, CAP_STEPS)[1:-1]
     cap = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * up
-    outward = np.concatenate(
-        [np.tile(across, (len(down), 1)), cap, np.tile(-across, (len(down), 1))]
-    )
+    side = np.tile(across, (len(down), 1))
+    outward = np.concatenate([side, cap, -side])
     below = np.concatenate([down[::-1], np.zeros(len(cap)), down])
     return middle - below[:, None] * axis + shape.radius_mm * outward, outward, below
 
@@ -80,17 +79,8 @@ def _pieces(phantom: Phantom, teat: int, camera: CameraModel) -> tuple[Floats, F
 def _grey(picture: Image, at: Floats) -> Floats:
     """Grey levels (n,) at pixels (n, 2), bilinear; NaN off the picture."""
     x, y = (at[:, i].astype(np.float32)[None, :] for i in (0, 1))
-    return np.asarray(
-        cv2.remap(
-            picture,
-            x,
-            y,
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=float("nan"),
-        )[0],
-        np.float64,
-    )
+    grey = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderValue=float("nan"))
+    return np.asarray(grey[0], np.float64)
 
 
 PIXEL_VARIANCE = 1.0 / 12.0  # of a pixel's own width, px^2, and of rounding, DN^2
@@ -123,19 +113,15 @@ def end_covariances(renderer: Renderer, state: SceneState, teats: Sequence[int])
     """Least covariances (n, 3, 3) mm^2 of the ends, world axes, from both noise-free pictures."""
     shadows = renderer.shadows(state)
     information = np.zeros((len(teats), 3, 3))
-    for eye, camera in (
-        (renderer.left, renderer.cameras[0]),
-        (renderer.right, renderer.cameras[1]),
-    ):
+    for eye, camera in zip((renderer.left, renderer.right), renderer.cameras[:2], strict=True):
         picture, sensor = eye.expected(state, shadows), eye.readout.sensor
         for i, teat in enumerate(teats):
             end = state.phantom.ends_mm[teat]
             outline = outline_of(state.phantom, teat, camera, picture)
             depth = float(camera.camera_from_world(end[None])[0, 2])
             noise = noise_dn(sensor, 0.5 * (outline.inside + outline.outside), state.exposure.gain)
-            seen = edge_information(
-                outline, edge_sigma_px(sensor, depth, float(camera.fc.mean())), noise
-            )
+            sigma_px = edge_sigma_px(sensor, depth, float(camera.fc.mean()))
+            seen = edge_information(outline, sigma_px, noise)
             slope = _pixels_per_mm(camera, end)
             information[i] += slope.T @ seen @ slope
     return np.asarray(np.linalg.inv(information), dtype=np.float64)
@@ -144,10 +130,8 @@ def end_covariances(renderer: Renderer, state: SceneState, teats: Sequence[int])
 def _pixels_per_mm(camera: CameraModel, point_mm: Floats) -> Floats:
     """How pixels move with a point, (2, 3)."""
     steps = GRADIENT_STEP_MM * np.eye(3)
-    return np.asarray(
-        (camera.project(point_mm + steps) - camera.project(point_mm - steps)).T
-        / (2.0 * GRADIENT_STEP_MM)
-    )
+    moved = camera.project(point_mm + steps) - camera.project(point_mm - steps)
+    return np.asarray(moved.T / (2.0 * GRADIENT_STEP_MM))
 
 
 def error_quantiles_mm(
@@ -155,9 +139,8 @@ def error_quantiles_mm(
 ) -> tuple[float, ...]:
     """Quantiles of |e| for normal errors of covariances (n, 3, 3), means (n, 3); fixed draws."""
     units = np.random.Generator(np.random.PCG64(1288)).standard_normal((DRAWS, 3))
-    errors = (
-        np.einsum("nij,dj->ndi", np.linalg.cholesky(covariances), units) + shifts_mm[:, None, :]
-    )
+    errors = np.einsum("nij,dj->ndi", np.linalg.cholesky(covariances), units)
+    errors += shifts_mm[:, None, :]
     return tuple(float(q) for q in np.quantile(np.linalg.norm(errors, axis=2), shares))
 
 
@@ -195,13 +178,10 @@ SPREAD_PER_PX = {
 
 def told(size_px: float, seed: int, calibration: Calibration) -> Calibration:
     """The calibration with errors of that size; the thermal camera keeps its place to the left."""
-    drawn = np.random.Generator(np.random.PCG64([seed, *b"miscalibration"])).standard_normal(
-        len(SPREAD_PER_PX)
-    )
+    chance = np.random.Generator(np.random.PCG64([seed, *b"miscalibration"]))
+    drawn = chance.standard_normal(len(SPREAD_PER_PX))
     pair = calibration
-    for (owner, name), one, unit in zip(
-        SPREAD_PER_PX, SPREAD_PER_PX.values(), drawn.tolist(), strict=True
-    ):
+    for ((owner, name), one), unit in zip(SPREAD_PER_PX.items(), drawn.tolist(), strict=True):
         pair = pair.moved(owner, name, size_px * one * unit)
     return replace(
         calibration, left=pair.left, right=pair.right, right_from_left=pair.right_from_left

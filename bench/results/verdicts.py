@@ -14,14 +14,7 @@ import numpy as np
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.results.latency import Latency, latency_of
-from bench.rig.arm_files import (
-    Limits,
-    LocationTest,
-    Verification,
-    broken_by,
-    from_dict,
-    gaps_of,
-)
+from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
     Decision,
     Verdict,
@@ -57,11 +50,8 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
 
     There is no guard band: the figure is the arm's own error, with the divot's in it.
     """
-    checks = {
-        when: facts[CHECK_FACT.format(when)]
-        for when in (BEFORE, AFTER)
-        if CHECK_FACT.format(when) in facts
-    }
+    keys = {when: CHECK_FACT.format(when) for when in (BEFORE, AFTER)}
+    checks = {when: facts[key] for when, key in keys.items() if key in facts}
     tests = {
         when: location_of(fact, f"the check {when} the trials") for when, fact in checks.items()
     }
@@ -78,11 +68,7 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     if not checks and not dated:
         return nothing
     against = _check_faults(rule, checks, tests)
-    missing = [
-        f"the arm was not checked {when} the trials"
-        for when in (BEFORE, AFTER)
-        if when not in checks
-    ]
+    missing = [f"the arm was not checked {when} the trials" for when in keys if when not in checks]
     for test in tests.values():
         missing += gaps_of(test, rule.least_touches)
     if dated:
@@ -96,9 +82,8 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
         f"verified on {dated.made:%Y-%m-%d}" if dated else "no dated verification is named"
     )
     told = "; ".join(against + missing) or kept
-    largest = max(
-        [test.largest_mm for test in tests.values()] + ([dated.location_mm] if dated else [])
-    )
+    figures = [test.largest_mm for test in tests.values()]
+    largest = max([*figures, dated.location_mm] if dated else figures)
     return replace(
         nothing,
         n=sum(test.n for test in (*tests.values(), *(dated.locations if dated else ()))),
@@ -110,11 +95,8 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
 
 
 def _rule(rule: ArmRequirement) -> str:
-    lengths = (
-        ""
-        if rule.length_limit_mm is None
-        else f", a calibrated length within {rule.length_limit_mm:g} mm"
-    )
+    length_mm = rule.length_limit_mm
+    lengths = "" if length_mm is None else f", a calibrated length within {length_mm:g} mm"
     dated = "required" if rule.dated_required else "where the rig names one"
     return (
         f"before and after the trials, touches of one divot within {rule.location_limit_mm:g} mm of"
@@ -126,9 +108,7 @@ def _rule(rule: ArmRequirement) -> str:
 
 
 def _check_faults(
-    rule: ArmRequirement,
-    checks: Mapping[str, Mapping[str, Any]],
-    tests: Mapping[str, LocationTest],
+    rule: ArmRequirement, checks: Mapping[str, Mapping[str, Any]], tests: Mapping[str, LocationTest]
 ) -> list[str]:
     faults = []
     for when, fact in checks.items():
@@ -313,19 +293,13 @@ def _decided(
 def truth_u_mm(runs: Sequence[RunRecord], scores: Pool, detector: str) -> float | None:
     """The largest uncertainty of a truth scored against; None where one of them states none."""
     trials = [trial for run in runs for trial in run.counted if detector in trial.scores]
-    stated = all(
-        row["u_mm"] is not None for trial in trials for row in trial.truth if row["visible"]
-    )
-    return max((score.u_mm for score in scores.scores), default=0.0) if stated else None
+    seen = [row["u_mm"] for trial in trials for row in trial.truth if row["visible"]]
+    return None if None in seen else max((score.u_mm for score in scores.scores), default=0.0)
 
 
 def _bath(rule: BathRequirement, run: RunRecord) -> Decision:
     set_point_c = run.facts.get("set_point_c")
     temps = [trial.head["bath_c"] for trial in run.trials if trial.head["bath_c"] is not None]
     held = sum(abs(temp - set_point_c) <= rule.band_k for temp in temps)
-    return decide_condition(
-        rule.name,
-        f"bath within {rule.band_k:g} K of the set point at every capture",
-        held=held,
-        of=len(temps),
-    )
+    what = f"bath within {rule.band_k:g} K of the set point at every capture"
+    return decide_condition(rule.name, what, held=held, of=len(temps))

@@ -396,9 +396,7 @@ def compare(
     radial = iter(holm([p for row in rows if (p := row.radial.p_value) is not None]))
     situations = tuple(
         replace(
-            row,
-            success_holm=p,
-            radial_holm=None if row.radial.p_value is None else next(radial),
+            row, success_holm=p, radial_holm=None if row.radial.p_value is None else next(radial)
         )
         for row, p in zip(rows, success, strict=True)
     )

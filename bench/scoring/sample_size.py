@@ -14,13 +14,7 @@ from scipy.special import bdtr, bdtrc, gammaincinv, ndtr, stdtrit
 from scipy.stats import binom
 
 from bench.scoring.guard_band import acceptance_limit_mm, leak
-from bench.scoring.rates import (
-    check_open,
-    fewest,
-    shown_falsely,
-    trials_needed,
-    zero_failure_n,
-)
+from bench.scoring.rates import check_open, fewest, shown_falsely, trials_needed, zero_failure_n
 
 RARE = 1e-100  # a share so small is none: scipy's distributions overflow there
 

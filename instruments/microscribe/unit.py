@@ -131,7 +131,7 @@ def _faults(error: ValidationError) -> Iterator[tuple[tuple[str | int, ...], str
     for detail in error.errors():
         message, kind = detail["msg"].removeprefix("Value error, "), detail["type"]
         if kind == "unexpected_keyword_argument":
-            message = "Extra inputs are not permitted"
+            message = "unknown key"
         missing = kind == "missing" or not detail["loc"]
         shown = "" if missing else f" (found {detail['input']!r:.60})"
         yield detail["loc"], f"{message[0].lower()}{message[1:]}{shown}"

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from contextlib import closing
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 from matplotlib.figure import Figure
@@ -23,45 +22,23 @@ from bench.record.check import NOT_AS_WRITTEN, PRINTED
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE, SCHEMA_VERSION
 from bench.run.engine import Ending
+from tests.bench.commands import Output, Said, teatbench, words
 from tests.bench.killed_runs import Silent, start
 from tests.bench.operated_runs import files
+from tests.bench.record.test_record import Damage, flipped, sql
 from tests.conftest import ROOT
 
 KEPT = ROOT / "tests" / "bench" / "record" / "kept" / f"schema-{SCHEMA_VERSION}"
 OF_A_TRIAL = ("frames", "touches", "truth", "found", "scores", "detections")
+EXPORTS = ("csv", "parquet", "mcap")
 FRAME = Path("frames") / "001-place-1"
-Damage = Callable[[Path], object]
 PARSER = cache(parser)
 EMPTY = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 72 72"></svg>'
-
-
-def sql(*commands: str) -> Damage:
-    """Somebody with a database tool."""
-
-    def edit(run: Path) -> None:
-        with closing(sqlite3.connect(run / DATABASE)) as db:
-            for command in commands:
-                assert db.execute(command).rowcount, f"{command}: nothing was changed"
-            db.commit()
-
-    return edit
 
 
 def written(name: Path | str, change: Callable[[bytes], bytes]) -> Damage:
     """A file with other bytes."""
     return lambda run: (run / name).write_bytes(change((run / name).read_bytes()))
-
-
-def flipped(data: bytes, at: int) -> bytes:
-    return data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
-
-
-def version(number: int) -> Damage:
-    def edit(run: Path) -> None:
-        with closing(sqlite3.connect(run / DATABASE)) as db:
-            db.execute(f"PRAGMA user_version = {number}")
-
-    return edit
 
 
 def printed(text: str) -> Damage:
@@ -143,9 +120,7 @@ DAMAGES: dict[str, Damage] = {
             ("identities", "[]"),
         )
     },
-    "schema 2": version(2),
-    "schema 1": version(1),
-    "schema 99": version(99),
+    **{f"schema {number}": sql(f"PRAGMA user_version = {number}") for number in (2, 1, 99)},
     "no database": lambda run: (run / DATABASE).unlink(),
     "an empty database": written(DATABASE, lambda _: b""),
     "half a database": written(DATABASE, lambda data: data[: len(data) // 2]),
@@ -157,7 +132,7 @@ DAMAGES: dict[str, Damage] = {
             ("empty", lambda _: b""),
             ("cut", lambda data: data[: len(data) // 2]),
             ("only a signature", lambda data: data[:8]),
-            ("a bit flipped", lambda data: flipped(data, len(data) // 2)),
+            ("a bit flipped", lambda data: flipped(data, len(data) // 2, 1)),
             ("no picture", lambda _: b"hello"),
         )
     },
@@ -210,17 +185,17 @@ def whole(tmp_path: Path) -> Path:
 def reading(run: Path, whole: Path, out: Path) -> dict[str, list[str]]:
     """Every command that makes something of a run's record."""
     exports = {
-        kind: ["store", "export", str(run), "--format", kind, "--out", str(out / kind)]
-        for kind in ("csv", "parquet", "mcap")
+        kind: words(f"store export {{}} --format {kind} --out {{}}", run, out / kind)
+        for kind in EXPORTS
     }
-    compare = ["compare", str(whole), str(run), "--gate"]
+    compare = words("compare {} {} --gate", whole, run)
     return exports | {
         "compare": [*compare, "--out", str(out / "compared")],
         "compare --json": [*compare, "--json"],
         "compare --together": [*compare, "--together"],
-        "report --baseline": ["report", str(whole), "--baseline", str(run), "--no-pdf"],
-        "report": ["report", str(run), "--no-pdf"],
-        "resume": ["resume", str(run)],
+        "report --baseline": words("report {} --baseline {} --no-pdf", whole, run),
+        "report": words("report {} --no-pdf", run),
+        "resume": words("resume {}", run),
     }
 
 
@@ -242,17 +217,14 @@ def test_a_damaged_run_is_refused_or_told_to_be_damaged(
     run: Path, whole: Path, tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     DAMAGES[what](run)
-    assert main(["store", "check", str(run)]) in (1, 2)
+    assert teatbench("store check {}", run) in (1, 2)
     no_traceback(capsys)
     out = tmp_path / "out"
     for name, command in reading(run, whole, out).items():
         assert main(command) == 2, name
         told = no_traceback(capsys)
         assert not told.out, f"{name} gave something out"
-        assert told.err.startswith((f"teatbench: {NOT_AS_WRITTEN}", f"teatbench: {run}")), (
-            name,
-            told.err,
-        )
+        assert told.err.startswith((f"teatbench: {NOT_AS_WRITTEN}", f"teatbench: {run}")), name
     assert not out.exists()
     assert not (run / "report" / "index.html").exists()
     asked = reading(run, whole, out)
@@ -262,30 +234,23 @@ def test_a_damaged_run_is_refused_or_told_to_be_damaged(
         code = main([*asked[name], "--despite-damage"])
         told = no_traceback(capsys)
         if code == 0:
-            assert name in ("csv", "parquet", "mcap"), f"{name} gave a verdict"
+            assert name in EXPORTS, f"{name} gave a verdict"
         else:
             assert code in (2, 3, 4), f"{name} gave a verdict"
         assert code == 2 or NOT_AS_WRITTEN in told.err, name
     assert_told(out, run / "report", whole / "report")
 
 
-class Told(NamedTuple):
-    """What a command wrote."""
-
-    out: str
-    err: str
-
-
-def no_traceback(capsys: pytest.CaptureFixture[str]) -> Told:
-    told = capsys.readouterr()
+def no_traceback(capsys: pytest.CaptureFixture[str]) -> Output:
+    told = Output(*capsys.readouterr())
     assert "Traceback" not in told.err
     assert "a mistake of the bench" not in told.err
-    return Told(*told)
+    return told
 
 
 def assert_told(out: Path, *reports: Path) -> None:
     """Nothing that was written can be taken for what was made of a whole record."""
-    for kind in ("csv", "parquet", "mcap"):
+    for kind in EXPORTS:
         files = list((out / kind).glob("*"))
         assert not files or (out / kind / DAMAGED) in files
     for page in [*(report / "index.html" for report in reports), out / "compared" / "index.html"]:
@@ -303,9 +268,7 @@ def assert_told(out: Path, *reports: Path) -> None:
             assert all(NOT_AS_WRITTEN in row for row in rows)
 
 
-def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, said: Said) -> None:
     class Stopping(Silent):
         def trial(self, done: int, total: int, name: str) -> None:
             if done == 1:
@@ -315,41 +278,34 @@ def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(
     run, ending = start(tmp_path, progress=Stopping())
     assert ending is Ending.ABORTED
     sql("UPDATE detections SET wall_seconds = 0.001")(run)
-    assert main(["resume", str(run)]) == 2
-    assert (
-        f"{NOT_AS_WRITTEN}, and is refused. {run.name}: table detections, row 1"
-        in capsys.readouterr().err
-    )
+    refused = f"{NOT_AS_WRITTEN}, and is refused. {run.name}: table detections, row 1"
+    assert refused in said(2, "resume {}", run).err
     assert len(read_run(run).trials) == 1
-    assert main(["resume", str(run), "--despite-damage"]) == 4
-    told = capsys.readouterr()
+    told = said(4, "resume {} --despite-damage", run)
     assert told.err.count(f"{NOT_AS_WRITTEN}. ") == 2, "before and after all else"
     assert "Verdict: no verdict" in told.out
     assert (read_run(run).ending, len(read_run(run).trials)) == ("finished", 3)
     assert_told(tmp_path, run / "report")
-    assert main(["store", "check", str(run)]) == 1
+    said(1, "store check {}", run)
 
 
 def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(
-    run: Path, capsys: pytest.CaptureFixture[str]
+    run: Path, said: Said
 ) -> None:
     """The new report may not name the chain as it is now: the next check would find nothing."""
-    assert main(["report", str(run), "--no-pdf"]) == 0
+    said(0, "report {} --no-pdf", run)
     printed = json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"]
-    facts = "'ending', 'retries', 'wall_ended'"
     cut = "(SELECT number FROM chain WHERE wall_covers LIKE '%wall_ended%')"
     sql(
-        f"DELETE FROM facts WHERE key IN ({facts})", f"DELETE FROM chain WHERE number >= {cut} - 3"
+        "DELETE FROM facts WHERE key IN ('ending', 'retries', 'wall_ended')",
+        f"DELETE FROM chain WHERE number >= {cut} - 3",
+        "DELETE FROM events WHERE kind = 'end'",
     )(run)
-    sql("DELETE FROM events WHERE kind = 'end'")(run)
+    why = f"the chain doesn't pass through the digest of {PRINTED.as_posix()}"
     for _ in range(2):
-        assert main(["report", str(run), "--no-pdf"]) == 2
-        assert main(["report", str(run), "--no-pdf", "--despite-damage"]) in (3, 4)
+        assert why in said(2, "report {} --no-pdf", run).err
+        assert teatbench("report {} --no-pdf --despite-damage", run) in (3, 4)
         assert json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"] == printed
-    assert (
-        f"the chain doesn't pass through the digest of {PRINTED.as_posix()}"
-        in capsys.readouterr().err
-    )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -360,10 +316,8 @@ def test_a_bit_flipped_anywhere_in_the_database_changes_nothing_unseen(
     chance, data, before = random.Random(seed), (run / DATABASE).read_bytes(), dumped(run)
     for _ in range(25):
         at, bit = chance.randrange(len(data)), 1 << chance.randrange(8)
-        (run / DATABASE).write_bytes(data[:at] + bytes([data[at] ^ bit]) + data[at + 1 :])
-        code = main(
-            ["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "csv")]
-        )
+        (run / DATABASE).write_bytes(flipped(data, at, bit))
+        code = teatbench("store export {} --format csv --out {}", run, tmp_path / "csv")
         no_traceback(capsys)
         assert code == 2 or (code == 0 and dumped(run) == before), f"bit {bit} of byte {at}"
 

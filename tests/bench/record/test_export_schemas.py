@@ -20,39 +20,25 @@ from tests.bench import mcap_reading
 SCHEMAS = {kind.DESCRIPTOR.full_name: kind for kind in MESSAGES}
 
 KINDS = {"double": 1, "int64": 3, "int32": 5, "fixed32": 7, "string": 9, "bytes": 12, "uint32": 13}
+WHEN = "google.protobuf.Timestamp timestamp = 1"
 PUBLISHED = {
     "google.protobuf.Timestamp": "int64 seconds = 1; int32 nanos = 2",
     "foxglove.Vector3": "double x = 1; double y = 2; double z = 3",
     "foxglove.Quaternion": "double x = 1; double y = 2; double z = 3; double w = 4",
     "foxglove.Pose": "foxglove.Vector3 position = 1; foxglove.Quaternion orientation = 2",
-    "foxglove.CompressedImage": (
-        "google.protobuf.Timestamp timestamp = 1; string frame_id = 4; bytes data = 2; string"
-        " format = 3"
-    ),
-    "foxglove.RawImage": (
-        """google.protobuf.Timestamp timestamp = 1; string frame_id = 7; fixed32 width = 2; fixed32 height = 3;
-        string encoding = 4; fixed32 step = 5; bytes data = 6"""
-    ),
-    "foxglove.CameraCalibration": (
-        """google.protobuf.Timestamp timestamp = 1; string frame_id = 9; fixed32 width = 2; fixed32 height = 3;
-        string distortion_model = 4; repeated double D = 5; repeated double K = 6; repeated double R = 7; repeated double P = 8"""
-    ),
-    "foxglove.FrameTransform": (
-        """google.protobuf.Timestamp timestamp = 1; string parent_frame_id = 2; string child_frame_id = 3;
-        foxglove.Vector3 translation = 4; foxglove.Quaternion rotation = 5"""
-    ),
+    "foxglove.CompressedImage": f"{WHEN}; string frame_id = 4; bytes data = 2; string format = 3",
+    "foxglove.RawImage": f"""{WHEN}; string frame_id = 7; fixed32 width = 2; fixed32 height = 3;
+        string encoding = 4; fixed32 step = 5; bytes data = 6""",
+    "foxglove.CameraCalibration": f"""{WHEN}; string frame_id = 9; fixed32 width = 2;
+        fixed32 height = 3; string distortion_model = 4; repeated double D = 5;
+        repeated double K = 6; repeated double R = 7; repeated double P = 8""",
+    "foxglove.FrameTransform": f"""{WHEN}; string parent_frame_id = 2; string child_frame_id = 3;
+        foxglove.Vector3 translation = 4; foxglove.Quaternion rotation = 5""",
     "foxglove.FrameTransforms": "repeated foxglove.FrameTransform transforms = 1",
-    "foxglove.PoseInFrame": (
-        "google.protobuf.Timestamp timestamp = 1; string frame_id = 2; foxglove.Pose pose = 3"
-    ),
-    "foxglove.PosesInFrame": (
-        "google.protobuf.Timestamp timestamp = 1; string frame_id = 2; repeated foxglove.Pose"
-        " poses = 3"
-    ),
-    "foxglove.Log": (
-        """google.protobuf.Timestamp timestamp = 1; enum foxglove.Log.Level level = 2; string message = 3; string name = 4;
-        string file = 5; fixed32 line = 6"""
-    ),
+    "foxglove.PoseInFrame": f"{WHEN}; string frame_id = 2; foxglove.Pose pose = 3",
+    "foxglove.PosesInFrame": f"{WHEN}; string frame_id = 2; repeated foxglove.Pose poses = 3",
+    "foxglove.Log": f"""{WHEN}; enum foxglove.Log.Level level = 2; string message = 3;
+        string name = 4; string file = 5; fixed32 line = 6""",
 }
 
 
@@ -84,14 +70,8 @@ def test_a_schema_is_field_by_field_what_foxglove_publishes(name: str) -> None:
 
 
 def test_levels_of_a_log_are_the_published_ones() -> None:
-    assert dict(Log.Level.items()) == {
-        "UNKNOWN": 0,
-        "DEBUG": 1,
-        "INFO": 2,
-        "WARNING": 3,
-        "ERROR": 4,
-        "FATAL": 5,
-    }
+    published = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
+    assert dict(Log.Level.items()) == {name: number for number, name in enumerate(published)}
 
 
 @pytest.mark.parametrize("name", sorted(set(SCHEMAS) - set(FOXGLOVES)))
@@ -101,11 +81,8 @@ def test_our_own_hold_only_what_every_viewer_takes(name: str) -> None:
     """
     ours = mcap_reading.described(described(name))[name]
     assert ours.pop(1) == ("timestamp", mcap_reading.MESSAGE, False, "google.protobuf.Timestamp")
-    assert {kind for _, kind, _, _ in ours.values()} <= {
-        mcap_reading.DOUBLE,
-        mcap_reading.STRING,
-        mcap_reading.UINT32,
-    }
+    plain = {mcap_reading.DOUBLE, mcap_reading.STRING, mcap_reading.UINT32}
+    assert {kind for _, kind, _, _ in ours.values()} <= plain
 
 
 T = {"seconds": 1_700_000_000, "nanos": 5}

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.cli.main import main
 from bench.record.writer import Store
 from bench.rig.loading import RIGS
 from instruments.clock import wall_time
+from tests.bench.commands import teatbench
 from tests.bench.record.test_record import facts, trial
 from tests.bench.record.test_record_exports import TOUCH
 
@@ -27,15 +27,14 @@ rerun: Any = pytest.importorskip(
     "rerun.chunk", reason="rerun-sdk is not installed: no viewer to open the export with"
 )
 
-LEFT, THERMAL = (
-    np.arange(48, dtype=np.uint8).reshape(6, 8),
-    np.arange(29_000, 29_012, dtype=np.uint16).reshape(3, 4),
-)
+LEFT = np.arange(48, dtype=np.uint8).reshape(6, 8)
+THERMAL = np.arange(29_000, 29_012, dtype=np.uint16).reshape(3, 4)
+Shown = dict[str, list[dict[str, Any]]]  # rows of a topic's components
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, Any]]]:
-    """What rerun makes of each topic: rows of its components."""
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Shown:
+    """What rerun makes of each topic."""
     folder = tmp_path_factory.mktemp("viewers")
     store = Store.create(
         folder / "run",
@@ -48,11 +47,8 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, 
     touch = {"trial": "001-x-1", **TOUCH}
     store.finished(replace(made, head={**made.head, **times}, frames=frames, touches=[touch]))
     store.close()
-    assert (
-        main(["store", "export", str(folder / "run"), "--format", "mcap", "--out", str(folder)])
-        == 0
-    )
-    found: dict[str, list[dict[str, Any]]] = {}
+    assert teatbench("store export {} --format mcap --out {}", folder / "run", folder) == 0
+    found: Shown = {}
     for topic, row in rows(folder / "run.mcap"):
         found.setdefault(topic, []).append(row)
     return found
@@ -71,9 +67,7 @@ def rows(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield chunk.entity_path, kept
 
 
-def test_every_topic_is_drawn_and_none_is_left_as_bytes(
-    shown: dict[str, list[dict[str, Any]]],
-) -> None:
+def test_every_topic_is_drawn_and_none_is_left_as_bytes(shown: Shown) -> None:
     drawn = {
         topic: {name.partition(":")[0] for row in kept for name in row if ":" in name}
         for topic, kept in shown.items()
@@ -85,10 +79,7 @@ def test_every_topic_is_drawn_and_none_is_left_as_bytes(
         "/cameras/left": "EncodedImage",
         "/cameras/thermal_radiometric": "Image",
         "/events": "TextLog",
-        "/stage": "InstancePoses3D",
-        "/arm": "InstancePoses3D",
-        "/truth": "InstancePoses3D",
-        "/detections/thesis": "InstancePoses3D",
+        **dict.fromkeys(("/stage", "/arm", "/truth", "/detections/thesis"), "InstancePoses3D"),
         "/bath": "teatbench.Bath",
         "/trial": "teatbench.Trial",
         "/answers/thesis": "teatbench.Answer",
@@ -98,19 +89,18 @@ def test_every_topic_is_drawn_and_none_is_left_as_bytes(
         assert kind in drawn[topic], drawn[topic]
 
 
-def test_pictures_come_out_as_they_went_in(shown: dict[str, list[dict[str, Any]]]) -> None:
+def test_pictures_come_out_as_they_went_in(shown: Shown) -> None:
     (left,) = shown["/cameras/left"]
     png = np.frombuffer(bytes(left["EncodedImage:blob"][0]), np.uint8)
     assert np.array_equal(np.asarray(cv2.imdecode(png, cv2.IMREAD_UNCHANGED)), LEFT)
     (thermal,) = shown["/cameras/thermal_radiometric"]
     (shape,) = thermal["Image:format"]
     assert (shape["width"], shape["height"]) == (4, 3)
-    assert np.array_equal(
-        np.frombuffer(bytes(thermal["Image:buffer"][0]), "<u2").reshape(3, 4), THERMAL
-    )
+    pixels = np.frombuffer(bytes(thermal["Image:buffer"][0]), "<u2")
+    assert np.array_equal(pixels.reshape(3, 4), THERMAL)
 
 
-def test_places_are_where_they_were(shown: dict[str, list[dict[str, Any]]]) -> None:
+def test_places_are_where_they_were(shown: Shown) -> None:
     assert np.allclose(shown["/arm"][0]["InstancePoses3D:translations"], [[0.01, -0.02, 0.03]])
     assert np.allclose(shown["/stage"][0]["InstancePoses3D:translations"], [[0.1, 0.0, -0.005]])
     ties = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -53,6 +54,25 @@ def trial(store: Store, number: int) -> TrialRecord:
     return replace(done, frames=frames)
 
 
+Damage = Callable[[Path], object]
+
+
+def sql(*commands: str) -> Damage:
+    """Somebody with a database tool."""
+
+    def edit(run: Path) -> None:
+        with closing(sqlite3.connect(run / DATABASE)) as db:
+            for command in commands:
+                assert db.execute(command).rowcount, f"{command}: nothing was changed"
+            db.commit()
+
+    return edit
+
+
+def flipped(data: bytes, at: int, bits: int) -> bytes:
+    return data[:at] + bytes([data[at] ^ bits]) + data[at + 1 :]
+
+
 def test_what_was_written_is_read(tmp_path: Path) -> None:
     store = Store.create(tmp_path / "run", {"script.toml": "x = 1"})
     facts(store)
@@ -64,19 +84,14 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert [t.id for t in run.trials] == ["007-x-1"]
     assert run.trials[0].found[0]["z_mm"] == 3.0
     assert run.bath.tolist() == [[7.0, 33.0, 2.0]]
-    image = cv2.imread(
-        str(tmp_path / "run" / run.trials[0].frames[0]["path"]), cv2.IMREAD_GRAYSCALE
-    )
-    assert image is not None
-    assert (image == 7).all()
+    (frame,) = run.trials[0].frames
+    assert (np.asarray(cv2.imread(str(run.folder / frame["path"]), -1)) == 7).all()
 
 
 def test_a_folder_that_is_no_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is no run"):
         read_run(tmp_path)
-    (tmp_path / DATABASE).write_bytes(
-        b"this is not a database, and long enough to have a header of some kind" * 20
-    )
+    (tmp_path / DATABASE).write_bytes(b"no database, but long enough to have a header" * 20)
     with pytest.raises(ConfigError, match="can't be read"):
         read_run(tmp_path)
 

@@ -8,7 +8,6 @@ import json
 import re
 import shutil
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.cli.main import main
 from bench.record.chain import Head
 from bench.record.check import CHAINED_SINCE, PRINTED, Weight, check_run
 from bench.record.reader import read_run
@@ -24,19 +22,13 @@ from bench.record.schema import DATABASE, SCHEMA_VERSION, tables_of
 from bench.record.writer import Store
 from bench.run.recordings import RECORDED
 from instruments.clock import wall_time
-from tests.bench.record.test_record import PLACE, facts, trial
+from tests.bench.commands import Said
+from tests.bench.record.test_record import PLACE, Damage, facts, flipped, sql, trial
 
 KEPT = Path(__file__).parent / "kept"
 CHECK: dict[str, Any] = {"number": 1, "teat": "1", "after_trial": "002-x-1", "t_s": 2.5, **PLACE}
 CHECK |= {"carried_x_mm": 1.0, "carried_y_mm": 2.0, "carried_z_mm": 9.0}
 CHECK |= {"off_mm": 6.0, "limit_mm": 1.0, "held": 0}
-SKIPPED: dict[str, Any] = {
-    "trial": "004-x-1",
-    "number": 4,
-    "name": "x",
-    "situation": "s",
-    "repeat": 1,
-}
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +40,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store.event(0.0, "state", "preparing", wall_time())
     for number in (1, 2, 3):
         store.finished(trial(store, number))
-    store.skipped({**SKIPPED, "t_s": 4.0, "reason": "no teat"})
+    skipped = {"trial": "004-x-1", "number": 4, "name": "x", "situation": "s", "repeat": 1}
+    store.skipped({**skipped, "t_s": 4.0, "reason": "no teat"})
     store.checked([CHECK], ["002-x-1"], "the carried end is 6 mm off")
     store.fact("ending", "finished")
     store.event(5.0, "end", "finished", wall_time())
@@ -61,34 +54,16 @@ def run(written: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(written, tmp_path / "run"))
 
 
-def sql(*commands: str) -> Callable[[Path], object]:
-    """Somebody with a database tool."""
-
-    def edit(run: Path) -> None:
-        with closing(sqlite3.connect(run / DATABASE)) as db:
-            for command in commands:
-                db.execute(command)
-            db.commit()
-
-    return edit
-
-
 def damages(run: Path, digest: str | None = None) -> list[str]:
-    return [
-        finding.text
-        for finding in check_run(run, digest).findings
-        if finding.weight is Weight.DAMAGE
-    ]
+    found = check_run(run, digest).findings
+    return [finding.text for finding in found if finding.weight is Weight.DAMAGE]
 
 
-def flipped(path: Path, at: int) -> None:
-    data = bytearray(path.read_bytes())
-    data[at] ^= 0x10
-    path.write_bytes(bytes(data))
+def rotten(name: Path | str, at: int) -> Damage:
+    return lambda run: (run / name).write_bytes(flipped((run / name).read_bytes(), at, 0x10))
 
 
-def frame(number: int = 2) -> Path:
-    return Path("frames") / f"{number:03d}-x-1" / "left.png"
+FRAME = Path("frames") / "002-x-1" / "left.png"
 
 
 def test_a_run_as_it_was_written_is_whole(run: Path) -> None:
@@ -100,7 +75,7 @@ def test_a_run_as_it_was_written_is_whole(run: Path) -> None:
     assert checked.head == read_run(run).head
 
 
-DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
+DAMAGE: dict[str, tuple[Damage, str]] = {
     "a truth moved": (
         sql("UPDATE truth SET x_mm = 1.5 WHERE trial = '002-x-1'"),
         r"table truth, row 2 is not as written .*trial 002-x-1",
@@ -133,7 +108,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "a truth given back": (
         sql("DELETE FROM invalidated"),
-        r"table invalidated, row 1 is not as written",
+        "table invalidated, row 1 is not as written",
     ),
     "a bath reading": (
         sql("UPDATE bath SET temp_c = 34.0 WHERE t_s = 1.0"),
@@ -164,13 +139,10 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
         sql("UPDATE frames SET trial = 'gone' WHERE rowid = 1"),
         "table frames, row 1: what it refers to in trials",
     ),
-    "a rotten frame": (
-        lambda run: flipped(run / frame(), -20),
-        r"002-x-1/left.png is not as it was written",
-    ),
-    "a lost frame": (lambda run: (run / frame()).unlink(), r"002-x-1/left.png can't be read"),
+    "a rotten frame": (rotten(FRAME, 20), r"002-x-1/left.png is not as it was written"),
+    "a lost frame": (lambda run: (run / FRAME).unlink(), r"002-x-1/left.png can't be read"),
     "a frame that came later": (
-        lambda run: (run / frame().with_name("right.png")).write_bytes(b"x"),
+        lambda run: (run / FRAME.with_name("right.png")).write_bytes(b"x"),
         "right.png is in no row of the record",
     ),
     "another script": (
@@ -189,20 +161,17 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
         sql("PRAGMA user_version = 2"),
         "says that it has schema 2, which has no chain",
     ),
-    "a rotten database": (lambda run: flipped(run / DATABASE, 3 * 4096 + 5), r"run\.sqlite"),
+    "a rotten database": (rotten(DATABASE, 3 * 4096 + 5), r"run\.sqlite"),
 }
 
 
 @pytest.mark.parametrize("what", DAMAGE)
-def test_damage_is_found_and_named(
-    run: Path, what: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damage_is_found_and_named(run: Path, what: str, said: Said) -> None:
     damage, told = DAMAGE[what]
     damage(run)
     found = damages(run)
     assert any(re.search(told, text) for text in found), found
-    assert main(["store", "check", str(run)]) == 1
-    assert "The record is NOT as it was written." in capsys.readouterr().out
+    assert "The record is NOT as it was written." in said(1, "store check {}", run).out
 
 
 def test_no_cell_of_any_table_changes_unseen(run: Path) -> None:
@@ -215,10 +184,8 @@ def test_no_cell_of_any_table_changes_unseen(run: Path) -> None:
                 ).fetchall()
                 for rowid, value in rows:
                     change = f"UPDATE {table} SET {column} = ? WHERE rowid = ?"
-                    db.execute(
-                        change,
-                        ("other" if isinstance(value, str | None) else value + 1_000_000, rowid),
-                    )
+                    other = "other" if isinstance(value, str | None) else value + 1_000_000
+                    db.execute(change, (other, rowid))
                     assert damages(run), f"{table}.{column}"
                     at = (
                         rowid + 1_000_000
@@ -238,15 +205,12 @@ def is_rowid(db: sqlite3.Connection, table: str) -> bool:
     )
 
 
-def test_what_a_dead_bench_leaves_is_told_but_no_damage(
-    run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_dead_bench_leaves_is_told_but_no_damage(run: Path, said: Said) -> None:
     store = Store(run)
     store.frames("004-x-1", {"left": np.zeros((4, 5), np.uint8)}, {})
-    (run / frame(4).with_name("right.png.part")).write_bytes(b"half a fra")
+    (run / "frames" / "004-x-1" / "right.png.part").write_bytes(b"half a fra")
     store.close()
-    assert main(["store", "check", str(run)]) == 0
-    told = capsys.readouterr().out
+    told = said(0, "store check {}", run).out
     assert "note: frames/004-x-1/left.png belongs to no finished trial" in told
     assert "note: frames/004-x-1/right.png.part belongs to no finished trial" in told
     assert "The record is as it was written." in told
@@ -257,18 +221,14 @@ def test_a_chain_made_anew_or_cut_off_differs_from_what_the_report_names(run: Pa
     that was printed.
     """
     head = check_run(run).head
-    printed = {
-        "chain": {"links": head.number, "digest": head.digest, "wall_digest": head.wall_digest}
-    }
+    named = {"links": head.number, "digest": head.digest, "wall_digest": head.wall_digest}
     (run / PRINTED).parent.mkdir()
-    (run / PRINTED).write_text(json.dumps(printed), encoding="utf-8")
+    (run / PRINTED).write_text(json.dumps({"chain": named}), encoding="utf-8")
     assert damages(run, digest=head.digest) == damages(run, digest=head.wall_digest.upper()) == []
-    sql("DELETE FROM events WHERE number = 2", f"DELETE FROM chain WHERE number = {head.number}")(
-        run
-    )
-    assert [text.partition(":")[0] for text in damages(run)] == [
-        f"the chain doesn't pass through the digest of {PRINTED.as_posix()}"
-    ]
+    last = f"DELETE FROM chain WHERE number = {head.number}"
+    sql("DELETE FROM events WHERE number = 2", last)(run)
+    (found,) = damages(run)
+    assert found.startswith(f"the chain doesn't pass through the digest of {PRINTED.as_posix()}:")
     (run / PRINTED).unlink()
     assert damages(run) == []
     assert "doesn't pass through" in damages(run, digest=head.wall_digest)[0]
@@ -332,8 +292,5 @@ def test_every_schema_that_has_a_chain_has_a_kept_run() -> None:
     }
 
 
-def test_a_folder_that_is_no_run_is_wrong_use(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["store", "check", str(tmp_path)]) == 2
-    assert "is no run" in capsys.readouterr().err
+def test_a_folder_that_is_no_run_is_wrong_use(tmp_path: Path, said: Said) -> None:
+    assert "is no run" in said(2, "store check {}", tmp_path).err

@@ -1,5 +1,5 @@
-"""When what is durable: the order of syncs, what a step holds back and what it doesn't, and what a
-failed write leaves.
+"""When what is durable: the order of syncs, what a step holds back and what it doesn't, what a
+failed write leaves, and what physical actions find in the record of a run.
 """
 
 from __future__ import annotations
@@ -8,6 +8,8 @@ import os
 import sqlite3
 import sys
 import threading
+from collections import Counter
+from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,10 +23,16 @@ import pytest
 from bench.config import ConfigError
 from bench.files import png_bytes, write_pictures, write_synced
 from bench.record.check import check_run
-from bench.record.reader import read_run
+from bench.record.reader import TrialRecord, read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import FLUSH_EVERY, URGENT, Store
+from bench.run.engine import Ending
+from instruments.bath.driver import Bath
 from instruments.clock import wall_time
+from instruments.operators.emulated import EmulatedOperator
+from instruments.stage.driver import Stage
+from tests.bench.killed_runs import start
+from tests.bench.operated_runs import CHECK_POINT, STAGE, files
 from tests.bench.record.test_record import READING, facts, trial
 
 
@@ -353,3 +361,70 @@ def test_a_guardian_record_that_is_no_record_is_named(tmp_path: Path) -> None:
     (tmp_path / "run" / "guardian.json").write_text("{", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"guardian.json can't be read"):
         read_run(tmp_path / "run")
+
+
+ACTIONS: tuple[tuple[type, str], ...] = (
+    (Stage, "home"),
+    (Stage, "move_to"),
+    (Stage, "stop"),
+    (Bath, "start"),
+    (Bath, "standby"),
+    (Bath, "safe"),
+    (EmulatedOperator, "ask"),
+    (EmulatedOperator, "_set_up"),
+    (EmulatedOperator, "_touch"),
+)
+
+
+class Spoken:
+    """Counts what a store is told, and compares it with what another process would see."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.folder: Path | None = None
+        self.said = Counter[str]()
+        self.looked = Counter[str]()
+        event, finished = Store.event, Store.finished
+
+        def said(store: Store, *words: Any) -> None:
+            self.folder = store.folder
+            self.said["events"] += 1
+            event(store, *words)
+
+        def done(store: Store, trial: TrialRecord) -> None:
+            self.said["trials"] += 1
+            finished(store, trial)
+
+        patch.setattr(Store, "event", said)
+        patch.setattr(Store, "finished", done)
+        for kind, name in ACTIONS:
+            patch.setattr(kind, name, self.looking(f"{kind.__name__}.{name}", getattr(kind, name)))
+
+    def looking(self, what: str, own: Callable[..., Any]) -> Callable[..., Any]:
+        def action(*given: Any, **more: Any) -> Any:
+            if self.folder:
+                self.looked[what] += 1
+                with closing(sqlite3.connect(self.folder / DATABASE)) as db:
+                    for table in ("events", "trials"):
+                        (there,) = db.execute(f"SELECT count(*) FROM {table}").fetchone()
+                        assert there == self.said[table], f"{what}: not all {table} were durable"
+            return own(*given, **more)
+
+        return action
+
+
+def test_all_that_was_said_is_durable_before_the_next_physical_action(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files(tmp_path, stage=STAGE, check_point=CHECK_POINT)
+    spoken = Spoken(monkeypatch)
+    assert start(tmp_path)[1] is Ending.FINISHED
+    assert spoken.said["trials"] == 3
+    assert {
+        "Stage.home",
+        "Stage.move_to",
+        "Bath.start",
+        "Bath.safe",
+        "EmulatedOperator._set_up",
+        "EmulatedOperator._touch",
+    } <= set(spoken.looked)
+    assert spoken.looked["Stage.move_to"] >= 3

@@ -1,10 +1,11 @@
 """Runs of older benches: read by migration in memory, left on the disk as they are, and never gone
-on with.
+on with. docs/record.md names today's tables and messages.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 import sqlite3
 from contextlib import closing
@@ -12,12 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
 from bench.config import ConfigError
 from bench.record.check import check_run
+from bench.record.mcap import MESSAGES
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE, SCHEMA_VERSION, make_tables, migrate, tables_of
 from bench.record.writer import Store
+from tests.bench.commands import Said
 from tests.bench.old_schemas import ROWS_1, ROWS_2, VERSION_1, VERSION_2
 
 OLD = {1: VERSION_1 + ROWS_1, 2: VERSION_2 + ROWS_2}
@@ -72,19 +74,17 @@ def test_what_version_2_knew_is_kept(tmp_path: Path) -> None:
     assert record.checks[0]["off_mm"] == 6.0
 
 
-def test_every_migration_ends_in_the_tables_of_today(tmp_path: Path) -> None:
-    def columns(db: sqlite3.Connection) -> dict[str, set[str]]:
-        return {
-            name: {row[1] for row in db.execute(f"PRAGMA table_info({name})")}
-            for name in tables_of(db)
-        }
+def columns(db: sqlite3.Connection) -> dict[str, set[str]]:
+    """By table."""
+    named = {name: db.execute(f"PRAGMA table_info({name})") for name in tables_of(db)}
+    return {name: {row[1] for row in rows} for name, rows in named.items()}
 
+
+def test_every_migration_ends_in_the_tables_of_today(tmp_path: Path) -> None:
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as today:
         make_tables(today)
-        for folder in (
-            *(old_run(tmp_path / str(version), version, text) for version, text in OLD.items()),
-            kept(tmp_path),
-        ):
+        olds = [old_run(tmp_path / str(version), version, text) for version, text in OLD.items()]
+        for folder in (*olds, kept(tmp_path)):
             with closing(sqlite3.connect(folder / DATABASE, isolation_level=None)) as old:
                 migrate(old)
                 assert columns(old) == columns(today)
@@ -92,40 +92,28 @@ def test_every_migration_ends_in_the_tables_of_today(tmp_path: Path) -> None:
 
 
 def test_an_old_run_is_checked_and_exported_but_not_gone_on_with(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Path, tmp_path: Path, said: Said
 ) -> None:
     assert any("it has no chain" in finding.text for finding in check_run(run).findings)
-    export = ["store", "export", str(run), "--format", "csv", "--out", str(tmp_path / "csv")]
-    assert main(export) == 2, "its pictures aren't there"
-    assert main([*export, "--despite-damage"]) == 0
+    export = "store export {} --format csv --out {}"
+    said(2, export, run, tmp_path / "csv")  # its pictures aren't there
+    said(0, f"{export} --despite-damage", run, tmp_path / "csv")
     assert "001-x-1" in (tmp_path / "csv" / "trials.csv").read_text(encoding="utf-8")
-    with pytest.raises(
-        ConfigError, match=r"of an older bench: it can be read and reported, but not gone on with"
-    ):
+    why = "of an older bench: it can be read and reported, but not gone on with"
+    with pytest.raises(ConfigError, match=why):
         Store(run)
-    capsys.readouterr()
 
 
-def test_a_run_of_schema_3_is_whole_reported_and_exported(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_of_schema_3_is_whole_reported_and_exported(tmp_path: Path, said: Said) -> None:
     run = kept(tmp_path)
-    assert [row["wall_cpu_s"] for trial in read_run(run).trials for row in trial.detections] == [
-        None,
-        None,
-    ]
-    assert main(["store", "check", str(run)]) == 0
-    assert main(["report", str(run), "--no-pdf"]) == 4
-    assert (
-        main(
-            ["store", "export", str(run), "--format", "parquet", "--out", str(tmp_path / "parquet")]
-        )
-        == 0
-    )
-    assert main(["store", "check", str(run)]) == 0, "the report names the chain as it is"
+    detections = [row for trial in read_run(run).trials for row in trial.detections]
+    assert [row["wall_cpu_s"] for row in detections] == [None, None]
+    said(0, "store check {}", run)
+    said(4, "report {} --no-pdf", run)
+    said(0, "store export {} --format parquet --out {}", run, tmp_path / "parquet")
+    said(0, "store check {}", run)  # the report names the chain as it is
     with pytest.raises(ConfigError, match="of an older bench"):
         Store(run)
-    capsys.readouterr()
 
 
 @pytest.mark.parametrize(
@@ -140,3 +128,29 @@ def test_tables_that_this_bench_does_not_know_are_refused(
         read_run(run)
     with pytest.raises(ConfigError, match=f"schema {version}"):
         Store(run)
+
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "record.md").read_text(encoding="utf-8")
+
+
+def test_every_table_and_its_times_are_told() -> None:
+    told = dict(re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", PAGE, re.MULTILINE))
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as db:
+        make_tables(db)
+        there = columns(db)
+    assert set(told) == set(there)
+    for table, times in told.items():
+        named = set(re.findall(r"`(t_s|wall_time|\w+_s)`", times))
+        named -= {"captured_s"} if table == "detections" else set()
+        assert named <= there[table]
+        assert not times or {"t_s", "wall_time"} & there[table] <= named
+
+
+def test_every_schema_of_the_time_line_is_told() -> None:
+    assert set(re.findall(r"`((?:foxglove|teatbench)\.\w+)`", PAGE)) == {
+        kind.DESCRIPTOR.full_name for kind in MESSAGES
+    }
+
+
+def test_the_version_is_told() -> None:
+    assert f"this bench writes {SCHEMA_VERSION} and reads 1 to {SCHEMA_VERSION}" in PAGE

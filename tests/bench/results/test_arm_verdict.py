@@ -1,6 +1,4 @@
-"""The requirement `arm_verified`: a table of what a run may know
-of its arm, and what is said then.
-"""
+"""The requirement `arm_verified`: a table of what a run may know of its arm, and what is said."""
 
 from __future__ import annotations
 
@@ -34,12 +32,9 @@ def check(
 ) -> dict[str, Any]:
     """Touches whose largest deviation is 0.3 mm times ``scale``."""
     tips = scale * CROSS + PLACE + [0.0, 0.0, shift_mm]
-    return {
-        "check_point_mm": PLACE.tolist(),
-        "touches": [
-            {"tip_mm": t.tolist(), "axis": a.tolist()} for t, a in zip(tips[:n], axes, strict=False)
-        ],
-    }
+    of = zip(tips[:n].tolist(), axes.tolist(), strict=False)
+    touches = [{"tip_mm": tip, "axis": axis} for tip, axis in of]
+    return {"check_point_mm": PLACE.tolist(), "touches": touches}
 
 
 def dated(
@@ -49,19 +44,10 @@ def dated(
     serial: str = "40937",
     lengths: bool = True,
 ) -> dict[str, Any]:
-    length = (
-        (LengthTest("upright", np.zeros(3), np.array([0.0, 0.0, 300.0 + error_mm]), 300.0),)
-        if lengths
-        else ()
-    )
-    return as_dict(
-        Verification(
-            STARTED - timedelta(days=days),
-            serial,
-            (LocationTest("near", scale * CROSS, SWUNG),),
-            length,
-        )
-    )
+    length = LengthTest("upright", np.zeros(3), np.array([0.0, 0.0, 300.0 + error_mm]), 300.0)
+    locations = (LocationTest("near", scale * CROSS, SWUNG),)
+    made = STARTED - timedelta(days=days)
+    return as_dict(Verification(made, serial, locations, (length,) if lengths else ()))
 
 
 def facts(before: Any = None, after: Any = None, verification: Any = None) -> dict[str, Any]:

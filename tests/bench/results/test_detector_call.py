@@ -15,7 +15,7 @@ import pytest
 
 from bench.config import read_calibration
 from bench.record.reader import TrialRecord
-from bench.results.answers import Answer, Examiner, close_detectors, examine, score_answer
+from bench.results.answers import Examiner, close_detectors, examine, score_answer
 from bench.rig.loading import RIGS
 from bench.run.rows import detection_rows, stage_pictures
 from bench.scoring.scene import scene_from_dict
@@ -63,12 +63,8 @@ def answered(*teats: Any, **more: Any) -> Callable[[], Detection]:
 
 def test_a_good_answer_is_scored_and_stored(calibration: Calibration) -> None:
     answer = examine(Scripted(answered(teat(1, 0, 100), teat(50, 2, 100))), FRAMES, calibration)
-    assert (answer.outcome, answer.cold, answer.start_up_s, answer.stderr) == (
-        Outcome.ANSWERED,
-        False,
-        None,
-        "",
-    )
+    assert (answer.outcome, answer.cold) == (Outcome.ANSWERED, False)
+    assert (answer.start_up_s, answer.stderr) == (None, "")
     score = score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0)
     assert score.success
     assert sorted(score.radial_mm) == [1.0, 2.0]
@@ -154,9 +150,8 @@ def test_no_answer_is_no_success_where_there_is_nothing_to_find(calibration: Cal
     unseen = [replace(row, visible=False) for row in TRUTH]
     silent = examine(Scripted(answered(hidden=2)), FRAMES, calibration)
     assert score_answer(silent, unseen, limit_mm=5.0, time_limit_s=2.0).success
-    failed = score_answer(
-        examine(Scripted(crash), FRAMES, calibration), unseen, limit_mm=5.0, time_limit_s=2.0
-    )
+    crashed = examine(Scripted(crash), FRAMES, calibration)
+    failed = score_answer(crashed, unseen, limit_mm=5.0, time_limit_s=2.0)
     assert (failed.success, failed.hidden_claimed) == (False, None)
 
 
@@ -171,13 +166,8 @@ def test_an_answer_after_the_limit_is_a_timeout(calibration: Calibration) -> Non
 def test_the_first_call_is_the_cold_one(calibration: Calibration) -> None:
     examiner = Examiner(calibration)
     one, two = Scripted(answered(), "one"), Scripted(crash, "two")
-    assert [examiner.ask(d, FRAMES).cold for d in (one, two, one, two, one)] == [
-        True,
-        True,
-        False,
-        False,
-        False,
-    ]
+    cold = [examiner.ask(d, FRAMES).cold for d in (one, two, one, two, one)]
+    assert cold == [True, True, False, False, False]
 
 
 def test_no_detector_can_change_the_pictures_under_the_others(calibration: Calibration) -> None:
@@ -205,10 +195,8 @@ def test_stages_are_kept_points_in_the_record_and_masks_as_pictures(
     calibration: Calibration,
 ) -> None:
     mask = np.eye(30, dtype=bool)
-    stages = (
-        Stage("edges", {"mask": mask}),
-        Stage("teat ends", {"points_px": np.array([[1.5, 2.5]])}),
-    )
+    ends = Stage("teat ends", {"points_px": np.array([[1.5, 2.5]])})
+    stages = (Stage("edges", {"mask": mask}), ends)
     answer = examine(Scripted(answered(hidden=2, trace=stages)), FRAMES, calibration)
     head, found = detection_rows("t", answer)
     trace = json.loads(str(head["trace"]))
@@ -224,18 +212,10 @@ def test_stages_are_kept_points_in_the_record_and_masks_as_pictures(
 def test_stages_that_the_record_cannot_hold_are_left_out_with_a_word(
     calibration: Calibration,
 ) -> None:
-    (told,) = [
-        examine(
-            Scripted(answered(reason="dark\n and   cold")), FRAMES, calibration
-        ).detection.reason
-    ]
-    assert told == "dark and cold"
-    good = Stage("fine", {"p": np.zeros(2)})
-    bad = (
-        Stage("../up", {"p": np.zeros(2)}),
-        Stage("things", {"p": np.array([object()])}),
-        "no stage",
-    )
+    told = examine(Scripted(answered(reason="dark\n and   cold")), FRAMES, calibration)
+    assert told.detection.reason == "dark and cold"
+    good, up = (Stage(name, {"p": np.zeros(2)}) for name in ("fine", "../up"))
+    bad = (up, Stage("things", {"p": np.array([object()])}), "no stage")
     answer = examine(Scripted(answered(reason="dark", trace=(good, *bad))), FRAMES, calibration)
     assert answer.outcome is Outcome.ANSWERED
     assert [stage.name for stage in answer.detection.trace] == ["fine"]
@@ -283,20 +263,13 @@ def test_what_lives_elsewhere_is_prepared_outside_of_its_time_and_checked(
     remote = Remote()
     assert isinstance(remote, Served)
     answer = examine(remote, FRAMES, calibration)
-    assert (answer.outcome, answer.cold, answer.start_up_s, answer.stderr) == (
-        Outcome.ANSWERED,
-        True,
-        0.75,
-        "cheese is low",
-    )
+    assert (answer.outcome, answer.cold) == (Outcome.ANSWERED, True)
+    assert (answer.start_up_s, answer.stderr) == (0.75, "cheese is low")
     close_detectors([remote, Scripted(crash)])
     assert remote.done == ["prepare", "detect", "check", "close"]
     head, _ = detection_rows("t", answer)
-    assert (head["cold"], head["wall_start_up_s"], head["wall_stderr"]) == (
-        1,
-        0.75,
-        "cheese is low",
-    )
+    kept = (head["cold"], head["wall_start_up_s"], head["wall_stderr"])
+    assert kept == (1, 0.75, "cheese is low")
 
 
 @pytest.mark.parametrize(
@@ -306,9 +279,8 @@ def test_what_lives_elsewhere_is_prepared_outside_of_its_time_and_checked(
 def test_its_failures_are_what_they_are(
     calibration: Calibration, where: str, outcome: Outcome
 ) -> None:
-    answer: Answer = examine(
-        Remote({where: DetectionFailure("no cheese", outcome)}), FRAMES, calibration
-    )
+    remote = Remote({where: DetectionFailure("no cheese", outcome)})
+    answer = examine(remote, FRAMES, calibration)
     assert (answer.outcome, answer.detection.teats) == (outcome, ())
     assert answer.detection.reason == "the detector failed: no cheese"
     assert answer.stderr == "cheese is low"

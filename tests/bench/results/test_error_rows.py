@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -60,9 +61,8 @@ def drifting(tmp_path: Path) -> RunRecord:
     for number in range(1, 61):
         place = (number - 1) % 30
         ends = np.add(ENDS, [2.0 * place, 0.0, 0.0])
-        errors = np.array([[0.0, 0.01 * number, 0.02 * (2.0 * place)]] * 2) + rng.normal(
-            0, 0.05, (2, 3)
-        )
+        off = [0.0, 0.01 * number, 0.02 * (2.0 * place)]
+        errors = np.add(off, rng.normal(0, 0.05, (2, 3)))
         found = (ends + errors)[: 1 if place == 3 else 2]
         trials.append(trial(number, f"map-{place:02d}", 1 + (number - 1) // 30, ends, found))
     return record(tmp_path, trials)
@@ -118,10 +118,7 @@ def test_repeats_tell_the_spread_within_a_pose_from_that_between(drifting: RunRe
 
 
 def test_tilts_come_from_the_scripts_own_phantom(tmp_path: Path) -> None:
-    script = tmp_path / "script.toml"
-    script.write_text(
-        (TRIALS / "six-situations.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
+    script = Path(shutil.copy(TRIALS / "six-situations.toml", tmp_path / "script.toml"))
     planned = load_script(script).planned[0]
     tilts = [
         float(np.degrees(np.arctan(np.hypot(*np.tan(teat.tilt_rad)))))
@@ -137,20 +134,18 @@ def test_tilts_come_from_the_scripts_own_phantom(tmp_path: Path) -> None:
 def test_runs_merge_by_their_counts_and_a_pose_has_to_succeed_in_each(
     drifting: RunRecord, tmp_path: Path
 ) -> None:
-    other = record(
-        tmp_path, [trial(1, "map-00", 1, ENDS, ENDS[:1]), trial(2, "map-01", 1, ENDS, ENDS)]
-    )
+    trials = [trial(1, "map-00", 1, ENDS, ENDS[:1]), trial(2, "map-01", 1, ENDS, ENDS)]
+    other = record(tmp_path, trials)
     alone = scored_together([drifting], "fused")
     together = scored_together([drifting, other], "fused")
     assert together.counts == alone.counts + scored_together([other], "fused").counts
     assert len(together.errors_mm) == 118 + 3
     assert alone.success == Rate(29, 30)  # pose 3 misses a teat
-    same_script = [replace(run, facts={**run.facts, "script": "map"}) for run in (drifting, other)]
+    one, same = (replace(run, facts={**run.facts, "script": "map"}) for run in (drifting, other))
     # pose 0 failed in the second run
-    assert scored_together(same_script, "fused").success == Rate(28, 30)
-    assert scored_together(
-        [same_script[0], replace(other, facts={"script": "other"})], "fused"
-    ).success == Rate(30, 32)
+    assert scored_together([one, same], "fused").success == Rate(28, 30)
+    another = replace(other, facts={"script": "other"})
+    assert scored_together([one, another], "fused").success == Rate(30, 32)
 
 
 def test_an_empty_run_depends_on_nothing(tmp_path: Path) -> None:
@@ -185,12 +180,8 @@ def set_ups(folder: Path, poses: int = 40, repeats: int = 6, touches: int = 3) -
 def test_the_gage_study_finds_touch_and_set_up(tmp_path: Path) -> None:
     found = truth_gage([set_ups(tmp_path)])
     assert found.studies is not None
-    assert (found.studies[0].parts, found.studies[0].appraisers, found.studies[0].repeats) == (
-        40,
-        6,
-        3,
-    )
     for study in found.studies:
+        assert (study.parts, study.appraisers, study.repeats) == (40, 6, 3)
         assert study.repeatability == pytest.approx(0.10, rel=0.15)
         assert study.reproducibility == pytest.approx(0.30, rel=0.2)
 
@@ -205,23 +196,18 @@ def test_two_runs_are_two_appraisers(tmp_path: Path) -> None:
 def test_a_comparison_of_two_runs_tells_how_well_their_truths_agree(tmp_path: Path) -> None:
     runs = [set_ups(tmp_path / name, repeats=1) for name in ("old", "new")]
     old, new = (Side(run, "fused") for run in runs)
-    (told,) = [
-        note for note in notes(compare_sides(old, new)) if note.startswith("The truth itself")
-    ]
+    of_truth = "The truth itself"
+    (told,) = [note for note in notes(compare_sides(old, new)) if note.startswith(of_truth)]
     assert "40 ends touched 3 times in each run" in told
     assert "reproducibility 0.000, 0.000, 0.000 mm" in told
     assert "of the tolerance of 10 mm" in told
-    assert not [
-        note for note in notes(compare_sides(old, old)) if note.startswith("The truth itself")
-    ]
+    assert not [note for note in notes(compare_sides(old, old)) if note.startswith(of_truth)]
 
 
 def test_what_holds_no_study_says_why(tmp_path: Path, drifting: RunRecord) -> None:
     assert truth_gage([drifting]).why == "no teat end was touched"
     assert "repeat the poses" in truth_gage([set_ups(tmp_path, repeats=1)]).why
-    assert (
-        truth_gage([set_ups(tmp_path, poses=1)]).why
-        == "only one end was touched in several set-ups"
-    )
+    one_pose = truth_gage([set_ups(tmp_path, poses=1)])
+    assert one_pose.why == "only one end was touched in several set-ups"
     refused = record(tmp_path, [touched("p", 1, 1, np.zeros((3, 3)), refused="spread")])
     assert truth_gage([refused]).why == "no teat end was touched"

@@ -19,13 +19,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
 from bench.report.page import stored_rules
 from bench.report.tables import score_table
 from bench.results.latency import Latency, failures_told, latency_of
 from bench.results.verdicts import judge
 from bench.scoring.decisions import Verdict
+from tests.bench.commands import Said, teatbench, words
 from tests.bench.small_recording import ENDS_MM, write_recording
 from tests.bench.small_run import written_anew
 from tests.conftest import ROOT
@@ -55,9 +55,7 @@ class Scored:
     said: str
 
 
-def score(recording: Path, out: Path, *detectors: object) -> int:
-    named = [word for name in detectors for word in ("--detector", str(name))]
-    return main(["score", str(recording), "--out", str(out), *named])
+SCORE = "score {} --out {}"
 
 
 @pytest.fixture(scope="module")
@@ -77,22 +75,17 @@ def scored(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Scored:
     said: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("builtins.print", lambda *parts, **_: said.append(" ".join(map(str, parts))))
-        code = score(recording, folder / "runs", folder / "mine.toml", "thesis")
+        detectors = ("--detector", folder / "mine.toml", "--detector", "thesis")
+        code = teatbench(f"{SCORE} {{}}", recording, folder / "runs", detectors)
     (run,) = (folder / "runs").iterdir()
     return Scored(code, read_run(run), "\n".join(said))
 
 
 def test_every_frame_has_its_answer_and_its_outcome(scored: Scored) -> None:
-    rows = [
-        row for trial in scored.run.trials for row in trial.detections if row["detector"] == "mine"
-    ]
-    assert [row["outcome"] for row in rows] == [
-        "answered",
-        "answered",
-        "failure",
-        "answered",
-        "answered",
-    ]
+    all_rows = [row for trial in scored.run.trials for row in trial.detections]
+    rows = [row for row in all_rows if row["detector"] == "mine"]
+    outcomes = ["answered", "answered", "failure", "answered", "answered"]
+    assert [row["outcome"] for row in rows] == outcomes
     assert [row["cold"] for row in rows] == [1, 0, 0, 1, 0], "each process has a first call"
     assert [row["wall_start_up_s"] is not None for row in rows] == [True, False, False, True, False]
     assert rows[2]["reason"] == "the detector failed: it ended with exit code 9"
@@ -111,8 +104,7 @@ def test_latency_leaves_first_calls_and_failures_out(scored: Scored) -> None:
     assert (len(thesis.seconds), len(thesis.cold_s), thesis.start_up_s) == (4, 1, None)
     assert latency_of(scored.run, "nobody") == Latency()
     assert (Latency().median_s, Latency().p99_s, failures_told(Latency())) == (None, None, "none")
-    rules = stored_rules(scored.run.folder)
-    of_mine, _ = judge(scored.run, rules)
+    of_mine, _ = judge(scored.run, stored_rules(scored.run.folder))
     assert {d.n for d in of_mine.decisions if d.unit == "s"} == {2}
 
 
@@ -152,71 +144,57 @@ def test_a_report_can_be_written_where_the_detector_is_not(scored: Scored, tmp_p
     shutil.copytree(scored.run.folder, copy)
     rules = (copy / "rules.toml").read_text(encoding="utf-8")
     (copy / "rules.toml").write_text(rules.replace('["thesis"]', '["elsewhere"]'), encoding="utf-8")
-    assert main(["report", str(written_anew(copy))]) in (0, 1, 4)
+    assert teatbench("report {}", written_anew(copy)) in (0, 1, 4)
 
 
-def test_without_truth_there_is_no_table(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bare = tmp_path / "bare"
-    shutil.copytree(recording, bare)
+def test_without_truth_there_is_no_table(recording: Path, tmp_path: Path, said: Said) -> None:
+    bare = Path(shutil.copytree(recording, tmp_path / "bare"))
     (bare / "truth.csv").unlink()
-    score(bare, tmp_path / "runs")
-    assert "There is no truth, so nothing was scored." in capsys.readouterr().out
+    told = said(4, SCORE, bare, tmp_path / "runs").out
+    assert "There is no truth, so nothing was scored." in told
 
 
-def test_detect_tells_outcomes_and_first_calls(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_detect_tells_outcomes_and_first_calls(recording: Path, tmp_path: Path, said: Said) -> None:
     (tmp_path / "program.py").write_text(PROGRAM, encoding="utf-8")
     command = f"exec:{sys.executable} {tmp_path / 'program.py'}"
-    assert main(["detect", str(recording), "--json", "--detector", command]) == 0
-    lines = [json.loads(line) for line in capsys.readouterr().out.strip().splitlines()]
+    told = said(0, "detect {} --json --detector {}", recording, command).out
+    lines = [json.loads(line) for line in told.strip().splitlines()]
     assert [line["detector"] for line in lines] == ["exec-program"] * 5
     assert [line.get("outcome") for line in lines] == [None, None, "failure", None, None]
     assert [line.get("cold", False) for line in lines] == [True, False, False, True, False]
 
 
 def test_a_detector_that_crashes_is_no_bad_detector(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, said: Said
 ) -> None:
-    (tmp_path / "crasher.py").write_text(
-        "import sys\nsys.exit('cannot find model.bin')", encoding="utf-8"
-    )
+    program = "import sys\nsys.exit('cannot find model.bin')"
+    (tmp_path / "crasher.py").write_text(program, encoding="utf-8")
     command = f"exec:{sys.executable} {tmp_path / 'crasher.py'}"
-    assert score(recording, tmp_path / "runs", command) == 4
-    said = " ".join(capsys.readouterr().out.split())
-    assert (
-        "exec-crasher did not answer on 5 of 5 frame sets: the detector failed: it ended with exit"
-        " code 1 before it was ready." in said
-    )
-    assert (
-        'it is switched off for the rest of the run. Its last words: "cannot find model.bin".'
-        in said
-    )
-    assert "First find out why the detector did not answer" in said
-    assert "has to become better" not in said
-    (run,) = (tmp_path / "runs").iterdir()
+    runs = tmp_path / "runs"
+    told = " ".join(said(4, f"{SCORE} --detector {{}}", recording, runs, command).out.split())
+    why = "the detector failed: it ended with exit code 1 before it was ready."
+    last = 'it is switched off for the rest of the run. Its last words: "cannot find model.bin".'
+    assert f"exec-crasher did not answer on 5 of 5 frame sets: {why}" in told
+    assert last in told
+    assert "First find out why the detector did not answer" in told
+    assert "has to become better" not in told
+    (run,) = runs.iterdir()
     (judgement,) = judge(read_run(run), stored_rules(run))
     assert {decision.verdict for decision in judgement.decisions} == {Verdict.NOT_MEASURED}
     page = html.unescape((run / "report" / "index.html").read_text(encoding="utf-8"))
     assert page.index("did not answer on 5 of 5 frame sets") < page.index('id="results"')
 
 
-def test_nothing_is_met_by_silence(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_is_met_by_silence(recording: Path, tmp_path: Path, said: Said) -> None:
     silent_once = PROGRAM.replace("if number == 2:", "if False:")
     command = f"command = [{json.dumps(sys.executable)}, 'mine.py']\n"
     (tmp_path / "mine.toml").write_text(command, encoding="utf-8")
     (tmp_path / "mine.py").write_text(silent_once, encoding="utf-8")
-    score(recording, tmp_path / "runs", tmp_path / "mine.toml")
-    said = " ".join(capsys.readouterr().out.split())
-    assert (
-        "mine did not answer on 1 of 5 frame sets: the detector failed: it ended with exit code 9."
-        ' Its last words: "no cheese".' in said
-    )
-    (run,) = (tmp_path / "runs").iterdir()
+    runs, mine = tmp_path / "runs", tmp_path / "mine.toml"
+    told = " ".join(said(4, f"{SCORE} --detector {{}}", recording, runs, mine).out.split())
+    why = 'the detector failed: it ended with exit code 9. Its last words: "no cheese".'
+    assert f"mine did not answer on 1 of 5 frame sets: {why}" in told
+    (run,) = runs.iterdir()
     (judgement,) = judge(read_run(run), stored_rules(run))
     (false,) = (decision for decision in judgement.decisions if "false" in decision.name)
     assert (false.measured, false.verdict) == (0.0, Verdict.INCONCLUSIVE)
@@ -225,27 +203,21 @@ def test_nothing_is_met_by_silence(
 
 
 def test_a_score_that_fails_leaves_no_half_a_run(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recording: Path, tmp_path: Path, said: Said
 ) -> None:
-    odd = tmp_path / "odd"
-    shutil.copytree(recording, odd)
+    odd = Path(shutil.copytree(recording, tmp_path / "odd"))
     last = sorted((odd / "frames").iterdir())[-1] / "right.png"
     header = struct.pack(">IIBBBBB", 60000, 60000, 8, 0, 0, 0, 0)
     chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(bytes(9))), (b"IEND", b"")]
-    last.write_bytes(
-        b"\x89PNG\r\n\x1a\n"
-        + b"".join(
-            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-            for kind, data in chunks
-        )
-    )
-    assert score(odd, tmp_path / "runs") == 2
-    said = capsys.readouterr().err
-    assert f"{last}: is not an image that can be read" in said
-    assert "Traceback" not in said
+    packed = [
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    ]
+    last.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(packed))
+    why = f"{last}: is not an image that can be read"
+    assert why in said(2, SCORE, odd, tmp_path / "runs").err
     assert list((tmp_path / "runs").iterdir()) == []
-    assert main(["detect", str(odd)]) == 0
-    assert f"{last}: is not an image that can be read" in capsys.readouterr().out
+    assert why in said(0, "detect {}", odd).out
 
 
 @pytest.mark.skipif(
@@ -259,9 +231,9 @@ def test_ctrl_c_while_a_program_is_silent_ends_both(recording: Path, tmp_path: P
     (tmp_path / "silent.py").write_text(
         f"{silent}open({str(tmp_path / 'up')!r}, 'w')\ntime.sleep(600)", encoding="utf-8"
     )
-    command = [sys.executable, "-m", "bench.cli", "score", str(recording)]
-    command += ["--out", str(tmp_path / "runs")]
-    command += ["--detector", f"exec:{sys.executable} {tmp_path / 'silent.py'}"]
+    program = f"exec:{sys.executable} {tmp_path / 'silent.py'}"
+    command = [sys.executable, "-m", "bench.cli"]
+    command += words(f"{SCORE} --detector {{}}", recording, tmp_path / "runs", program)
     with subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     ) as bench:

@@ -1,10 +1,13 @@
-"""Counts and distances at each value, and what becomes of them as files: a detector that knows the
-truth, one that fails, the real one.
+"""The sensitivity study: counts and distances at each value, their files, each quantity's scenes, and
+docs/sensitivity.md.
 """
 
 from __future__ import annotations
 
 import csv
+import re
+import shlex
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,16 +16,34 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.cli.main import main
+from bench.cli.main import parser
 from bench.config import ConfigError
-from bench.report.sensitivity import COLUMNS, figure_of, write_figure, write_numbers
-from bench.results.sensitivity import QUANTITIES, Bench, Limit, Measured, Tally, measure
-from bench.rig.loading import find_rig, load_rig
+from bench.report.sensitivity import COLUMNS, PAGE, POINTS, figure_of, write_figure, write_numbers
+from bench.results import sensitivity
+from bench.results.sensitivity import (
+    QUANTITIES,
+    Bench,
+    Limit,
+    Measured,
+    Optics,
+    Tally,
+    chosen,
+    measure,
+)
+from bench.rig.loading import RIGS, find_rig, load_rig
+from bench.rig.scenes import warm
 from detector.calibration import Calibration
 from detector.protocol import Detection, Frames, Teat
 from detector.registry import available
-from instruments.world.situations import situation
+from instruments.world.microbolometer import ThermalSensor
+from instruments.world.scene import Renderer
+from instruments.world.sensor import OpticalSensor
+from instruments.world.situations import collisions, situation
+from instruments.world.situations.situation import EYES_MM
+from instruments.world.solids import clearance_mm
 from reports.trust import svg_facts
+from tests.bench.commands import Said
+from tests.conftest import ROOT
 
 LIMIT = Limit(0.01, 0.03, 0.2, None)
 
@@ -57,23 +78,11 @@ def test_a_thermal_quantity_has_the_share_that_can_be_nominated_beside_it() -> N
 
 
 def test_the_command_writes_the_same_figures_and_numbers_each_time(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, said: Said
 ) -> None:
-    said = [
-        "scene",
-        "sensitivity",
-        "--quantity",
-        "overlap",
-        "--detector",
-        "thesis",
-        "--seeds",
-        "1",
-        "--first",
-        "2",
-    ]
+    command = "scene sensitivity --quantity overlap --detector thesis --seeds 1 --first 2 --out {}"
     for folder in ("one", "two"):
-        assert main([*said, "--out", str(tmp_path / folder)]) == 0
-    assert "overlap 0.2: found of " in capsys.readouterr().out
+        assert "overlap 0.2: found of " in said(0, command, tmp_path / folder).out
     names = sorted(path.name for path in (tmp_path / "one").iterdir())
     assert names == ["measured.md", "overlap.svg", "points.csv"]
     for name in names:
@@ -82,9 +91,8 @@ def test_the_command_writes_the_same_figures_and_numbers_each_time(
         rows = list(csv.DictReader(file))
     assert [float(row["value"]) for row in rows] == list(QUANTITIES["overlap"].values)
     assert all(int(row["found"]) <= int(row["visible"]) <= 4 for row in rows)
-    assert "thesis (version 1); cameras of `emulated.toml`; members 2 to 2" in (
-        tmp_path / "one" / "measured.md"
-    ).read_text(encoding="utf-8")
+    page = (tmp_path / "one" / "measured.md").read_text(encoding="utf-8")
+    assert "thesis (version 1); cameras of `emulated.toml`; members 2 to 2" in page
 
 
 def test_what_was_not_measured_is_said_so(tmp_path: Path) -> None:
@@ -95,9 +103,7 @@ def test_what_was_not_measured_is_said_so(tmp_path: Path) -> None:
     page = (tmp_path / "measured.md").read_text(encoding="utf-8")
     assert "| 0.05 | 0 of 0 | 0 | not measured | not measured | not measured |" in page
     assert "| 0.2 | 0 of 4 | 0 | not measured | 0.010, 0.030 | 100 % |" in page
-    assert (tmp_path / "points.csv").read_text(encoding="utf-8").splitlines()[0] == ",".join(
-        COLUMNS
-    )
+    assert (tmp_path / "points.csv").read_text(encoding="utf-8").startswith(",".join(COLUMNS))
     assert "not measured" in figure_of(quantity, [nothing])
 
 
@@ -113,30 +119,23 @@ def test_a_figure_stands_alone_on_paper_of_its_own(tmp_path: Path) -> None:
     assert svg_facts(figure_of(QUANTITIES["tilt"], points), "tilt").ids is not None
 
 
+ALL_OF_THEM = " ".join(f"--detector {name}" for name in available([]))
+
+
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "why"),
     [
-        (["--quantity", "contrats"], 'did you mean "contrast"'),
-        (["--detector", "thesys"], "thesys"),
-        (["--rig", "no-such-rig"], "no-such-rig"),
+        ("--quantity contrats", 'did you mean "contrast"'),
+        ("--detector thesys", "thesys"),
+        ("--rig no-such-rig", "no-such-rig"),
+        ("--seeds 0", "'0' is not a whole number of 1 or more"),
+        (ALL_OF_THEM, "a figure shows 4 detectors at most, 5 are asked for: thesis, fused,"),
     ],
 )
-def test_wrong_use_is_explained(
-    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["scene", "sensitivity", *arguments, "--out", str(tmp_path)]) == 2
-    assert said in capsys.readouterr().err
-
-
-def test_more_detectors_than_a_figure_shows_are_refused_before_any_is_asked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    five = [word for name in available([]) for word in ("--detector", name)]
-    assert len(five) == 10
-    assert main(["scene", "sensitivity", *five, "--out", str(tmp_path)]) == 2
-    said = capsys.readouterr()
-    assert "a figure shows 4 detectors at most, 5 are asked for: thesis, fused," in said.err
-    assert said.out == ""
+def test_wrong_use_is_explained(arguments: str, why: str, tmp_path: Path, said: Said) -> None:
+    wrong = said(2, f"scene sensitivity {arguments} --out {{}}", tmp_path)
+    assert why in wrong.err
+    assert wrong.out == ""
 
 
 def test_frame_sets_without_an_answer_are_told_apart_from_nothing_found(tmp_path: Path) -> None:
@@ -151,21 +150,9 @@ def test_frame_sets_without_an_answer_are_told_apart_from_nothing_found(tmp_path
 
 def test_a_scene_that_cannot_stand_before_the_cameras_is_told() -> None:
     quantity = replace(QUANTITIES["range"], values=(3.0,))
-    with pytest.raises(
-        ConfigError,
-        match=(
-            r"range 3 can't be set up for member 0: .* stands behind the board .*; choose others by"
-            r" --first"
-        ),
-    ):
+    why = "range 3 can't be set up for member 0: .* stands behind the board .*; choose others by"
+    with pytest.raises(ConfigError, match=f"{why} --first"):
         list(measure(Bench(load_rig(find_rig(None)), [], [0], 1), quantity))
-
-
-def test_no_scenes_at_all_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(["scene", "sensitivity", "--seeds", "0"])
-    assert stopped.value.code == 2
-    assert "--seeds: '0' is not a whole number of 1 or more" in capsys.readouterr().err
 
 
 def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
@@ -205,3 +192,198 @@ class Knowing:
         return Detection(
             tuple(Teat(np.add(end, (0.0, self.error_mm, 0.0))) for end in self.ends_mm)
         )
+
+
+MEMBERS = range(6)
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer.from_calibration(
+        tomllib.loads((RIGS / "calibration.toml").read_text(encoding="utf-8")), 1
+    )
+
+
+@pytest.mark.parametrize("name", QUANTITIES)
+def test_every_scene_can_be_set_up_is_seen_and_comes_again(name: str, renderer: Renderer) -> None:
+    quantity = QUANTITIES[name]
+    assert list(quantity.values) == sorted(quantity.values)
+    for value in quantity.values:
+        for member in MEMBERS:
+            found = quantity.set_up(value, member, renderer)
+            assert found == quantity.set_up(value, member, renderer)
+            assert not list(collisions(found))
+            assert renderer.visible_ends(warm(found)).all(axis=1).sum() >= 2
+
+
+def test_the_range_is_the_mean_depth_of_the_ends(renderer: Renderer) -> None:
+    for range_m in QUANTITIES["range"].values:
+        found = sensitivity.at_range(range_m, 2, renderer)
+        depth = renderer.cameras[1].camera_from_world(found.phantom.ends_mm)[:, 2]
+        assert depth.mean() == pytest.approx(1e3 * range_m, abs=0.5)
+        assert found.phantom.teats == situation("ideal", 2).phantom.teats
+
+
+def test_the_contrast_is_that_of_the_picture(renderer: Renderer) -> None:
+    """Grey levels in the middle of a teat's side and of the board beside it, as the left camera has
+    them without noise.
+    """
+    for contrast in (0.03, 0.25, 0.85):
+        state = warm(sensitivity.of_contrast(contrast, 1, renderer))
+        picture = renderer.left.expected(state, renderer.shadows(state))
+        teat = state.phantom.ends_mm[0] - 40.0 * state.phantom.axes[0]
+        x, y = np.rint(renderer.cameras[0].project(teat[None])[0]).astype(int)
+        offset = renderer.left.readout.sensor.offset_dn
+        inside = picture[y - 5 : y + 6, x - 2 : x + 3].mean() - offset
+        outside = (
+            np.concatenate(
+                [picture[y - 5 : y + 6, x + side - 2 : x + side + 3] for side in (-20, 20)]
+            ).mean()
+            - offset
+        )
+        assert 1.0 - inside / outside == pytest.approx(contrast, abs=0.02)
+        assert 120.0 < outside < 235.0
+
+
+def test_all_teats_lean_by_the_angle_said(renderer: Renderer) -> None:
+    for lean_deg in (0.0, 10.0, 22.0):
+        axes = sensitivity.leaning(lean_deg, 0, renderer).phantom.axes
+        assert np.degrees(np.arccos(np.clip(axes[:, 2], -1.0, 1.0))) == pytest.approx(
+            lean_deg, abs=1e-4
+        )
+
+
+def test_the_far_teat_is_covered_by_the_share_said(renderer: Renderer) -> None:
+    for share in (-0.4, 0.2, 0.5):
+        phantom = sensitivity.overlapping(share, 1, renderer).phantom
+        for near, far in ((0, 2), (1, 3)):
+            left, right = [], []
+            for teat in (near, far):
+                away = phantom.ends_mm[teat] - np.asarray(EYES_MM[2])
+                radius = phantom.teats[teat].shape.radius_mm / away[1]
+                left.append(away[0] / away[1] - radius)
+                right.append(away[0] / away[1] + radius)
+            covered = min(right) - max(left)
+            assert covered / (right[1] - left[1]) == pytest.approx(share, abs=1e-6)
+            assert phantom.ends_mm[far, 1] - phantom.ends_mm[near, 1] == pytest.approx(
+                sensitivity.BEHIND_MM
+            )
+
+
+def test_the_arm_is_as_far_behind_the_teats_as_said(renderer: Renderer) -> None:
+    for gap_mm in (10.0, 100.0):
+        for member in (0, 1):
+            found = sensitivity.before_arm(gap_mm, member, renderer)
+            (arm,) = found.objects
+            nearest = min(
+                hull.a_mm[1] - max(hull.radius_a_mm, hull.radius_b_mm) for hull in arm.hulls
+            )
+            farthest = max(hull.b_mm[1] + hull.radius_b_mm for hull in found.phantom.teat_hulls())
+            assert nearest - farthest == pytest.approx(gap_mm, abs=1e-6)
+            assert (
+                min(
+                    clearance_mm(hull, teat)
+                    for hull in arm.hulls
+                    for teat in found.phantom.teat_hulls()
+                )
+                >= gap_mm - 1e-6
+            )
+
+
+def test_sensors_get_the_noise_said() -> None:
+    usual = Optics(OpticalSensor(), ThermalSensor())
+    noisy = QUANTITIES["pixel-noise"].optics(8.0, usual)
+    assert noisy.optical.read_noise_e * noisy.optical.gain_dn_per_e == pytest.approx(8.0)
+    assert noisy.thermal == usual.thermal
+    assert QUANTITIES["netd"].optics(2.0, usual).thermal.netd_k == 2.0
+    assert QUANTITIES["netd"].optics(2.0, usual).optical == usual.optical
+    assert QUANTITIES["tilt"].optics(2.0, usual) is usual
+
+
+def test_quantities_are_chosen_by_name() -> None:
+    assert chosen([]) == tuple(QUANTITIES.values())
+    assert [one.name for one in chosen(["netd", "tilt", "netd"])] == ["netd", "tilt"]
+    why = r"no quantity 'contrats'; did you mean \"contrast\"\? \(known: pixel-noise"
+    with pytest.raises(ConfigError, match=why):
+        chosen(["contrats"])
+
+
+DOCS = ROOT / "docs"
+TEXT = (DOCS / "sensitivity.md").read_text(encoding="utf-8")
+
+
+def test_every_quantity_has_its_figure() -> None:
+    assert re.findall(r"\]\(sensitivity/([a-z-]+)\.svg\)", TEXT) == list(QUANTITIES)
+    for name, quantity in QUANTITIES.items():
+        figure = (DOCS / "sensitivity" / f"{name}.svg").read_text(encoding="utf-8")
+        assert quantity.label in figure.replace("&#39;", "'").replace("&apos;", "'")
+    assert f"(sensitivity/{PAGE})" in TEXT
+
+
+def measured() -> list[dict[str, str]]:
+    with (DOCS / "sensitivity" / POINTS).open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_its_command_made_what_lies_beside_it() -> None:
+    (command,) = re.findall(r"^teatbench (scene sensitivity .*)$", TEXT, flags=re.MULTILINE)
+    given = parser().parse_args(shlex.split(command))
+    rows = measured()
+    assert tuple(rows[0]) == COLUMNS
+    assert {row["detector"] for row in rows} == set(given.detector)
+    for name, quantity in QUANTITIES.items():
+        assert sorted({float(row["value"]) for row in rows if row["quantity"] == name}) == list(
+            quantity.values
+        )
+    assert max(int(row["visible"]) for row in rows) == 4 * given.seeds
+    page = (DOCS / "sensitivity" / PAGE).read_text(encoding="utf-8")
+    assert f"members 0 to {given.seeds - 1} of `ideal`" in page
+
+
+def found(detector: str, quantity: str) -> list[tuple[float, int, int]]:
+    """Value, found, visible."""
+    chosen = [
+        row for row in measured() if (row["detector"], row["quantity"]) == (detector, quantity)
+    ]
+    return [(float(row["value"]), int(row["found"]), int(row["visible"])) for row in chosen]
+
+
+def test_what_the_page_says_of_fused_is_what_was_measured() -> None:
+    """Each sentence of "What they show" that a new measurement could belie: then the page has to
+    say something else.
+    """
+    words = " ".join(TEXT.split())
+    assert "It loses no end by lean, range, contrast, overlap or noise of the pictures" in words
+    for quantity in ("tilt", "range", "contrast", "overlap", "pixel-noise"):
+        assert all(seen == visible for _, seen, visible in found("fused", quantity)), quantity
+    assert (
+        "a few before an arm, and some where the calibration is wrong by 0.4 px and more" in words
+    )
+    assert all(0.8 * visible < seen <= visible for _, seen, visible in found("fused", "arm-gap"))
+    lost = [value for value, seen, visible in found("fused", "calibration") if seen < visible]
+    assert lost == [0.4, 0.5]
+    assert all(seen == visible for value, seen, visible in found("fused", "netd") if value <= 2.0)
+    assert all(
+        float(row["median_mm"]) < 1.5 * float(row["disparity_mm"])
+        for row in measured()
+        if (row["detector"], row["quantity"]) == ("fused", "range")
+    )
+
+
+def test_what_the_page_says_of_the_thesis_is_what_was_measured() -> None:
+    assert "`thesis` is 11 to 18 mm off in the median" in TEXT
+    medians = [
+        float(row["median_mm"])
+        for row in measured()
+        if row["detector"] == "thesis" and row["median_mm"]
+    ]
+    assert (round(min(medians)), round(max(medians))) == (11, 18)
+    assert not any(seen for _, seen, _ in found("thesis", "arm-gap"))
+    assert [value for value, seen, _ in found("thesis", "range") if seen] == [1.0, 1.15]
+
+
+def test_every_value_stands_beside_what_physics_allows() -> None:
+    for row in measured():
+        assert float(row["limit_median_mm"]) > 0.0
+        assert float(row["disparity_mm"]) > 0.0
+        assert bool(row["limit_share"]) == (row["quantity"] == "netd")

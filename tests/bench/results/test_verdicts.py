@@ -52,9 +52,8 @@ def off_by(distances_mm: Sequence[float], repeats: int = 1) -> list[TrialRecord]
 
 def test_59_good_poses_meet_everything(tmp_path: Path) -> None:
     run = record(tmp_path, off_by([1.0] * 59))
-    assert {name: d.verdict for name, d in decided(run).items()} == dict.fromkeys(
-        [rule.name for rule in RULES.requirements], MET
-    )
+    verdicts = {name: d.verdict for name, d in decided(run).items()}
+    assert verdicts == {rule.name: MET for rule in RULES.requirements}
     assert run_verdict(judge(run, RULES)) is MET
     assert {d.n for d in decided(run).values()} == {59}
 
@@ -96,13 +95,8 @@ def test_failures_that_the_truth_could_turn_do_not_refuse(tmp_path: Path) -> Non
 
 def test_a_truth_that_states_no_uncertainty_accepts_no_error(tmp_path: Path) -> None:
     run = record(tmp_path, off_by([1.0] * 59))
-    unknown = replace(
-        run,
-        trials=tuple(
-            replace(t, truth=tuple({**row, "u_mm": None} for row in t.truth)) for t in run.trials
-        ),
-    )
-    found = decided(unknown)["error below 5 mm"]
+    trials = [replace(t, truth=[{**row, "u_mm": None} for row in t.truth]) for t in run.trials]
+    found = decided(replace(run, trials=tuple(trials)))["error below 5 mm"]
     assert found.verdict is OPEN
     assert "states no uncertainty" in found.sentence
 
@@ -125,16 +119,11 @@ def test_one_trial_decides_what_one_can(tmp_path: Path) -> None:
 
 
 def test_all_missed_measures_no_error_and_shows_no_success(tmp_path: Path) -> None:
-    found = decided(
-        record(
-            tmp_path,
-            [timed(trial(k, f"p{k}", 1, ENDS, np.zeros((0, 3))), 0.2) for k in range(1, 21)],
-        )
-    )
-    assert (found["error below 5 mm"].verdict, found["error below 5 mm"].measured) == (
-        NOTHING,
-        None,
-    )
+    none = np.zeros((0, 3))
+    trials = [timed(trial(k, f"p{k}", 1, ENDS, none), 0.2) for k in range(1, 21)]
+    found = decided(record(tmp_path, trials))
+    error = found["error below 5 mm"]
+    assert (error.verdict, error.measured) == (NOTHING, None)
     assert found["reliability"].verdict is NOT_MET
 
 
@@ -169,24 +158,15 @@ def test_a_rate_of_times_counts_poses(tmp_path: Path) -> None:
 def test_a_machine_that_was_too_busy_is_told_where_times_count(
     tmp_path: Path, cpu_s: float | None, load: float, why: str
 ) -> None:
-    """In the bench's process by what the processor gave; of
-    another process by the machine's load.
-    """
-    run = record(
-        tmp_path, [timed(one, 0.2, wall_cpu_s=cpu_s, wall_load=load) for one in off_by([1.0] * 59)]
-    )
-    told = {
-        rule.name
-        for rule in RULES.requirements
-        if "THE MACHINE WAS TOO BUSY" in decided(run)[rule.name].sentence
-    }
-    of_time = {
-        rule.name
-        for rule in RULES.requirements
-        if isinstance(rule, TimeRequirement | SuccessRequirement)
-    }
+    """In the bench's process by what the processor gave; of another by the machine's load."""
+    trials = [timed(t, 0.2, wall_cpu_s=cpu_s, wall_load=load) for t in off_by([1.0] * 59)]
+    run = record(tmp_path, trials)
+    sentences = {name: d.sentence for name, d in decided(run).items()}
+    timely = TimeRequirement | SuccessRequirement
+    of_time = {rule.name for rule in RULES.requirements if isinstance(rule, timely)}
+    told = {name for name, said in sentences.items() if "THE MACHINE WAS TOO BUSY" in said}
     assert told == (of_time if why else set())
-    assert all(why in decided(run)[name].sentence for name in of_time)
+    assert all(why in sentences[name] for name in of_time)
     page = [part.text for part in _latency_parts(run, RULES) if isinstance(part, Paragraph)]
     assert [why in text for text in page] == ([True] if why else [])
 
@@ -200,10 +180,8 @@ def test_first_calls_and_short_times_say_nothing_of_the_machine(tmp_path: Path) 
 def test_no_verdict_holds_on_a_damaged_record(tmp_path: Path) -> None:
     run = replace(record(tmp_path, off_by([1.0] * 59)), damage=("run: a row is gone",))
     assert {d.verdict for d in decided(run).values()} == {OPEN}
-    assert all(
-        d.sentence.startswith("The record is NOT as it was written. ")
-        for d in decided(run).values()
-    )
+    for decision in decided(run).values():
+        assert decision.sentence.startswith("The record is NOT as it was written. ")
     verdict, why, _ = headline(run, judge(run, RULES))
     assert verdict == "no verdict"
     assert "run: a row is gone" in why

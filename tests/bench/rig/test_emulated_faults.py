@@ -184,7 +184,7 @@ def test_an_arm_file_with_faults_is_shown_in_its_places(tmp_path: Path) -> None:
         next(i for i, line in enumerate(lines, 1) if line.startswith(key))
         for key in ("beta", "button_mask")
     )
-    assert f"other.toml:{beta}: parameters.bta: unexpected keyword argument" in str(caught.value)
+    assert f"other.toml:{beta}: parameters.bta: unknown key" in str(caught.value)
     assert (
         f"other.toml:{mask}: maxima.button_mask: input should be less than or equal to 127 (found"
         " 1008)" in str(caught.value)

@@ -1,4 +1,6 @@
-"""A new detector against an old one: what is paired, and what turns the gate red."""
+"""A new detector against an old one: what is paired, and what turns the gate red; its statistics
+against scipy and statsmodels.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +8,34 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+from scipy.stats import binomtest, norm, permutation_test, ttest_1samp
+from statsmodels.stats.contingency_tables import mcnemar  # type: ignore[import-untyped]
+from statsmodels.stats.multitest import multipletests  # type: ignore[import-untyped]
 
 from bench.scoring.comparison import (
+    MANY,
     Compared,
     Discordance,
     ScenePair,
     common_errors,
     compare,
+    discordance,
+    holm,
+    paired_difference,
+    pose_differences,
+    poses_to_show,
+    sign_flip_p,
+    upper_bound,
     why_failed,
 )
 from bench.scoring.decisions import Verdict
 from bench.scoring.errors import Floats
+from bench.scoring.rates import Rate, zero_failure_n
 from bench.scoring.scene import SceneScore, score_scene
+from tests.bench.scoring.coverage import DRAWS, MARGIN_MM, coverage
 
 TRUTH = np.array(
     [[-260.0, 267.0, 136.0], [-110.0, 284.0, 136.0], [-205.0, 200.0, 137.0], [-140.0, 205.0, 136.0]]
@@ -26,14 +44,8 @@ MET, NOT_MET, OPEN = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE
 
 
 def scored(found: Any, **changes: Any) -> SceneScore:
-    settings: dict[str, Any] = {
-        "u_mm": 0.2,
-        "seconds": 0.4,
-        "limit_mm": 5.0,
-        "time_limit_s": 2.0,
-        "hidden_claimed": 0,
-    }
-    return score_scene(found, TRUTH, [True] * 4, **(settings | changes))
+    settings = {"u_mm": 0.2, "seconds": 0.4, "limit_mm": 5.0, "time_limit_s": 2.0, **changes}
+    return score_scene(found, TRUTH, [True] * 4, hidden_claimed=0, **settings)
 
 
 def noisy(seed: int, sd_mm: float = 0.4) -> Floats:
@@ -69,10 +81,8 @@ def test_the_same_answers_are_shown_to_be_no_worse_by_72_poses(n: int, verdict: 
     assert same.pooled.radial.mean == 0.0
     told = "; ".join(same.gate.reasons)
     if verdict is MET:
-        assert (
-            "grew by at most 0.250 mm (margin 0.25 mm) and at most 5.0 % of poses are lost anew (72"
-            " poses, 97.5 % confidence" in told
-        )
+        lost = "at most 5.0 % of poses are lost anew (72 poses, 97.5 % confidence"
+        assert f"grew by at most 0.250 mm (margin 0.25 mm) and {lost}" in told
     else:
         assert told.endswith("(margin 0.25 mm): 72 poses with such changes show less")
 
@@ -89,12 +99,13 @@ def test_a_gate_is_hardly_ever_green_where_some_poses_got_worse_by_more_than_the
     for _ in range(60):
         worse = np.where(rng.random(n) < 0.07, 4.0, 0.0)
         olds = rng.normal(0.0, 0.1, n)
-        scores = [
-            (one(start, 0.5 + old), one(start, 0.5 + old + by))
-            for old, by in zip(olds, worse, strict=True)
-        ]
         found = compare(
-            [ScenePair(str(k), str(k), "ideal", *both) for k, both in enumerate(scores)]
+            [
+                ScenePair(
+                    str(k), str(k), "ideal", one(start, 0.5 + old), one(start, 0.5 + old + by)
+                )
+                for k, (old, by) in enumerate(zip(olds, worse, strict=True))
+            ]
         )
         green += found.gate.verdict is MET
     assert green <= 6
@@ -159,9 +170,8 @@ def test_a_false_teat_more_and_a_miss_more_in_scenes_that_failed_before() -> Non
 
 def test_scenes_without_a_counterpart_leave_it_open() -> None:
     same = [noisy(1)] * 72
-    assert compare(pairs(same, same), unpaired=2).gate.reasons == (
-        "2 scenes of the old one were not run with the new one",
-    )
+    (reason,) = compare(pairs(same, same), unpaired=2).gate.reasons
+    assert reason == "2 scenes of the old one were not run with the new one"
 
 
 def test_nothing_found_by_both_compares_no_error() -> None:
@@ -229,7 +239,208 @@ def test_bad_questions() -> None:
     for margin in (-1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="0 or more"):
             compare(pairs([TRUTH], [TRUTH]), margin_mm=margin)
-    with pytest.raises(
-        ValueError, match="scored within 5 mm and 10 mm; score both by the same rules"
-    ):
-        compare([ScenePair("001-a-1", "a", "dim", scored(TRUTH), scored(TRUTH, limit_mm=10.0))])
+    other = ScenePair("001-a-1", "a", "dim", scored(TRUTH), scored(TRUTH, limit_mm=10.0))
+    with pytest.raises(ValueError, match="within 5 mm and 10 mm; score both by the same rules"):
+        compare([other])
+
+
+COUNTS = st.builds(Discordance, *[st.integers(0, 30)] * 4)
+
+
+def test_six_scenes_all_one_way_are_needed() -> None:
+    assert Discordance(both=18, only_old=6).p_value == pytest.approx(0.03125)
+    assert Discordance(both=18, only_old=5).p_value == pytest.approx(0.0625)
+    assert Discordance(both=24).p_value == 1.0
+
+
+@given(COUNTS)
+def test_mcnemar_against_statsmodels_and_the_binomial_test(d: Discordance) -> None:
+    table = [[d.both, d.only_old], [d.only_new, d.neither]]
+    assert d.p_value == pytest.approx(float(mcnemar(table, exact=True).pvalue), rel=1e-9)
+    if told := d.only_old + d.only_new:
+        assert d.p_value == pytest.approx(binomtest(d.only_old, told).pvalue, rel=1e-9)
+
+
+def test_the_interval_of_a_published_table() -> None:
+    # Bentur et al. 2009, 21 pairs with discordant 1 and 7, in Fagerland, Lydersen and Laake,
+    # Statistics in Medicine 33 (2014)
+    span = Discordance(both=1, only_old=7, only_new=1, neither=12).interval()
+    assert span == pytest.approx((-0.517, -0.026), abs=5e-4)
+
+
+@settings(max_examples=60)
+@given(COUNTS)
+def test_the_interval_holds_what_the_score_test_does_not_refuse(d: Discordance) -> None:
+    span = d.interval(0.95)
+    if span is None:
+        assert d.n == 0
+        return
+    estimate = d.difference
+    assert estimate is not None
+    assert -1.0 <= span[0] <= estimate <= span[1] <= 1.0
+    for bound in span:
+        if abs(bound) < 1.0 - 1e-6:
+            assert score_statistic(d, bound) == pytest.approx(norm.ppf(0.975), abs=2e-3)
+
+
+def score_statistic(d: Discordance, difference: float) -> float:
+    """|z| of Tango's test with its nuisance found by search: q maximises the likelihood of the
+    counts under `difference`.
+    """
+    b, c, rest = d.only_new, d.only_old, d.both + d.neither
+
+    def unlikely(q: float) -> float:
+        shares = np.array([q + difference, q, 1.0 - 2.0 * q - difference])
+        return -float(np.sum(np.array([b, c, rest]) * np.log(np.maximum(shares, 1e-300))))
+
+    low, high = max(0.0, -difference), (1.0 - difference) / 2.0
+    q = minimize_scalar(unlikely, bounds=(low, high), method="bounded", options={"xatol": 1e-10}).x
+    return abs(b - c - d.n * difference) / float(
+        np.sqrt(d.n * (2.0 * q + difference * (1.0 - difference)))
+    )
+
+
+@given(COUNTS)
+def test_the_interval_turns_round_with_the_order(d: Discordance) -> None:
+    turned = Discordance(d.both, d.only_new, d.only_old, d.neither)
+    one, other = d.interval(), turned.interval()
+    if one is not None and other is not None:
+        assert one == pytest.approx((-other[1], -other[0]), abs=1e-8)
+
+
+def test_no_discordant_scene_still_leaves_room() -> None:
+    span = Discordance(both=24).interval()
+    assert span is not None
+    # z^2 / (n + z^2), Tango 1998, equation 12 with b = c = 0
+    assert span[1] == pytest.approx(3.8415 / (24 + 3.8415), abs=1e-4)
+
+
+def test_who_succeeded_is_counted() -> None:
+    d = discordance([True, True, False, False], [True, False, True, False])
+    assert d == Discordance(1, 1, 1, 1)
+    assert (Discordance().difference, Discordance().interval()) == (None, None)
+    with pytest.raises(ValueError, match="3 old and 2 new"):
+        discordance([True] * 3, [True] * 2)
+
+
+@pytest.mark.parametrize("n", [1, 2, 8, 59, 300])
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.99, 1.0])
+def test_of_0_and_the_limit_the_bound_is_clopper_and_pearsons(n: int, share: float) -> None:
+    bad = round(share * n)
+    values = np.where(np.arange(n) < bad, 5.0, 0.0)
+    clopper_pearson = 5.0 * (Rate(bad, n).upper_bound(0.975) or 0.0)
+    assert upper_bound(values, 5.0, 0.975) == pytest.approx(clopper_pearson, abs=1e-5)
+
+
+@pytest.mark.parametrize("n", [2, 8, 40])
+def test_the_bound_is_the_quantile_of_means_with_random_weights(n: int) -> None:
+    rng = np.random.default_rng(n)
+    values = rng.normal(0.3, 1.0, n)
+    weights = rng.standard_exponential((100_000, n + 1))
+    means = weights @ np.append(values, 5.0) / weights.sum(axis=1)
+    assert upper_bound(values, 5.0, 0.9) == pytest.approx(float(np.quantile(means, 0.9)), abs=0.02)
+
+
+def test_of_many_values_the_bound_is_students() -> None:
+    values = np.random.default_rng(1).normal(0.1, 0.5, 4000)
+    students = float(ttest_1samp(values, 0.0).confidence_interval(0.95).high)
+    assert upper_bound(values, 5.0, 0.975) == pytest.approx(students, abs=0.005)
+
+
+@pytest.mark.parametrize("n", [8, 20, 60])
+@pytest.mark.parametrize("changes", DRAWS)
+def test_the_interval_covers_as_often_as_it_says(changes: str, n: int) -> None:
+    """Of 200 with 95 % each at least 179 hold, and of 200 gates at most 13 are green that should
+    not be (99.9 % each).
+
+    docs/scoring.md has the figures of more.
+    """
+    mean, covers, _, green = coverage(changes, n, 200)
+    assert covers >= 179 / 200
+    assert green <= 13 / 200 or mean < MARGIN_MM
+
+
+def test_how_many_poses_show_it() -> None:
+    """Without any change those of which a share of margin / limit unseen would be unlikely; more
+    where changes vary.
+    """
+    assert poses_to_show(np.zeros(1), 5.0, 0.25, 0.975) == zero_failure_n(0.95, 0.975) == 72
+    values = np.random.default_rng(3).normal(0.05, 0.6, 12)
+    needed = poses_to_show(values, 5.0, 0.25, 0.975)
+    assert needed is not None
+    assert needed > 72
+    times = -(-needed // len(values))
+    most, more = (upper_bound(np.tile(values, k), 5.0, 0.975) for k in (times, times - 1))
+    assert most <= 0.25 < more
+    assert poses_to_show(np.full(5, 0.3), 5.0, 0.25, 0.975) is None
+
+
+def test_poses_count_not_rows() -> None:
+    rng = np.random.default_rng(3)
+    pose_wise = rng.normal(0.0, 1.0, 12)
+    rows, poses = np.repeat(pose_wise, 50), np.repeat(np.arange(12), 50).tolist()
+    by_pose, by_row = (
+        paired_difference(np.zeros(600), rows, given, limit=5.0) for given in (poses, None)
+    )
+    assert by_pose.poses == 12
+    assert by_pose.high is not None
+    assert by_pose.low is not None
+    assert by_row.high is not None
+    assert by_row.low is not None
+    # 600 rows taken for independent would be 7 times too sure
+    assert by_pose.high - by_pose.low > 4 * (by_row.high - by_row.low)
+
+
+@given(
+    st.lists(st.integers(-5000, 5000).filter(bool).map(lambda k: k / 1024), min_size=2, max_size=10)
+)
+def test_sign_flips_against_scipy(values: list[float]) -> None:
+    """Sums of 1024ths are exact, so that both see the same ties: theirs takes two that rounding
+    keeps apart for different.
+    """
+    flips = {"permutation_type": "samples", "n_resamples": np.inf}
+    theirs = permutation_test((np.array(values),), np.sum, **flips).pvalue
+    assert sign_flip_p(np.array(values)) == pytest.approx(float(theirs), abs=1e-9)
+
+
+def test_many_signs_are_drawn() -> None:
+    values = np.random.default_rng(5).normal(0.3, 1.0, 40)
+    students = ttest_1samp(values, 0.0).pvalue
+    assert sign_flip_p(values, seed=1) == pytest.approx(students, abs=0.02)
+    assert sign_flip_p(np.zeros(40)) == 1.0
+
+
+@pytest.mark.parametrize("n", [MANY, MANY + 1])
+def test_very_many_signs_are_normal(n: int) -> None:
+    values = np.random.default_rng(6).normal(0.05, 1.0, n)
+    assert sign_flip_p(values, seed=1) == pytest.approx(ttest_1samp(values, 0.0).pvalue, abs=0.02)
+
+
+def test_what_cannot_be_said() -> None:
+    nothing, one = paired_difference([], [], limit=5.0), paired_difference([1.0], [1.5], limit=5.0)
+    assert (nothing.poses, nothing.mean, nothing.low, nothing.p_value) == (0, None, None, None)
+    assert (one.poses, one.mean) == (1, 0.5)
+    assert (one.low, one.high) == pytest.approx((-5.0 + 0.025 * 5.5, 5.0 - 0.025 * 4.5), abs=1e-5)
+    with pytest.raises(ValueError, match="2 old and 1 new"):
+        paired_difference([1.0, 2.0], [1.0], limit=5.0)
+    with pytest.raises(ValueError, match="1 pose names"):
+        pose_differences([1.0, 2.0], [1.0, 2.0], ["a"], limit=5.0)
+
+
+def test_a_change_counts_up_to_the_limit() -> None:
+    found = pose_differences([1.0, 20.0, 1.0], [20.0, 1.0, 1.5], ["a", "b", "a"], limit=5.0)
+    assert found == pytest.approx([2.75, -5.0])
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 12])
+def test_holm_against_statsmodels(n: int) -> None:
+    p_values = np.random.default_rng(n).random(n) ** 2
+    theirs = tuple(multipletests(p_values, method="holm")[1])
+    assert holm(p_values.tolist()) == pytest.approx(theirs)
+
+
+def test_holm_by_hand() -> None:
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx((0.03, 0.06, 0.06))
+    assert holm([]) == ()
+    with pytest.raises(ValueError, match="not between 0 and 1"):
+        holm([1.2])

@@ -134,14 +134,8 @@ def test_a_percentile_is_the_smallest_value_with_that_share_at_or_below(
 
 def test_the_radial_figures_of_a_known_list() -> None:
     s = summarise_radial(np.arange(1.0, 101.0))
-    assert (s.n, s.mean_mm, s.median_mm, s.p95_mm, s.p99_mm, s.max_mm) == (
-        100,
-        50.5,
-        50.5,
-        95.0,
-        99.0,
-        100.0,
-    )
+    assert (s.n, s.mean_mm, s.median_mm) == (100, 50.5, 50.5)
+    assert (s.p95_mm, s.p99_mm, s.max_mm) == (95.0, 99.0, 100.0)
 
 
 @pytest.mark.parametrize(

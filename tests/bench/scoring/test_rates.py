@@ -35,11 +35,9 @@ def test_the_interval_is_the_exact_one(rate: Rate, confidence: float) -> None:
 
 @given(RATES)
 def test_one_sided_bounds(rate: Rate) -> None:
-    greater = binomtest(rate.successes, rate.trials, alternative="greater").proportion_ci(
-        0.95, method="exact"
-    )
-    less = binomtest(rate.successes, rate.trials, alternative="less").proportion_ci(
-        0.95, method="exact"
+    greater, less = (
+        binomtest(rate.successes, rate.trials, alternative=side).proportion_ci(0.95, "exact")
+        for side in ("greater", "less")
     )
     assert rate.lower_bound() == pytest.approx(greater.low, abs=1e-9)
     assert rate.upper_bound() == pytest.approx(less.high, abs=1e-9)
@@ -60,33 +58,22 @@ def test_trials_needed_with_failures(failures: int, n: int) -> None:
 @given(st.integers(0, 12), st.sampled_from([0.5, 0.9, 0.99]), st.sampled_from([0.8, 0.95]))
 def test_trials_needed_are_the_fewest(failures: int, rate: float, confidence: float) -> None:
     n = trials_needed(failures, rate, confidence)
-    shown, before = (
-        Rate(n - failures, n).lower_bound(confidence),
-        Rate(n - 1 - failures, n - 1).lower_bound(confidence) if n > 1 + failures else 0.0,
-    )
-    assert shown is not None
-    assert before is not None
+    shown, before = (Rate(k - failures, k).lower_bound(confidence) or 0.0 for k in (n, n - 1))
     assert shown >= rate > before
 
 
 def test_an_empty_rate_is_not_measured() -> None:
     empty = Rate()
-    assert (empty.value, empty.interval(), empty.lower_bound(), empty.upper_bound()) == (
-        None,
-        None,
-        None,
-        None,
-    )
+    assert (empty.value, empty.interval()) == (None, None)
+    assert (empty.lower_bound(), empty.upper_bound()) == (None, None)
     assert str(empty) == "not measured"
 
 
 @given(st.lists(RATES, max_size=5))
 def test_rates_add_by_their_counts(rates: list[Rate]) -> None:
     total = sum(rates, Rate())
-    assert (total.successes, total.trials) == (
-        sum(r.successes for r in rates),
-        sum(r.trials for r in rates),
-    )
+    assert total.successes == sum(r.successes for r in rates)
+    assert total.trials == sum(r.trials for r in rates)
 
 
 def test_a_pose_succeeds_when_all_its_repeats_do() -> None:
@@ -174,9 +161,8 @@ def test_the_risk_of_a_false_claim_is_the_sum_over_the_bad_poses(
 ) -> None:
     b = np.arange(failures + 1, trials + 1)
     passed = np.minimum(1.0, b * leak / (b - failures))
-    expected = binom.cdf(failures, trials, 1.0 - rate) + np.sum(
-        binom.pmf(b, trials, 1.0 - rate) * passed
-    )
+    bad = 1.0 - rate
+    expected = binom.cdf(failures, trials, bad) + np.sum(binom.pmf(b, trials, bad) * passed)
     assert shown_falsely(failures, trials, rate, leak) == pytest.approx(float(expected), abs=1e-9)
     if failures == 0:
         assert expected == pytest.approx(rate**trials + (1.0 - rate**trials) * leak)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,13 +27,7 @@ THREE = (True, True, True, False)
 
 
 def score(found: Any, visible: tuple[bool, ...] = ALL, **changes: Any) -> SceneScore:
-    settings: dict[str, Any] = {
-        "u_mm": 0.23,
-        "seconds": 0.4,
-        "limit_mm": 5.0,
-        "time_limit_s": 2.0,
-        **changes,
-    }
+    settings = {"u_mm": 0.23, "seconds": 0.4, "limit_mm": 5.0, "time_limit_s": 2.0, **changes}
     return score_scene(found, TRUTH, visible, **settings)
 
 
@@ -89,9 +84,7 @@ def test_the_hidden_count_is_scored_beside_the_success() -> None:
 
 def test_errors_are_found_minus_truth_in_the_order_of_the_teats() -> None:
     s = score(moved(2, -3.0)[::-1])
-    assert s.errors_mm == pytest.approx(
-        np.array([[0, 0, 0], [0, 0, 0], [0, 0, -3], [0, 0, 0]], dtype=float)
-    )
+    assert s.errors_mm == pytest.approx(np.outer([0, 0, 1, 0], [0, 0, -3.0]))
     assert s.radial_mm == pytest.approx((0, 0, 3, 0))
     with pytest.raises(ValueError, match="read-only"):
         s.errors_mm[0, 0] = 1.0
@@ -156,19 +149,13 @@ def test_what_the_truths_uncertainty_could_turn_is_neither(
 
 
 class TestPool:
-    GOOD, BAD = (
-        score(TRUTH, hidden_claimed=0),
-        score(moved(0, 7.0)[:3], hidden_claimed=1, seconds=3.0),
-    )
+    GOOD = score(TRUTH, hidden_claimed=0)
+    BAD = score(moved(0, 7.0)[:3], hidden_claimed=1, seconds=3.0)
 
     def test_rates_count_poses_and_a_pose_needs_all_its_repeats(self) -> None:
         p = pool([self.GOOD, self.GOOD, self.GOOD, self.BAD], ["a", "a", "b", "b"])
-        assert (p.frames, p.success, p.in_time, p.hidden_right) == (
-            Rate(3, 4),
-            Rate(1, 2),
-            Rate(1, 2),
-            Rate(1, 2),
-        )
+        assert p.frames == Rate(3, 4)
+        assert p.success == p.in_time == p.hidden_right == Rate(1, 2)
         assert p.counts == Counts(visible=16, matched=15, missed=1)
         assert p.counts.recall == Rate(15, 16)
         assert p.seconds == (0.4, 0.4, 0.4, 3.0)
@@ -181,14 +168,9 @@ class TestPool:
 
     def test_rates_that_the_truth_cannot_turn_count_poses(self) -> None:
         near, over = score(moved(0, 4.9)), score(moved(0, 5.1))
-        p = pool(
-            [self.GOOD, near, over, self.BAD, self.GOOD, self.GOOD], ["a", "a", "b", "c", "d", "d"]
-        )
-        assert (p.surely_succeeded(0.95, 0.95), p.success, p.perhaps_succeeded) == (
-            Rate(1, 4),
-            Rate(2, 4),
-            Rate(3, 4),
-        )
+        p = pool([self.GOOD, near, over, self.BAD, self.GOOD, self.GOOD], list("aabcdd"))
+        assert p.surely_succeeded(0.95, 0.95) == Rate(1, 4)
+        assert (p.success, p.perhaps_succeeded) == (Rate(2, 4), Rate(3, 4))
 
     @pytest.mark.parametrize(
         ("near_mm", "poses", "sure"),
@@ -221,13 +203,8 @@ class TestPool:
         true = np.zeros((10_000, n, 3))
         true[..., 0] = np.where(bad, 5.0001, 0.0)
         sure = (np.linalg.norm(true + off, axis=2) <= reach).sum(axis=1)
-        met = [
-            decide_rate(
-                "rate", Rate(n, n), required=0.95, confidence=0.95, shown=Rate(k, n)
-            ).verdict
-            == "met"
-            for k in range(n + 1)
-        ]
+        decide = partial(decide_rate, "rate", Rate(n, n), required=0.95, confidence=0.95)
+        met = [decide(shown=Rate(k, n)).verdict == "met" for k in range(n + 1)]
         assert float(np.mean(np.array(met)[sure])) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 10_000)
 
     def test_false_teats_count_by_the_worst_repeat_of_a_pose(self) -> None:

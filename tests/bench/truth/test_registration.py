@@ -122,14 +122,11 @@ def test_too_few_too_near_and_in_line_are_refused() -> None:
 
 def test_another_teat_among_the_touches_is_refused() -> None:
     found = registered(stage_of(np.random.default_rng(7)), np.random.default_rng(7))
-    x, y, z = found.stations[2].touched_mm
-    wrong = [
-        *found.stations[:2],
-        replace(found.stations[2], touched_mm=(x - 50.0, y - 90.0, z)),
-        *found.stations[3:],
-    ]
+    first, second, third, *others = found.stations
+    x, y, z = third.touched_mm
+    wrong = replace(third, touched_mm=(x - 50.0, y - 90.0, z))
     with pytest.raises(RegistrationError, match=r"position 3 of 5.*another teat"):
-        replace(found, stations=tuple(wrong))
+        replace(found, stations=(first, second, wrong, *others))
 
 
 def test_it_holds_in_the_world_that_it_was_made_in() -> None:
@@ -142,13 +139,8 @@ def test_it_holds_in_the_world_that_it_was_made_in() -> None:
 
 def test_the_places_to_touch_span_what_the_script_uses() -> None:
     poses = around([PlatePose(-60.0, 0.0), PlatePose(90.0, 40.0)])
-    assert [(p.x_mm, p.y_mm) for p in poses] == [
-        (-60.0, -55.0),
-        (90.0, -55.0),
-        (90.0, 95.0),
-        (-60.0, 95.0),
-        (15.0, 20.0),
-    ]
+    corners = [(-60.0, -55.0), (90.0, -55.0), (90.0, 95.0), (-60.0, 95.0)]
+    assert [(p.x_mm, p.y_mm) for p in poses] == [*corners, (15.0, 20.0)]
 
 
 def test_the_file_reads_back_and_the_record_too(tmp_path: Path) -> None:

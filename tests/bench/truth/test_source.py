@@ -1,11 +1,11 @@
 """When the ends are touched, carried and checked, and which trials lose their truth: the sources
-against a stage that can slip.
+against a stage that can slip. Set-ups of carried trials pass without a prompt.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
@@ -15,17 +15,21 @@ import pytest
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import Row
 from bench.record.writer import Store
-from bench.truth.carrying import (
-    REFERENCE_FACT,
-    UNCONFIRMED_FACT,
-    CarriedTruth,
-    CarryState,
-    resumed,
-)
+from bench.truth.carrying import REFERENCE_FACT, UNCONFIRMED_FACT, CarriedTruth, CarryState, resumed
 from bench.truth.registration import Registration
 from bench.truth.touching import ExpectedScene, NoTruthError, TouchedTruth, Toucher, TrialTruth
 from bench.truth.uncertainty import How, Triple, triple
-from tests.bench.truth.touches import ENDS_MM, Hand, registered, stage_of, table_5_1, toucher
+from instruments.operators.operator import Arrangement, Prompt
+from instruments.operators.prompted import PromptedOperator
+from tests.bench.truth.touches import (
+    ENDS_MM,
+    Hand,
+    layout,
+    registered,
+    stage_of,
+    table_5_1,
+    toucher,
+)
 
 HOME = np.array([-150.0, -137.5, -1.0])
 
@@ -56,9 +60,8 @@ class Bench:
     def new_source(
         self, state: CarryState | None = None, hand: Toucher | None = None
     ) -> CarriedTruth:
-        asks = hand or toucher(self.hand, readings=1)
         return CarriedTruth(
-            asks,
+            hand or toucher(self.hand, readings=1),
             self.registration,
             self.stands,
             cast("Store", self),
@@ -106,11 +109,8 @@ def test_touched_once_then_carried() -> None:
     assert len(bench.hand.asked) == 4, "the four ends, once"
     assert [len(t.touches) for t in truths] == [4, 0, 0]
     for number, truth in enumerate(truths):
-        assert np.allclose(
-            [p.point_mm for p in truth.points],
-            ENDS_MM + np.array([20.0 * number, 0.0, 0.0]),
-            atol=0.01,
-        )
+        there = ENDS_MM + np.array([20.0 * number, 0.0, 0.0])
+        assert np.allclose([p.point_mm for p in truth.points], there, atol=0.01)
         assert truth.stage_mm == (-150.0 + 20.0 * number, -137.5, -1.0)
 
 
@@ -198,14 +198,8 @@ def test_a_person_is_needed_only_where_something_was_touched() -> None:
         bench.source.before(shown)
         asked.append(not bench.source.unattended(shown))
         bench.source.stored(shown.trial, bench.source.of_trial(shown))
-    assert asked == [
-        True,
-        True,
-        False,
-        True,
-        False,
-        True,
-    ], "to touch, to put the arm away, and the same after each check"
+    # to touch, to put the arm away, and the same after each check
+    assert asked == [True, True, False, True, False, True]
 
 
 def test_who_skips_the_last_check_leaves_trials_unconfirmed() -> None:
@@ -214,10 +208,8 @@ def test_who_skips_the_last_check_leaves_trials_unconfirmed() -> None:
     bench.trial(1, 10.0)
     bench.hand.skips = 1
     bench.source.end()
-    assert bench.told[-1] == (
-        "check touch",
-        "check touch 1 was skipped: tired. 1 trial is unconfirmed so far",
-    )
+    why = "check touch 1 was skipped: tired. 1 trial is unconfirmed so far"
+    assert bench.told[-1] == ("check touch", why)
     assert bench.invalid == {}
     assert bench.facts[UNCONFIRMED_FACT] == ["001"]
 
@@ -237,9 +229,7 @@ def test_what_was_taken_away_unchecked_is_never_confirmed_by_a_later_check() -> 
     bench.trial(0, 0.0)
     bench.trial(1, 10.0)
     bench.hand.skips = 1
-    hows = {
-        f"{number:03d}": bench.trial(number, 10.0 * number, fixed="two").how for number in (2, 3)
-    }
+    hows = {f"{k:03d}": bench.trial(k, 10.0 * k, fixed="two").how for k in (2, 3)}
     bench.source.end()
     assert bench.confirmed == ["003"]
     state = resumed(record(bench, {"000": How.TOUCHED, "001": How.CARRIED, **hows}))
@@ -299,3 +289,38 @@ def test_a_stopped_run_goes_on_from_what_is_in_the_store() -> None:
     assert bench.trial(6, 60.0).how is How.CARRIED
     bench.source.end()
     assert bench.confirmed == ["001", "002", "003", "004", "005", "006"]
+
+
+ASKED = Arrangement("plane", layout("table-5-1"), (), "Teats as in table 5.1.")
+CARRIED = replace(ASKED, unattended=True)
+
+
+class Person(PromptedOperator):
+    """Goes on at every prompt, and says at the first that the third end is hidden."""
+
+    def __init__(self) -> None:
+        self.prompts: list[Prompt] = []
+
+    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+        check()
+        self.prompts.append(prompt)
+        return frozenset({3}) if len(self.prompts) == 1 else frozenset()
+
+    def say(self, text: str) -> None:
+        raise AssertionError(f"nothing is to be said here: {text}")
+
+
+def test_what_stands_as_asked_and_was_not_touched_needs_nobody() -> None:
+    person = Person()
+    seen = [person.ask(one).visible for one in (ASKED, CARRIED, CARRIED)]
+    assert len(person.prompts) == 1
+    # what was hidden when it was set up counts as hidden
+    assert seen == [(True, True, False, True)] * 3
+
+
+def test_another_scene_and_an_attended_trial_are_asked_for() -> None:
+    person = Person()
+    cold_teat = replace(CARRIED, objects=({"kind": "cold_teat"},))
+    for asked in (CARRIED, ASKED, cold_teat, replace(CARRIED, phantom=layout("overlapping"))):
+        person.ask(asked)
+    assert len(person.prompts) == 4

@@ -47,25 +47,19 @@ def test_the_wrong_teat_is_asked_for_again() -> None:
     assert np.allclose([p.point_mm for p in points], ENDS_MM)
 
 
-def test_the_same_end_twice_is_asked_for_again() -> None:
+@pytest.mark.parametrize(("known", "says"), [(True, ""), (False, " (0.3 mm")])
+def test_the_same_end_twice_is_asked_for_again(known: bool, says: str) -> None:
+    """Also where the places are not known."""
     hand = Hand(ENDS_MM, [ENDS_MM[0], ENDS_MM[0] + 0.2])
-    points, _ = toucher(hand, readings=1).touch_all(table_5_1())
-    assert "teat 1 once more" in hand.again[0]
-    assert np.allclose([p.point_mm for p in points], ENDS_MM)
-
-
-def test_the_same_end_twice_is_asked_for_again_also_where_the_places_are_not_known() -> None:
-    hand = Hand(ENDS_MM, [ENDS_MM[0], ENDS_MM[0] + 0.2])
-    points, _ = toucher(hand, readings=1).touch_all(Ends(ENDS_MM, UP, known=False))
-    assert "teat 1 once more (0.3 mm" in hand.again[0]
+    points, _ = toucher(hand, readings=1).touch_all(Ends(ENDS_MM, UP, known))
+    assert f"teat 1 once more{says}" in hand.again[0]
     assert np.allclose([p.point_mm for p in points], ENDS_MM)
 
 
 def test_asking_again_has_an_end() -> None:
     hand = Hand(ENDS_MM, [ENDS_MM[1]] * 20)
-    with pytest.raises(
-        NoTruthError, match=r"teat 1.*could not be used.*looks like teat 2"
-    ) as raised:
+    why = r"teat 1.*could not be used.*looks like teat 2"
+    with pytest.raises(NoTruthError, match=why) as raised:
         toucher(hand, readings=3).touch_all(table_5_1())
     assert len(hand.asked) == 3 + SPARE
     assert "stand where the script says" in str(raised.value)
@@ -84,21 +78,15 @@ def test_an_arm_that_moves_is_read_again() -> None:
 
 def test_a_ball_tip_is_taken_off_along_each_teat_s_axis() -> None:
     phantom = layout("non-vertical")
-    centres = [
-        ball_centre_mm(end, axis, 3.0)
-        for end, axis in zip(phantom.ends_mm, phantom.axes, strict=True)
-    ]
-    hand = Hand(phantom.ends_mm, centres)
-    points, rows = toucher(hand, readings=1, arm=arm_settings(tip_radius_mm=3.0)).touch_all(
-        Ends(phantom.ends_mm, phantom.axes)
-    )
+    ends = Ends(phantom.ends_mm, phantom.axes)
+    both = zip(phantom.ends_mm, phantom.axes, strict=True)
+    centres = [ball_centre_mm(end, axis, 3.0) for end, axis in both]
+    ball = toucher(Hand(phantom.ends_mm, centres), readings=1, arm=arm_settings(tip_radius_mm=3.0))
+    points, rows = ball.touch_all(ends)
     assert np.allclose([p.point_mm for p in points], phantom.ends_mm)
-    assert np.allclose([[row["x_mm"], row["y_mm"], row["z_mm"]] for row in rows], centres), (
-        "the record keeps what the arm said"
-    )
-    plain, _ = toucher(Hand(phantom.ends_mm, centres), readings=1).touch_all(
-        Ends(phantom.ends_mm, phantom.axes)
-    )
+    # the record keeps what the arm said
+    assert np.allclose([[row["x_mm"], row["y_mm"], row["z_mm"]] for row in rows], centres)
+    plain, _ = toucher(Hand(phantom.ends_mm, centres), readings=1).touch_all(ends)
     off = np.linalg.norm(np.array([p.point_mm for p in plain]) - phantom.ends_mm, axis=1)
     assert off == pytest.approx(3.0), "not corrected, the truth is a radius off"
 

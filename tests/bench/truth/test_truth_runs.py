@@ -6,6 +6,7 @@ what can't be.
 from __future__ import annotations
 
 import json
+import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -14,10 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.cli.main import main
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, read_run
-from bench.record.schema import DATABASE
+from bench.record.schema import DATABASE, Row
 from bench.report.truth import deviation_parts
 from bench.results.verdicts import scored
 from bench.rig.loading import RIGS, load_rig
@@ -32,6 +32,7 @@ from bench.truth.registration_file import (
 from bench.truth.touching import NoTruthError
 from bench.truth.uncertainty import CHI2_95
 from reports.page import Notes
+from tests.bench.commands import Said, teatbench
 from tests.bench.run.test_attempts import PLANNED, Context, attempts
 from tests.bench.truth.touches import axes_turned, registered, stage_of
 
@@ -63,6 +64,12 @@ GRID = "grid = { x_mm = [-60.0, 60.0], y_mm = [-30.0, 30.0], step_mm = [40.0, 60
 CARRY = 'mode = "carry"\nregistration = "first"\ncheck_every = 3\n'
 
 
+def off_mm(row: Row) -> np.ndarray:
+    """How far one end's truth lies from the exact one, (3,)."""
+    place = [row["x_mm"], row["y_mm"], row["z_mm"]]
+    return np.asarray(np.subtract(place, json.loads(row["exact_mm"])))
+
+
 @dataclass(frozen=True)
 class Done:
     run: RunRecord
@@ -72,10 +79,7 @@ class Done:
     @property
     def off_mm(self) -> np.ndarray:
         """How far each truth lies from the exact end, (n, 3)."""
-        rows = [row for trial in self.run.counted for row in trial.truth]
-        return np.array(
-            [np.array([r["x_mm"], r["y_mm"], r["z_mm"]]) - json.loads(r["exact_mm"]) for r in rows]
-        )
+        return np.array([off_mm(row) for trial in self.run.counted for row in trial.truth])
 
     @property
     def regions(self) -> list[np.ndarray]:
@@ -95,36 +99,28 @@ def script_in(folder: Path, truth: str, poses: str = GRID) -> Path:
 def rig_in(folder: Path, *, arm: str = "", emulation: str = "") -> Path:
     text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
     assert "[arm]\n" in text
-    (folder / "calibration.toml").write_text(
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
+    shutil.copy(RIGS / "calibration.toml", folder)
     path = folder / "rig.toml"
-    path.write_text(
-        text.replace("[arm]\n", f"[arm]\n{arm}\n") + f"\n[emulation]\n{emulation}\n",
-        encoding="utf-8",
-    )
+    text = text.replace("[arm]\n", f"[arm]\n{arm}\n") + f"\n[emulation]\n{emulation}\n"
+    path.write_text(text, encoding="utf-8")
     return path
 
 
 def done(rig: Path, script: Path, folder: Path) -> Done:
-    recording = folder / "recording"
-    places = {"--rig": rig, "--out": folder / "runs", "--record": recording}
-    main(["run", str(script), *(str(word) for option in places.items() for word in option)])
-    (run,) = (folder / "runs").iterdir()
-    return Done(
-        read_run(run), (run / "report" / "index.html").read_text(encoding="utf-8"), recording
-    )
+    runs, recording = folder / "runs", folder / "recording"
+    teatbench("run {} --rig {} --out {} --record {}", script, rig, runs, recording)
+    (run,) = runs.iterdir()
+    page = (run / "report" / "index.html").read_text(encoding="utf-8")
+    return Done(read_run(run), page, recording)
 
 
 @pytest.fixture(scope="module")
 def carried(tmp_path_factory: pytest.TempPathFactory) -> Done:
     """Eight poses, touched at the first, on a stage whose axes are off as far as is usual."""
     folder = tmp_path_factory.mktemp("carried")
-    stage = (
-        "stage = { scale_errors = [0.0005, -0.0004, 0.0, 0.0], squareness_rad = 0.0005, yaw_rad ="
-        " 0.03 }"
-    )
-    return done(rig_in(folder, emulation=stage), script_in(folder, CARRY), folder)
+    errors = "scale_errors = [0.0005, -0.0004, 0.0, 0.0], squareness_rad = 0.0005, yaw_rad = 0.03"
+    rig = rig_in(folder, emulation=f"stage = {{ {errors} }}")
+    return done(rig, script_in(folder, CARRY), folder)
 
 
 @pytest.fixture(scope="module")
@@ -133,11 +129,9 @@ def slipped(carried: Done, tmp_path_factory: pytest.TempPathFactory) -> Done:
     folder = tmp_path_factory.mktemp("slipped")
     # both runs take the same time: only places differ
     before_s = carried.run.trials[5].head["started_s"] - 0.2
-    fault = (
-        f'faults = [{{ instrument = "stage", name = "lost step", at_s = {before_s}, amount ='
-        " 3.0 }]"
-    )
-    return done(rig_in(folder, emulation=fault), script_in(folder, CARRY), folder)
+    fault = f'instrument = "stage", name = "lost step", at_s = {before_s}, amount = 3.0'
+    rig = rig_in(folder, emulation=f"faults = [{{ {fault} }}]")
+    return done(rig, script_in(folder, CARRY), folder)
 
 
 def test_the_ends_are_touched_once_and_carried_from_there(carried: Done) -> None:
@@ -177,15 +171,11 @@ def test_checks_confirm_and_are_in_the_report(carried: Done) -> None:
         run.trials[i].id for i in (3, 6, 7)
     ]
     assert all(row["held"] for row in run.checks)
-    parts = (
-        "Check touches of the carried truth",
-        "Registration of the stage",
-        "The stage&#39;s axes",
-        "worst of 28 ends",
-        "guard band",
-    )
-    for said in parts:
-        assert said in carried.page
+    assert "Check touches of the carried truth" in carried.page
+    assert "Registration of the stage" in carried.page
+    assert "The stage&#39;s axes" in carried.page
+    assert "worst of 28 ends" in carried.page
+    assert "guard band" in carried.page
 
 
 def test_each_end_s_budget_is_stored_with_it(carried: Done) -> None:
@@ -214,18 +204,13 @@ def test_a_lost_step_is_caught_by_the_next_check_and_costs_the_right_trials(slip
     run = slipped.run
     assert run.ending == "finished"
     ids = [trial.id for trial in run.trials]
-    assert [trial.id for trial in run.trials if trial.invalid] == ids[4:7], (
-        "all since the good check after the fourth trial"
-    )
+    # all since the good check after the fourth trial
+    assert [trial.id for trial in run.trials if trial.invalid] == ids[4:7]
     assert [row["held"] for row in run.checks if row["number"] == 1] == [1, 1, 1, 1]
     assert 0 in [row["held"] for row in run.checks if row["number"] == 2]
     assert run.trials[7].how == "carried"
     assert np.linalg.norm(slipped.off_mm, axis=1).max() < 1.2, "what is left has a truth that holds"
-    spoilt = run.trials[6].truth[0]
-    off = np.array([spoilt["x_mm"], spoilt["y_mm"], spoilt["z_mm"]]) - json.loads(
-        spoilt["exact_mm"]
-    )
-    assert np.linalg.norm(off) > 2.0
+    assert np.linalg.norm(off_mm(run.trials[6].truth[0])) > 2.0
 
 
 def test_what_was_invalidated_is_in_no_count_and_plain_to_see(slipped: Done) -> None:
@@ -239,9 +224,8 @@ def test_what_was_invalidated_is_in_no_count_and_plain_to_see(slipped: Done) -> 
     assert sum("carried since the last good check" in line for line in table.splitlines()) == 3
     truth = (slipped.recording / "truth.csv").read_text(encoding="utf-8")
     recorded = {line.split(",")[0] for line in truth.splitlines()[1:]}
-    assert recorded == {trial.id for trial in run.counted}, (
-        "a recording never holds a truth that was taken back"
-    )
+    # a recording never holds a truth that was taken back
+    assert recorded == {trial.id for trial in run.counted}
 
 
 def test_a_ball_tip_gives_the_same_ends(tmp_path: Path) -> None:
@@ -253,23 +237,19 @@ def test_a_ball_tip_gives_the_same_ends(tmp_path: Path) -> None:
     assert np.linalg.norm(ball.off_mm, axis=1).max() < 0.8, "not corrected it would be 3 mm"
     assert len(ball.run.trials[0].touches) == 16
     assert "tip radius" in ball.page
-    tips = [
-        np.array([row["x_mm"], row["y_mm"], row["z_mm"]])
-        for row in ball.run.trials[0].touches
-        if row["teat"] == "1"
-    ]
-    end = json.loads(ball.run.trials[0].truth[0]["exact_mm"])
-    assert np.linalg.norm(np.mean(tips, axis=0) - end) == pytest.approx(3.0, abs=0.8), (
-        "the record keeps what the arm read"
-    )
+    exact = ball.run.trials[0].truth[0]["exact_mm"]
+    tips = [row for row in ball.run.trials[0].touches if row["teat"] == "1"]
+    off = np.mean([off_mm({**tip, "exact_mm": exact}) for tip in tips], axis=0)
+    # the record keeps what the arm read
+    assert np.linalg.norm(off) == pytest.approx(3.0, abs=0.8)
 
 
 @pytest.mark.parametrize(
-    ("mistake", "said"),
+    ("mistake", "why"),
     [("wrong teat", "looks like teat"), ("forgotten teat", "the end of teat 1 once more")],
 )
 def test_a_mistake_of_the_operator_is_noticed_and_put_right(
-    tmp_path: Path, mistake: str, said: str
+    tmp_path: Path, mistake: str, why: str
 ) -> None:
     wrong = done(
         rig_in(tmp_path, emulation=f'mistakes = ["{mistake}"]'),
@@ -278,21 +258,16 @@ def test_a_mistake_of_the_operator_is_noticed_and_put_right(
     )
     refused = [row for row in wrong.run.trials[0].touches if row["refused"]]
     assert len(refused) == 1
-    assert said in refused[0]["refused"]
+    assert why in refused[0]["refused"]
     assert np.linalg.norm(wrong.off_mm, axis=1).max() < 0.8
     assert "Touches that were refused and asked for again" in wrong.page
 
 
-def test_a_registration_of_the_command_serves_a_script(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_registration_of_the_command_serves_a_script(tmp_path: Path, said: Said) -> None:
     rig = rig_in(tmp_path)
-    assert (
-        main(["calibrate", "stage", "--rig", str(rig), "--out", str(tmp_path / "stage.toml")]) == 0
-    )
-    said = capsys.readouterr().out
-    assert "rigid: residual" in said
-    assert 'registration = "stage.toml"' in said
+    written = said(0, "calibrate stage --rig {} --out {}", rig, tmp_path / "stage.toml").out
+    assert "rigid: residual" in written
+    assert 'registration = "stage.toml"' in written
     script = script_in(
         tmp_path,
         'mode = "carry"\nregistration = "stage.toml"',
@@ -304,36 +279,30 @@ def test_a_registration_of_the_command_serves_a_script(
     assert [row["number"] for row in run.checks] == [1, 1, 1, 1], "the last check"
 
 
-def test_a_crooked_stage_is_written_down_and_complained_of(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_crooked_stage_is_written_down_and_complained_of(tmp_path: Path, said: Said) -> None:
     rig = rig_in(tmp_path, emulation="stage = { scale_errors = [0.012, 0.0, 0.0, 0.0] }")
-    command = ["calibrate", "stage", "--rig", str(rig), "--out", str(tmp_path / "stage.toml")]
-    assert main(command) == 1
-    said = capsys.readouterr()
-    assert "SIGNIFICANT" in said.out
-    assert "scale x +1.2" in said.err
-    assert "Set its steps per mm" in said.err
-    assert load_registration(tmp_path / "stage.toml").diagnostics[0].value == pytest.approx(
-        0.012, abs=1e-3
-    )
-    assert main(command) == 2, "a file that is there is not written over"
+    command, file = "calibrate stage --rig {} --out {}", tmp_path / "stage.toml"
+    crooked = said(1, command, rig, file)
+    assert "SIGNIFICANT" in crooked.out
+    assert "scale x +1.2" in crooked.err
+    assert "Set its steps per mm" in crooked.err
+    assert load_registration(file).diagnostics[0].value == pytest.approx(0.012, abs=1e-3)
+    said(2, command, rig, file)  # a file that is there is not written over
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "why"),
     [
-        (["--at=0,0", "--at=80,0"], "three or more"),
-        (["--at=-80,0", "--at=0,0", "--at=80,0"], "nearly on a line"),
-        (["--layout", "table-5-2"], "table-5-2"),
-        (["--teat", "9"], "has 4 teats"),
+        ("--at=0,0 --at=80,0", "three or more"),
+        ("--at=-80,0 --at=0,0 --at=80,0", "nearly on a line"),
+        ("--layout table-5-2", "table-5-2"),
+        ("--teat 9", "has 4 teats"),
     ],
 )
 def test_positions_that_register_nothing_are_refused(
-    tmp_path: Path, more: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, more: str, why: str, said: Said
 ) -> None:
-    assert main(["calibrate", "stage", "--out", str(tmp_path / "stage.toml"), *more]) == 2
-    assert said in capsys.readouterr().err
+    assert why in said(2, f"calibrate stage --out {{}} {more}", tmp_path / "stage.toml").err
     assert not (tmp_path / "stage.toml").exists()
 
 
@@ -365,10 +334,8 @@ def test_a_trial_without_truth_is_left_out_with_its_reason_and_the_run_goes_on(
         all_of.run(trial)
     store.close()
     with closing(sqlite3.connect(store.folder / DATABASE)) as db:
-        rows = [
-            dict(zip(("trial", "reason"), row, strict=True))
-            for row in db.execute("SELECT trial, reason FROM skipped")
-        ]
+        db.row_factory = sqlite3.Row
+        rows = [dict(row) for row in db.execute("SELECT trial, reason FROM skipped")]
     assert [row["trial"] for row in rows] == [PLANNED[0].id]
     assert told.events == [
         f"skipped {PLANNED[0].id}: truth: teat 2: 7 of 7 touches could not be used"
@@ -382,7 +349,7 @@ def test_a_trial_without_truth_is_left_out_with_its_reason_and_the_run_goes_on(
 
 
 @pytest.mark.parametrize(
-    ("truth", "said"),
+    ("truth", "why"),
     [
         ('mode = "carry"', "carry needs a registration"),
         ('mode = "carry"\nregistration = "none.toml"', "no such file beside the script"),
@@ -395,17 +362,15 @@ def test_a_trial_without_truth_is_left_out_with_its_reason_and_the_run_goes_on(
     ],
 )
 def test_a_script_that_asks_for_what_can_t_be_is_refused(
-    tmp_path: Path, truth: str, said: str
+    tmp_path: Path, truth: str, why: str
 ) -> None:
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=why):
         load_script(script_in(tmp_path, truth))
 
 
 def test_carry_without_a_stage_is_refused_before_anything_is_opened(tmp_path: Path) -> None:
     rig = rig_in(tmp_path)
-    rig.write_text(
-        rig.read_text(encoding="utf-8").replace('[stage]\nurl = "emulator:"\n', ""),
-        encoding="utf-8",
-    )
+    text = rig.read_text(encoding="utf-8").replace('[stage]\nurl = "emulator:"\n', "")
+    rig.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match="needs a stage"):
         refuse_carry(load_rig(rig), load_script(script_in(tmp_path, CARRY)))

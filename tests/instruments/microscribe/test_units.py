@@ -128,7 +128,7 @@ def test_all_faults_of_a_file_at_once(tmp_path: Path) -> None:
         "names.serial_number: '6000é' is no name for an arm: ASCII",
         "maxima.button_mask: input should be less than or equal to 127 (found 200)",
         "parameters.d: field required;",
-        "parameters.dd: unexpected keyword argument (found 1)",
+        "parameters.dd: unknown key (found 1)",
     ):
         assert part in message
 
