@@ -208,9 +208,7 @@ def rehearse(
     )
 
 
-def _findings(
-    lines: Sequence[Mapping[str, Any]],
-) -> tuple[tuple[Finding, ...], Mapping[str, int]]:
+def _findings(lines: Sequence[Mapping[str, Any]]) -> tuple[tuple[Finding, ...], Mapping[str, int]]:
     """What would end the run, or leave a trial without a truth, with the trial's name; and what the
     run gets over by itself, counted.
     """

@@ -135,11 +135,7 @@ def _as_told(told: StageSettings) -> dict[int, float]:
     }
     return {
         first + axis: value for first, values in each.items() for axis, value in enumerate(values)
-    } | {
-        24: told.homing_feed_mm_min,
-        25: told.homing_seek_mm_min,
-        27: told.pull_off_mm,
-    }
+    } | {24: told.homing_feed_mm_min, 25: told.homing_seek_mm_min, 27: told.pull_off_mm}
 
 
 def _far_enough(rig: LoadedRig, table: Stage, script: LoadedScript) -> dict[int, float]:

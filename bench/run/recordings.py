@@ -59,12 +59,7 @@ class Recorder:
             raise ConfigError.plain(f"--record {folder}: {error}.") from error
 
     def trial(
-        self,
-        trial_id: str,
-        frames: FrameSet,
-        truth: Sequence[TruthRow],
-        *,
-        confirmed: bool,
+        self, trial_id: str, frames: FrameSet, truth: Sequence[TruthRow], *, confirmed: bool
     ) -> None:
         """Add a trial's frame set with its truth; truth that isn't confirmed waits for `settled`,
         the frames stay without until then.

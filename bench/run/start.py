@@ -145,11 +145,7 @@ def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list
 
 
 def _begun(
-    rig: LoadedRig,
-    script: LoadedScript,
-    out: Path,
-    under_test: Sequence[Detector],
-    how: RunOptions,
+    rig: LoadedRig, script: LoadedScript, out: Path, under_test: Sequence[Detector], how: RunOptions
 ) -> Store:
     """A new run folder that says what the run is."""
     files = {

@@ -105,8 +105,7 @@ class Attempts:
         except OperatorRepeat as wish:
             because = f": {wish.reason}" if wish.reason else ""
             self._ctx.event(
-                "repeated",
-                f"{trial.id}: the operator asked for it again from its set-up{because}",
+                "repeated", f"{trial.id}: the operator asked for it again from its set-up{because}"
             )
             return True
         return False

@@ -128,10 +128,9 @@ def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(
         texts = [event["text"] for event in outcome.run.events]
         assert outcome.standby_s < BOUND_S, outcome.way
         assert outcome.gone_s < BOUND_S, outcome.way
-        assert (outcome.run.ending, outcome.code) == (
-            ENDINGS[outcome.way],
-            CODES[outcome.way],
-        ), f"{outcome.way}: {outcome.said}"
+        assert (outcome.run.ending, outcome.code) == (ENDINGS[outcome.way], CODES[outcome.way]), (
+            f"{outcome.way}: {outcome.said}"
+        )
         if outcome.way == "closing":
             continue  # Windows ends the process behind the handler: there is no time for the record
         assert "bath is safe" in texts, outcome.way

@@ -95,11 +95,9 @@ def test_a_carried_truth_goes_on_either_way(
     monkeypatch.setattr("bench.run.start.in_virtual_time", lambda *_, **__: False)
     resume(tmp_path, "went-on")
     after = read_run(left.folder)
-    assert [trial.how for trial in after.trials] == [
-        "touched",
-        "carried",
-        "carried",
-    ], "the reference of the record is used further"
+    assert [trial.how for trial in after.trials] == ["touched", "carried", "carried"], (
+        "the reference of the record is used further"
+    )
     assert after.facts[REFERENCE_FACT]["trial"] == "001-place-1-1"
     assert {check["held"] for check in after.checks} <= {0, 1}
     assert after.checks[-1]["after_trial"] == "003-place-3-1"

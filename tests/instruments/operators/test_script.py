@@ -31,10 +31,7 @@ def scripted(*answers: ScriptedAnswer, **otherwise: str) -> tuple[ScriptedAnswer
         "touch": "touch",
     }
     by_kind = {kinds[name]: answer for name, answer in otherwise.items()}
-    return (
-        ScriptedAnswers(answers, by_kind, "answers.toml", show=shown.append),
-        shown,
-    )
+    return (ScriptedAnswers(answers, by_kind, "answers.toml", show=shown.append), shown)
 
 
 def test_answers_come_in_their_order() -> None:
