@@ -262,17 +262,14 @@ def took(run: RunRecord) -> dict[str, float]:
     found: dict[str, float] = {}
     if run.events and run.events[-1]["t_s"] is not None:
         found["total_s"] = float(run.events[-1]["t_s"])
-    try:
+    with suppress(OSError, ValueError):
         events = list(read_events(run.folder))
-    except (OSError, ValueError):
-        return found
-    spent = spent_of(events)
-    if settling_s := spent_of(events, first_settling=True)[SETTLING]:
-        found["settling_s"] = settling_s
-    if spent[SET_UPS]:
-        found["set_ups_s"] = spent[SET_UPS]
-    if touches := sum(event.get("kind") in ("touch", "check point") for event in events):
-        found["touch_s"] = spent[TOUCHES] / touches
+        spent, first = spent_of(events), spent_of(events, first_settling=True)
+        touches = sum(event.get("kind") in ("touch", "check point") for event in events)
+        each = {"settling_s": first[SETTLING], "set_ups_s": spent[SET_UPS]}
+        found |= {name: seconds for name, seconds in each.items() if seconds}
+        if touches:
+            found["touch_s"] = spent[TOUCHES] / touches
     return found
 
 
