@@ -8,7 +8,7 @@ emulated operator holds the stylus upright; a person may lean it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -28,7 +28,7 @@ from instruments.microscribe.unit import ArmIdentity, shipped_unit
 from instruments.stage.settings import AxisLimits
 from instruments.world.objects import make_object
 from instruments.world.phantom import Phantom, PlatePose
-from instruments.world.solids import Hull, clearance_mm
+from instruments.world.solids import clearance_mm
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,30 +41,23 @@ class View:
 
     def room_px(self, points_mm: Floats, radii_mm: Floats) -> Floats:
         """(n,) px from the rim of balls at ``points_mm`` (n, 3), world frame, to the picture's
-        nearest edge.
-
-        Negative where a rim is beyond it, not-a-number behind the camera.
+        nearest edge; negative where a rim is beyond it, not-a-number behind the camera.
         """
         seen = self.camera_from_world.apply(points_mm)
         pixels = self.camera.project(seen)
         rim = radii_mm * max(self.camera.fc) / seen[:, 2]
-        width, height = self.camera.image_size
-        sides = np.column_stack([pixels + 0.5, np.array([width, height]) - 0.5 - pixels])
+        sides = np.column_stack([pixels + 0.5, np.array(self.camera.image_size) - 0.5 - pixels])
         return np.asarray(sides.min(axis=1) - rim)
 
 
-def views_of(calibration: Calibration) -> tuple[View, ...]:
+def _views_of(calibration: Calibration) -> tuple[View, ...]:
     """Left, right, and thermal where its lens and its place are calibrated."""
-    right_from_world = calibration.world_from_right.inverse()
-    left_from_world = calibration.right_from_left.inverse() @ right_from_world
-    pair = (
-        View("left", calibration.left, left_from_world),
-        View("right", calibration.right, right_from_world),
-    )
-    thermal, thermal_from_left = calibration.thermal.lens, calibration.thermal_from_left
-    if thermal is None or thermal_from_left is None:
+    c, right_from_world = calibration, calibration.world_from_right.inverse()
+    left_from_world = c.right_from_left.inverse() @ right_from_world
+    pair = (View("left", c.left, left_from_world), View("right", c.right, right_from_world))
+    if c.thermal.lens is None or c.thermal_from_left is None:
         return pair
-    return (*pair, View("thermal", thermal, thermal_from_left @ left_from_world))
+    return (*pair, View("thermal", c.thermal.lens, c.thermal_from_left @ left_from_world))
 
 
 MARGIN_PX = 4.0  # between a teat's rounded end and the picture's edge
@@ -105,51 +98,36 @@ def dry_run(
     """
     distinct = list({(one.name, one.side): one for one in script.planned}.values())
     poses = list({one.name: one for one in distinct}.values())
-    views = views_of(rig.calibration)
-    findings = [
-        found
-        for one in distinct
-        for pose in (one.approach, one.pose)
-        if pose is not None
-        for found in _beyond(rig, one.name, pose, travel)
-    ]
-    findings += [
-        found
-        for pose in registered_at(rig, script)
-        for found in _beyond(rig, f"registration at {told(pose)}", pose, travel)
-    ]
-    findings += [finding for one in poses for finding in _unseen(one, views)]
-    findings += [finding for one in distinct for finding in _collisions(one)]
-    findings += list(_out_of_reach(rig, touched(rig, script)))
-    return DryRun(
-        len(poses),
-        tuple(findings),
-        tuple(_unchecked(rig, views, why_no_travel if travel is None else None)),
+    views, to_touch = _views_of(rig.calibration), _touched(rig, script)
+    places = [(one.name, pose) for one in distinct for pose in (one.approach, one.pose) if pose]
+    places += [(f"registration at {told(pose)}", pose) for pose in registered_at(rig, script)]
+    findings = (
+        *(found for name, pose in places for found in _beyond(rig, name, pose, travel)),
+        *(found for one in poses for found in _unseen(one, views)),
+        *(found for one in distinct for found in _collisions(one)),
+        *(found for name, phantom in to_touch for found in _out_of_reach(rig, name, phantom)),
     )
+    unchecked = _unchecked(rig, views, why_no_travel if travel is None else None)
+    return DryRun(len(poses), findings, tuple(unchecked))
 
 
-def touched(rig: LoadedRig, script: LoadedScript) -> Iterator[tuple[str, Phantom]]:
+def _touched(rig: LoadedRig, script: LoadedScript) -> Iterator[tuple[str, Phantom]]:
     """The phantoms, as they stand, whose ends the arm has to reach, and what for."""
     planned, truth = script.planned, script.script.truth
     if truth.mode == "touch":
         yield from {one.name: (one.name, one.phantom.moved(one.pose)) for one in planned}.values()
         return
-    axes = rig.rig.stage.axes if rig.rig.stage else ""
-    first = planned[0]
+    axes, first = rig.rig.stage.axes if rig.rig.stage else "", planned[0]
     for pose in registered_at(rig, script):
         stands = first.phantom.moved(shared(first.pose, axes)[1].carried(pose))
-        yield (
-            f"registration at {told(pose)}",
-            replace(stands, teats=stands.teats[truth.registration_teat - 1 :][:1]),
-        )
+        teat = stands.teats[truth.registration_teat - 1 :][:1]
+        yield f"registration at {told(pose)}", replace(stands, teats=teat)
     for index in carry_touches(planned, axes, truth.check_every):
         yield planned[index].name, planned[index].phantom.moved(planned[index].pose)
 
 
 def registered_at(rig: LoadedRig, script: LoadedScript) -> tuple[PlatePose, ...]:
-    """Where the stage goes for the touches of a registration that the run makes itself; nowhere
-    where it makes none.
-    """
+    """Where the stage goes for the touches of a registration that the run makes itself."""
     truth, axes = script.script.truth, rig.rig.stage.axes if rig.rig.stage else ""
     if truth.mode != "carry" or truth.registration != FIRST:
         return ()
@@ -176,10 +154,8 @@ def _beyond(
     for key, value in stage.machine(shared(pose, stage.axes)[0]).items():
         limits = travel.get(KEYS[key])
         if limits is not None and not limits.hold(value):
-            where = f"{told(pose)} needs the stage's {KEYS[key]} axis at {value:g}"
-            yield Finding(
-                name, "limits", f"{where}, which goes from {limits.low_mm:g} to {limits.high_mm:g}"
-            )
+            text = f"{told(pose)} needs the stage's {KEYS[key]} axis at {value:g}, which goes from"
+            yield Finding(name, "limits", f"{text} {limits.low_mm:g} to {limits.high_mm:g}")
 
 
 def _unseen(one: PlannedTrial, views: Sequence[View]) -> Iterator[Finding]:
@@ -188,76 +164,51 @@ def _unseen(one: PlannedTrial, views: Sequence[View]) -> Iterator[Finding]:
     for view in views:
         for teat, room_px in enumerate(view.room_px(phantom.ends_mm, radii)):
             if not room_px >= MARGIN_PX:
-                lack = (
-                    "behind the camera"
-                    if np.isnan(room_px)
-                    else f"it lacks {MARGIN_PX - room_px:.0f} px to the edge"
-                )
-                yield Finding(
-                    one.name,
-                    "view",
-                    f"the end of {name_of(phantom, teat)} isn't whole in the {view.name} picture:"
-                    f" {lack}",
-                )
+                text = f"the end of {_name(phantom, teat)} isn't whole in the {view.name} picture:"
+                lack = f"it lacks {MARGIN_PX - room_px:.0f} px to the edge"
+                lack = "behind the camera" if np.isnan(room_px) else lack
+                yield Finding(one.name, "view", f"{text} {lack}")
 
 
 def _collisions(one: PlannedTrial) -> Iterator[Finding]:
     for pose in dict.fromkeys((one.approach or one.pose, one.pose)):
         phantom = one.phantom.moved(pose)
         teats = phantom.teat_hulls()
+        solids, names = (
+            (*teats, *phantom.flange_hulls()),
+            [_name(phantom, i) for i in range(len(teats))],
+        )
         for i, j in combinations(range(len(teats)), 2):
             if (gap := clearance_mm(teats[i], teats[j])) < -PLAY_MM:
-                both = f"{name_of(phantom, i)} and {name_of(phantom, j)}"
-                yield Finding(
-                    one.name, "collision", f"{both} stand {-gap:.1f} mm inside each other"
+                text = f"{names[i]} and {names[j]} stand {-gap:.1f} mm inside each other"
+                yield Finding(one.name, "collision", text)
+        # objects don't move with the plate
+        things = [make_object(**table) for table in one.trial.objects]
+        for number, thing in enumerate((*things, *(one.scene.objects if one.scene else ())), 1):
+            gaps = [
+                min((clearance_mm(solid, hull) for hull in thing.hulls), default=np.inf)
+                for solid in solids
+            ]
+            worst = int(np.argmin(gaps)) if gaps else 0
+            if gaps and gaps[worst] < -PLAY_MM:
+                part = (
+                    names[worst] if worst < len(names) else f"{names[worst % len(names)]}'s flange"
                 )
-        yield from (
-            Finding(one.name, "collision", text)
-            for text in _struck(one, phantom, (*teats, *phantom.flange_hulls()))
-        )
+                text = f"{part} stands {-gaps[worst]:.1f} mm inside object {number} ({thing.name})"
+                yield Finding(one.name, "collision", text)
 
 
-def _struck(one: PlannedTrial, phantom: Phantom, solids: Sequence[Hull]) -> Iterator[str]:
-    """Which objects the phantom stands in: objects don't move with the plate."""
-    things = [
-        *(make_object(**table) for table in one.trial.objects),
-        *(one.scene.objects if one.scene else ()),
-    ]
-    for number, thing in enumerate(things, 1):
-        gaps = [
-            min((clearance_mm(solid, hull) for hull in thing.hulls), default=np.inf)
-            for solid in solids
-        ]
-        worst = int(np.argmin(gaps)) if gaps else 0
-        if gaps and gaps[worst] < -PLAY_MM:
-            part = "" if worst < len(phantom.teats) else "'s flange"
-            yield (
-                f"{name_of(phantom, worst % len(phantom.teats))}{part} stands {-gaps[worst]:.1f} mm"
-                f" inside object {number} ({thing.name})"
-            )
-
-
-def _out_of_reach(rig: LoadedRig, phantoms: Iterable[tuple[str, Phantom]]) -> Iterator[Finding]:
+def _out_of_reach(rig: LoadedRig, name: str, phantom: Phantom) -> Iterator[Finding]:
     """Teat ends that the arm can't reach where it has to."""
-    unit = rig.arm_unit or shipped_unit(USUAL_ARM)
-    upright_only = rig.rig.operator.url == EMULATED
-    placed = rig.rig.emulation.arm_placed
-    world_from_arm = (
-        rig.frame.world_from_arm
-        if rig.frame is not None
-        else Motion.from_vectors(placed.om, placed.T)
-    )
-    arm_from_world = world_from_arm.inverse()
-    for name, phantom in phantoms:
-        for teat, end in enumerate(arm_from_world.apply(phantom.ends_mm)):
-            up = arm_from_world.R @ STYLUS_UP
-            if way_to(unit, end, up, upright_only=upright_only) is None:
-                where = np.round(phantom.ends_mm[teat]).astype(int).tolist()
-                yield Finding(
-                    name,
-                    "reach",
-                    f"the arm doesn't reach the end of {name_of(phantom, teat)} at {where} mm",
-                )
+    unit, placed = rig.arm_unit or shipped_unit(USUAL_ARM), rig.rig.emulation.arm_placed
+    frame = rig.frame.world_from_arm if rig.frame else Motion.from_vectors(placed.om, placed.T)
+    arm_from_world, upright_only = frame.inverse(), rig.rig.operator.url == EMULATED
+    up = arm_from_world.R @ STYLUS_UP
+    for teat, end in enumerate(arm_from_world.apply(phantom.ends_mm)):
+        if way_to(unit, end, up, upright_only=upright_only) is None:
+            where = np.round(phantom.ends_mm[teat]).astype(int).tolist()
+            text = f"the arm doesn't reach the end of {_name(phantom, teat)} at {where} mm"
+            yield Finding(name, "reach", text)
 
 
 def way_to(
@@ -276,6 +227,6 @@ def way_to(
     return None
 
 
-def name_of(phantom: Phantom, teat: int) -> str:
+def _name(phantom: Phantom, teat: int) -> str:
     """``teat RF``, or by number (from 1) where it has no name."""
     return f"teat {phantom.teats[teat].name or teat + 1}"

@@ -148,13 +148,11 @@ def rehearse(
     ``shown`` gets how many trials are done, of how many. Raises NoTwinError, and KeyboardInterrupt
     where somebody ended it.
     """
-    figures = {**ASSUMED, **(learnt or {})}
+    figures, emulated = {**ASSUMED, **(learnt or {})}, bool(rig.rig.emulated)
     in_person, url = rig.rig.operator.url == CONSOLE, rig.rig.operator.url
-    answers = (
-        load_answers(rig.path.parent / url.removeprefix(SCRIPT)) if url.startswith(SCRIPT) else None
-    )
-    operator, clock = CountedAnswers(answers), VirtualClock()
-    twin_rig = twin_of(rig, script, stage)
+    file = rig.path.parent / url.removeprefix(SCRIPT)
+    operator = CountedAnswers(load_answers(file) if url.startswith(SCRIPT) else None)
+    clock, twin_rig = VirtualClock(), twin_of(rig, script, stage)
     course = Course(script.planned, shown)
     events = Events(course)
     with TemporaryDirectory(prefix="teatbench-dry-run-") as folder:
@@ -164,17 +162,13 @@ def rehearse(
         with (
             closing(PicturelessStore.create(run, files)) as store,
             events.kept_in(run),
-            _twin(twin_rig, clock, used_seed, by_hand=not rig.rig.emulated) as twin,
+            _twin(twin_rig, clock, used_seed, by_hand=not emulated) as twin,
         ):
             store.fact("detectors", [])
-            takes_s = 0.0 if rig.rig.emulated else figures["capture"]
-            due = to_render(script.planned)
-            cameras = course.cameras = StandInCameras(
-                twin, twin_rig, events.event, due, detectors, takes_s
-            )
-            operator.hands = ReachingHands(
-                twin, twin_rig.rig.emulation.arm_placed, events.event, leans=in_person
-            )
+            takes_s, due = 0.0 if emulated else figures["capture"], to_render(script.planned)
+            cameras = StandInCameras(twin, twin_rig, events.event, due, detectors, takes_s)
+            course.cameras, placed = cameras, twin_rig.rig.emulation.arm_placed
+            operator.hands = ReachingHands(twin, placed, events.event, leans=in_person)
             tested = lenient(twin_rig)
             with open_instruments(tested, ("arm", "bath", "stage"), clock, twin=twin) as opened:
                 devices = replace(opened, cameras=cameras, operator=operator)
@@ -193,7 +187,7 @@ def rehearse(
         spent[SET_UPS] += wanted.set_ups_s
         touches = operator.asked["touch"] + operator.asked["check point"]
         spent[TOUCHES] += touches * figures["touch"]
-    if learnt and "heating" in learnt and not rig.rig.emulated:
+    if learnt and "heating" in learnt and not emulated:
         # the time that the real bath takes to heat, where earlier runs told
         spent[SETTLING] += wanted.settling_s - spent_of(lines, first_settling=True)[SETTLING]
     return Rehearsal(
@@ -208,9 +202,7 @@ def rehearse(
     )
 
 
-def _findings(
-    lines: Sequence[Mapping[str, Any]],
-) -> tuple[tuple[Finding, ...], Mapping[str, int]]:
+def _findings(lines: Sequence[Mapping[str, Any]]) -> tuple[tuple[Finding, ...], Mapping[str, int]]:
     """What would end the run, or leave a trial without a truth, with the trial's name; and what the
     run gets over by itself, counted.
     """

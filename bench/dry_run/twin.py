@@ -32,7 +32,6 @@ from bench.rig.urls import EMULATED
 from bench.run.rows import stage_pictures
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
-from detector.calibration import Calibration
 from detector.geometry import Motion
 from detector.protocol import Detector, Outcome
 from instruments.camera.frame import FrameSet, Grey
@@ -65,30 +64,21 @@ def twin_of(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -
     it has none or nobody could ask.
     """
     r = rig.rig
-    cameras = Cameras(url=EMULATED).model_copy(
-        update=r.cameras.model_dump(include={"settle_s", "max_skew_s", "retries", "retry_s"})
-    )
-    cameras = cameras.model_copy(update={"checks": r.cameras.checks})
-    if r.emulated:
-        return replace(
-            rig,
-            rig=r.model_copy(
-                update={
-                    "cameras": cameras,
-                    "operator": r.operator.model_copy(update={"url": EMULATED}),
-                }
-            ),
-        )
-    # how sharp the real cameras are, the emulated ones can't tell
-    checks = r.cameras.checks.model_copy(update={"focus_px": FocusTable()})
-    tables = {
+    checks = r.cameras.checks
+    if not r.emulated:  # how sharp the real cameras are, the emulated ones can't tell
+        checks = checks.model_copy(update={"focus_px": FocusTable()})
+    kept = r.cameras.model_dump(include={"settle_s", "max_skew_s", "retries", "retry_s"})
+    tables: dict[str, object] = {
+        "cameras": Cameras(url=EMULATED).model_copy(update={**kept, "checks": checks}),
         "operator": r.operator.model_copy(update={"url": EMULATED}),
+    }
+    if r.emulated:
+        return replace(rig, rig=r.model_copy(update=tables))
+    pump_url = EMULATED if r.bath.pump_url else ""
+    tables |= {
         "arm": r.arm.model_copy(update={"url": EMULATED}),
-        "bath": r.bath.model_copy(
-            update={"url": EMULATED, "pump_url": EMULATED if r.bath.pump_url else ""}
-        ),
+        "bath": r.bath.model_copy(update={"url": EMULATED, "pump_url": pump_url}),
         "stage": r.stage.model_copy(update={"url": EMULATED}) if r.stage else None,
-        "cameras": cameras.model_copy(update={"checks": checks}),
         "emulation": _world(rig, script, stage),
     }
     return replace(rig, rig=r.model_copy(update=tables), arm_unit=_arm(rig, script))
@@ -106,9 +96,8 @@ def _world(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) ->
     }
     if rig.frame is not None:
         motion = rig.frame.world_from_arm
-        update["arm_placed"] = Placed().model_copy(
-            update={"om": tuple(motion.om.tolist()), "T": tuple(motion.T.tolist())}
-        )
+        place = {"om": tuple(motion.om.tolist()), "T": tuple(motion.T.tolist())}
+        update["arm_placed"] = Placed().model_copy(update=place)
     if rig.rig.stage is not None:
         update["stage"] = _stage(rig, rig.rig.stage, script, stage)
     return rig.rig.emulation.model_copy(update=update)
@@ -135,19 +124,13 @@ def _as_told(told: StageSettings) -> dict[int, float]:
     }
     return {
         first + axis: value for first, values in each.items() for axis, value in enumerate(values)
-    } | {
-        24: told.homing_feed_mm_min,
-        25: told.homing_seek_mm_min,
-        27: told.pull_off_mm,
-    }
+    } | {24: told.homing_feed_mm_min, 25: told.homing_seek_mm_min, 27: told.pull_off_mm}
 
 
 def _far_enough(rig: LoadedRig, table: Stage, script: LoadedScript) -> dict[int, float]:
     """Travel that no place of the script exceeds, so that what nobody knows isn't found wanting."""
     usual = DEFAULTS | ROTARY_DEFAULTS
-    poses = [
-        pose for one in script.planned for pose in (one.approach, one.pose) if pose is not None
-    ]
+    poses = [pose for one in script.planned for pose in (one.approach, one.pose) if pose]
     sent = [shared(pose, table.axes)[0] for pose in (*poses, *registered_at(rig, script))]
     places = [tuple(table.machine(pose).values()) for pose in sent]
     numbers = [130 + AXES.index(axis) for axis in table.axes]
@@ -158,16 +141,12 @@ def _far_enough(rig: LoadedRig, table: Stage, script: LoadedScript) -> dict[int,
 
 
 def _arm(rig: LoadedRig, script: LoadedScript) -> ArmIdentity:
-    """Of the usual size; under the serial number that frame and registration are of, or the twin
-    would be another arm.
-    """
+    """Of the usual size, under the serial number that frame and registration are of."""
     unit = rig.arm_unit or shipped_unit(USUAL_ARM)
-    made_with = rig.frame or script.registration
-    return (
-        replace(unit, names=replace(unit.names, serial_number=made_with.serial_number))
-        if made_with
-        else unit
-    )
+    if made_with := rig.frame or script.registration:
+        names = replace(unit.names, serial_number=made_with.serial_number)
+        return replace(unit, names=names)
+    return unit
 
 
 def lenient(rig: LoadedRig) -> LoadedRig:
@@ -195,15 +174,10 @@ def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozens
     return frozenset([*tables, *(left[int((at + 0.5) * len(left) / room)] for at in range(room))])
 
 
-def stand_in(calibration: Calibration) -> FrameSet:
-    """Pictures of the calibration's sizes that rise from dark to light."""
-
-    def ramp(size: tuple[int, int]) -> Grey:
-        width, height = size
-        return np.tile(np.linspace(DARK, LIGHT, width).astype(np.uint8), (height, 1))
-
-    c = calibration
-    return FrameSet(ramp(c.left.image_size), ramp(c.right.image_size), ramp(c.thermal.image_size))
+def _ramp(size: tuple[int, int]) -> Grey:
+    """A picture (height, width) that rises from dark to light."""
+    width, height = size
+    return np.tile(np.linspace(DARK, LIGHT, width).astype(np.uint8), (height, 1))
 
 
 class StandInCameras:
@@ -223,12 +197,13 @@ class StandInCameras:
         detectors: Sequence[Detector],
         takes_s: float,
     ) -> None:
-        clock = twin.world.clock
+        clock, c = twin.world.clock, rig.calibration
         self._cameras: OpenCameras = twin.cameras
         self._taker = FrameTaker(
-            twin.cameras, rig.rig.cameras, rig.calibration, clock.sleep, lambda _kind, _text: None
+            twin.cameras, rig.rig.cameras, c, clock.sleep, lambda _kind, _text: None
         )
-        self._stand_in = stand_in(rig.calibration)
+        left, right, thermal = (_ramp(one.image_size) for one in (c.left, c.right, c.thermal))
+        self._stand_in = FrameSet(left, right, thermal)
         self._met = met
         self._due = set(due)
         self._detectors = detectors
@@ -256,9 +231,7 @@ class StandInCameras:
         self._cameras.close()
 
     def bytes_of(self, trials: int) -> float:
-        """What the pictures of so many trials take on the disk, by those that were rendered, and
-        what detectors leave with each.
-        """
+        """What so many trials' pictures and those of their detectors take, by what was rendered."""
         each = self._set_bytes / self.rendered + self._stage_bytes if self.rendered else 0.0
         return trials * each
 
@@ -269,9 +242,7 @@ class StandInCameras:
             self._met("frames", str(fault))
             return
         pictures = (frames.left, frames.right, frames.thermal, frames.thermal_ck)
-        self._set_bytes += sum(
-            len(png_bytes(picture)) for picture in pictures if picture is not None
-        )
+        self._set_bytes += sum(len(png_bytes(one)) for one in pictures if one is not None)
         self.rendered += 1
         for detector in self._detectors if self.rendered == 1 else ():
             answer = self._examiner.ask(detector, frames)
@@ -295,9 +266,7 @@ class ReachingHands:
         self._reached: dict[bytes, Floats] = {}
 
     def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
-        """Raises OperatorAbort where the arm doesn't reach the check point, OperatorSkip where it
-        doesn't reach a teat's end.
-        """
+        """Raises OperatorAbort for a check point out of reach, OperatorSkip for a teat's end."""
         answer = self._twin.operator.ask(request, check)
         if isinstance(request, CheckPoint) and (why := self._out_of_reach("the check point")):
             raise OperatorAbort(why)
@@ -308,9 +277,7 @@ class ReachingHands:
         return answer
 
     def _out_of_reach(self, what: str) -> str:
-        """Empty where the arm gets there, leaning if need be; else the tip is let go of, and why is
-        met and given back.
-        """
+        """Empty where the arm gets there, leaning if need be; else the tip is let go of."""
         world, held = self._twin.world, self._twin.world.arm_target()
         if held is None:
             return ""

@@ -97,11 +97,9 @@ class RunContext:
         self.check_interrupts()
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
-        """``what`` may take ``at_most_s`` before the guardian takes the bench for hung: with signs
-        of life, or where it must be in silence.
-
-        Whatever waits on a clock or a link gives those signs; what computes, or is another's code,
-        is ``silent``.
+        """``what`` may take ``at_most_s`` before the guardian takes the bench for hung. Whatever
+        waits on a clock or a link gives signs of life; what computes, or is another's code, is
+        ``silent``.
         """
         self._pulse.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
 
@@ -120,9 +118,7 @@ class RunContext:
         self.events.event(kind, text)
 
     def _see_steps_of_the_clock(self) -> None:
-        """Somebody may set the computer's clock amid a run. The bench's own time doesn't follow it,
-        the record's wall times do.
-        """
+        """The bench's own time doesn't follow a computer's clock that is set, wall times do."""
         before_s = stopwatch_s()
         behind_s = wall_time().timestamp() - before_s
         if stopwatch_s() - before_s > READ_S:
@@ -130,8 +126,7 @@ class RunContext:
         known_s, self._wall_behind_s = self._wall_behind_s, behind_s
         if known_s is not None and abs(behind_s - known_s) > STEPPED_S:
             by_s = behind_s - known_s
+            told = f"the computer's clock was set {by_s:+.0f} s"
             self._write(
-                "clock",
-                f"the computer's clock was set {by_s:+.0f} s; wall times before and after don't"
-                " compare, the bench's own do",
+                "clock", f"{told}; wall times before and after don't compare, the bench's own do"
             )

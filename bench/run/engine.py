@@ -7,7 +7,6 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Sequence
 from enum import StrEnum
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +39,10 @@ from instruments.operators.operator import (
     OperatorSkip,
     time_left,
 )
+from instruments.stage.driver import Stage
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
+WISHES = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
 HOMING = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
 
 
@@ -81,11 +82,8 @@ class Engine:
         goes_on = left is not None and not self._rehearsed
         self._session = store.session if goes_on else 1
         self._requests = Requests(store.folder, typed, ctx.events.warn)
-        self._truth = choose_truth(
-            ctx,
-            recorder.settled if recorder else lambda _trials, _good: None,
-            before=left.run if left and goes_on else None,
-        )
+        settled = recorder.settled if recorder else lambda _trials, _good: None
+        self._truth = choose_truth(ctx, settled, before=left.run if left and goes_on else None)
         self._trials = TrialRun(
             ctx, detectors, self._truth, exact_ends=exact_ends, recorder=recorder
         )
@@ -148,15 +146,18 @@ class Engine:
         """Arm signed on and homed, arm check, stage homed, bath started; each step again where an
         instrument drops out. In a session that goes on, all of it is done again.
         """
-        ctx, again = self._ctx, self._recovery.run
-        set_point_c = ctx.script.script.bath.set_point_c
+        ctx, again, set_point_c = (
+            self._ctx,
+            self._recovery.run,
+            self._ctx.script.script.bath.set_point_c,
+        )
         ctx.note("preparing")
         ctx.watch.start()
         again("signing on to the arm", self._sign_on)
         again("the arm check", lambda: self._check_arm(BEFORE))
         ctx.check()
-        if ctx.devices.stage:
-            again("homing the stage", self._home_stage)
+        if stage := ctx.devices.stage:
+            again("homing the stage", lambda: self._home(stage))
         self._fact("identities", ctx.devices.identities())
         self._fact("arm record", ctx.devices.arm.record())
         ctx.note(f"heating the bath to {set_point_c:g} degC")
@@ -169,9 +170,7 @@ class Engine:
         ctx.watch.heating()
 
     def _check_arm(self, when: str) -> None:
-        """Touch the rig's check point, where it names one; what was found is a fact for the
-        script's requirement.
-        """
+        """Touch the rig's check point, where it names one: a fact for the script's requirement."""
         ctx, arm = self._ctx, self._ctx.rig.rig.arm
         if arm.check_point_mm is None:
             return
@@ -198,10 +197,7 @@ class Engine:
         self._ctx.ask(Homing(HOMING))
         arm.confirm_homed()
 
-    def _home_stage(self) -> None:
-        stage = self._ctx.devices.stage
-        if stage is None:
-            return
+    def _home(self, stage: Stage) -> None:
         self._ctx.long("homing the stage", 600.0)
         stage.connect()
         self._ctx.look()  # not check: what was announced goes on
@@ -209,7 +205,7 @@ class Engine:
         self._ctx.check()
 
     def _one(self, trial: PlannedTrial) -> None:
-        """A trial as it is due: run, gone through again, or passed over since it has its result."""
+        """Run a trial, go through it again, or pass over it since it has its result."""
         if self._left:
             if self._rehearsed and trial.id not in self._left.poison:
                 self._trials.rehearsing = True
@@ -234,14 +230,10 @@ class Engine:
             same, differ = self._rehearsed.same, ", ".join(self._rehearsed.differ)
             text += f", gone through again on the emulated rig: {len(same)} with the same touches"
             if differ:
-                self._ctx.events.warn(
-                    "The emulated world is not the one that the run began in: touches differ in"
-                    f" {differ}."
-                )
-                text += (
-                    f", other touches in {differ}: WHAT FOLLOWS IS NOT WHAT AN UNDISTURBED RUN"
-                    " WOULD GIVE"
-                )
+                why = "The emulated world is not the one that the run began in: touches differ in"
+                self._ctx.events.warn(f"{why} {differ}.")
+                but = "WHAT FOLLOWS IS NOT WHAT AN UNDISTURBED RUN WOULD GIVE"
+                text += f", other touches in {differ}: {but}"
             self._ctx.event(EVENT, self._ctx.states.current.value)
         self._ctx.event("resumed", text)
 
@@ -263,7 +255,7 @@ class Engine:
 
     def _not_shown(self, why: str) -> None:
         """Whoever looks for what the screen had to say finds why it said nothing."""
-        self._kept(lambda: self._ctx.event("not shown", why))
+        self._kept(self._ctx.event, "not shown", why)
 
     def _ended_by(self, why: BaseException) -> Ending:
         """The ending that ``why`` means, written down; raises it again when it is a mistake of the
@@ -272,10 +264,7 @@ class Engine:
         self._reserve.give_back()
         self._end_replay()
         tripped = self._ctx.watch.tripped
-        if (
-            isinstance(why, KeyboardInterrupt | OperatorAbort | OperatorSkip | OperatorRepeat)
-            and tripped is None
-        ):
+        if tripped is None and isinstance(why, WISHES):
             self._write_down("aborted", str(why) or "the run was interrupted (Ctrl-C)")
             return Ending.ABORTED
         # a braked stage or an impatient operator may have come first
@@ -283,18 +272,18 @@ class Engine:
         if isinstance(cause, FolderGoneError):  # there is nothing that a report could be made of
             self._write_down("fault", str(cause))
             raise cause
+        named = f"{type(cause).__name__}: {cause}"
         if isinstance(cause, RECORD_FAULTS):
-            self._write_down(
-                "fault",
-                f"the record could not be written: {type(cause).__name__}: {cause}. Make room or"
-                f" make the folder writable, then: teatbench resume {self._ctx.store.folder}",
-                aloud=True,
+            cure = f"teatbench resume {self._ctx.store.folder}"
+            told = (
+                f"the record could not be written: {named}. Make room or make the folder writable"
             )
-            return Ending.FAULTED
-        if not isinstance(cause, InstrumentError | InterlockTrip):
-            self._write_down("fault", f"a mistake of the bench: {type(cause).__name__}: {cause}")
+            self._write_down("fault", f"{told}, then: {cure}", aloud=True)
+        elif isinstance(cause, InstrumentError | InterlockTrip):
+            self._write_down("fault", str(cause))
+        else:
+            self._write_down("fault", f"a mistake of the bench: {named}")
             raise cause
-        self._write_down("fault", str(cause))
         return Ending.FAULTED
 
     def _finish(self, ending: Ending) -> Ending:
@@ -310,33 +299,30 @@ class Engine:
         self.bath_is_safe = "bath" not in unsafe
         ctx.trips.stop()
         if unsafe:
-            ctx.events.warn(
-                f"NOT SAFE: {', '.join(unsafe)}. {' '.join(said)} SWITCH IT OFF BY HAND."
-            )
+            names, why = ", ".join(unsafe), " ".join(said)
+            ctx.events.warn(f"NOT SAFE: {names}. {why} SWITCH IT OFF BY HAND.")
         for text in said:
             self._write_down("safe", text)
         if unsafe and ending is Ending.FINISHED:
             ending = Ending.FAULTED
         for state in (RunState.SAFING, RunState(ending.value)):
-            self._kept(partial(ctx.states.to, state))
+            self._kept(ctx.states.to, state)
         self._write_down("end", ending.value)
-        for key, value in {
-            "retries": dict(self._recovery.counts),
-            "ending": ending.value,
-            "wall_ended": wall_time().isoformat(timespec="seconds"),
-        }.items():
-            self._kept(partial(ctx.store.fact, key, value))
+        ended = wall_time().isoformat(timespec="seconds")
+        facts = {"retries": dict(self._recovery.counts), "ending": ending.value}
+        for key, value in {**facts, "wall_ended": ended}.items():
+            self._kept(ctx.store.fact, key, value)
         self._kept(ctx.store.flush)
         return ending
 
     def _write_down(self, kind: str, text: str, *, aloud: bool = False) -> None:
         """An event, of which the run's end doesn't depend on whether it can be written."""
-        if not self._kept(lambda: self._ctx.event(kind, text)) or aloud:
+        if not self._kept(self._ctx.event, kind, text) or aloud:
             self._ctx.events.warn(text)
 
-    def _kept(self, write: Callable[[], object]) -> bool:
+    def _kept(self, write: Callable[..., object], *what: object) -> bool:
         try:
-            write()
+            write(*what)
         except RECORD_FAULTS:
             return False
         return True

@@ -12,10 +12,10 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from bench.files import write_synced
@@ -35,14 +35,12 @@ PREPARING, SETTLING, MOVES = "preparing", "settling", "moves"
 SET_UPS, CAPTURES, TOUCHES = "set-ups", "captures", "touches"
 WAITING, SAFING = "waiting for instruments", "going to safe"
 KINDS = (PREPARING, SETTLING, MOVES, SET_UPS, CAPTURES, TOUCHES, WAITING, SAFING)
-STATES: Mapping[str, str] = MappingProxyType(
-    {
-        RunState.PREPARING.value: PREPARING,
-        RunState.SETTLING.value: SETTLING,
-        RunState.PAUSED.value: WAITING,
-        RunState.SAFING.value: SAFING,
-    }
-)
+STATES = {
+    RunState.PREPARING: PREPARING,
+    RunState.SETTLING: SETTLING,
+    RunState.PAUSED: WAITING,
+    RunState.SAFING: SAFING,
+}
 
 
 def spent_of(
@@ -65,8 +63,8 @@ def spent_of(
             case "event", "run state":
                 state = event["text"]
                 if state in STATES:
-                    before, base = kind, STATES[state]
-                    kind = base
+                    before, kind = kind, STATES[state]
+                    base = kind
                 elif state == RunState.RUNNING:
                     if kind == SETTLING and first_settling:
                         break
@@ -115,7 +113,7 @@ class TimeEstimate:
     @property
     def total_s(self) -> float:
         """All of it."""
-        return self.settling_s + self.moves_s + self.set_ups_s + self.captures_s + self.touches_s
+        return float(sum(asdict(self).values()))
 
     def each_s(self, trials: int) -> float:
         """One of so many trials, without the settling before the first."""
@@ -128,20 +126,14 @@ def estimate(
     """How long ``script`` takes on ``rig``, at the bench's own time, by ``figures`` as those
     assumed.
     """
-    r, planned = rig.rig, script.planned
-    gate = script.script.bath
-    settling = (
-        gate.window_s + 60.0 * max(0.0, gate.set_point_c - r.bath.room_c) / figures["heating"]
-    )
-    touches = (script.script.truth.readings or r.arm.touches) * sum(
-        len(planned[at].phantom.teats) for at in touched_trials(rig, script)
-    )
+    r, planned, gate = rig.rig, script.planned, script.script.bath
+    rise_k = max(0.0, gate.set_point_c - r.bath.room_c)
     return TimeEstimate(
-        settling_s=settling,
+        settling_s=gate.window_s + 60.0 * rise_k / figures["heating"],
         moves_s=_moves_s(r.stage, planned, figures) if r.stage else 0.0,
         set_ups_s=sum(_set_ups_s(r.stage.axes if r.stage else "", planned, figures)),
         captures_s=len(planned) * (r.cameras.settle_s + figures["capture"]),
-        touches_s=touches * figures["touch"],
+        touches_s=sum(_touches(rig, script)) * figures["touch"],
     )
 
 
@@ -155,11 +147,9 @@ def settling_of(rig: LoadedRig, script: LoadedScript) -> float:
     at most what the script allows.
     """
     emulation, bath, gate = rig.rig.emulation, script.script.bath, gate_of(script)
-    room_c, start_c = (
-        (emulation.ambient_c, emulation.bath_start_c)
-        if rig.rig.emulated
-        else (max(0.0, rig.rig.bath.room_c),) * 2
-    )
+    room_c = start_c = max(0.0, rig.rig.bath.room_c)
+    if rig.rig.emulated:
+        room_c, start_c = emulation.ambient_c, emulation.bath_start_c
     plant = Plant(rig.rig.seed, ambient_c=room_c, start_c=start_c)
     plant.pump = "on"
     plant.run(bath.set_point_c)
@@ -170,35 +160,28 @@ def settling_of(rig: LoadedRig, script: LoadedScript) -> float:
     return t_s
 
 
-def touched_trials(rig: LoadedRig, script: LoadedScript) -> list[int]:
-    """At which of the planned trials (from 0) teat ends are touched, once for each time: all, or
-    those that a stage doesn't carry.
+def _touches(rig: LoadedRig, script: LoadedScript) -> list[int]:
+    """How many there are, at each of the trials at which teat ends are touched: all, or those that
+    a stage doesn't carry.
     """
-    truth, stage = script.script.truth, rig.rig.stage
+    truth, stage, planned = script.script.truth, rig.rig.stage, script.planned
+    at: Sequence[int] = range(len(planned))
     if truth.mode == "carry" and stage:
-        return carry_touches(script.planned, stage.axes, truth.check_every)
-    return list(range(len(script.planned)))
+        at = carry_touches(planned, stage.axes, truth.check_every)
+    each = truth.readings or rig.rig.arm.touches
+    return [each * len(planned[index].phantom.teats) for index in at]
 
 
 def assumed_told() -> str:
     """What was assumed, as a sentence."""
-    return (
-        "Assumed: "
-        + ", ".join(f"{what} {value:g} {UNITS.get(what, 's')}" for what, value in ASSUMED.items())
-        + "."
-    )
+    each = (f"{what} {value:g} {UNITS.get(what, 's')}" for what, value in ASSUMED.items())
+    return f"Assumed: {', '.join(each)}."
 
 
-def _moves_s(
-    stage: Stage, planned: tuple[PlannedTrial, ...], figures: Mapping[str, float]
-) -> float:
-    places = [
-        stage.machine(shared(pose, stage.axes)[0])
-        for one in planned
-        for pose in (one.approach, one.pose)
-        if pose is not None
-    ]
-    ways = [math.dist(tuple(a.values()), tuple(b.values())) for a, b in pairwise(places)]
+def _moves_s(stage: Stage, planned: Sequence[PlannedTrial], figures: Mapping[str, float]) -> float:
+    poses = [pose for one in planned for pose in (one.approach, one.pose) if pose is not None]
+    places = [tuple(stage.machine(shared(pose, stage.axes)[0]).values()) for pose in poses]
+    ways = [math.dist(a, b) for a, b in pairwise(places)]
     return figures["homing"] + sum(
         move_s(way, stage.feed_mm_per_min, figures["acceleration"]) for way in ways
     )
@@ -215,7 +198,7 @@ def move_s(way_mm: float, feed_mm_per_min: float, accel_mm_s2: float) -> float:
 
 
 def _set_ups_s(
-    axes: str, planned: tuple[PlannedTrial, ...], figures: Mapping[str, float]
+    axes: str, planned: Sequence[PlannedTrial], figures: Mapping[str, float]
 ) -> Iterator[float]:
     """What a person does between trials: a new scene, or the plate to another place."""
     before = None
@@ -237,9 +220,7 @@ LEAST_RISE_K = 1.0  # less says nothing of how fast a bath heats
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What a run will need: time by parts, room on the disk at most, and how often a person is
-    asked.
-    """
+    """What a run will need: time, room on the disk at most, and how often a person is asked."""
 
     time: TimeEstimate
     disk_mb: float
@@ -263,27 +244,15 @@ def needs(
     time = estimate(rig, script, figures)
     if emulated or "heating" not in learnt:
         time = replace(time, settling_s=settling_of(rig, script))
-    return Forecast(time, _disk_mb(rig, script), _prompts(rig, script))
-
-
-def _disk_mb(rig: LoadedRig, script: LoadedScript) -> float:
-    """As if nothing could be compressed, with as much again for the pictures of the detectors'
-    stages.
-    """
+    # homing, the arm check before and after, each set-up, each touch
+    arm, touches = rig.rig.arm, _touches(rig, script)
+    checks = 2 * arm.check_touches if arm.check_point_mm else 0
+    # as if nothing could be compressed, with as much again for the pictures of detectors' stages
     c = rig.calibration
     one = sum(w * h for w, h in (c.left.image_size, c.right.image_size, c.thermal.image_size))
-    w, h = c.thermal.sensor_size
-    return 2.0 * len(script.planned) * (one + 2 * w * h) / 1e6
-
-
-def _prompts(rig: LoadedRig, script: LoadedScript) -> int:
-    """Homing, the arm check before and after, each set-up, each touch; carried trials need neither
-    where the stage moves all.
-    """
-    arm, planned = rig.rig.arm, script.planned
-    each = script.script.truth.readings or arm.touches
-    touches = sum(each * len(planned[at].phantom.teats) + 1 for at in touched_trials(rig, script))
-    return 1 + (2 * arm.check_touches if arm.check_point_mm else 0) + touches
+    one += 2 * math.prod(c.thermal.sensor_size)
+    disk_mb = 2.0 * len(script.planned) * one / 1e6
+    return Forecast(time, disk_mb, 1 + checks + sum(touches) + len(touches))
 
 
 def took(run: RunRecord) -> dict[str, float]:
@@ -293,17 +262,14 @@ def took(run: RunRecord) -> dict[str, float]:
     found: dict[str, float] = {}
     if run.events and run.events[-1]["t_s"] is not None:
         found["total_s"] = float(run.events[-1]["t_s"])
-    try:
+    with suppress(OSError, ValueError):
         events = list(read_events(run.folder))
-    except (OSError, ValueError):
-        return found
-    spent = spent_of(events)
-    if settling_s := spent_of(events, first_settling=True)[SETTLING]:
-        found["settling_s"] = settling_s
-    if spent[SET_UPS]:
-        found["set_ups_s"] = spent[SET_UPS]
-    if touches := sum(event.get("kind") in ("touch", "check point") for event in events):
-        found["touch_s"] = spent[TOUCHES] / touches
+        spent, first = spent_of(events), spent_of(events, first_settling=True)
+        touches = sum(event.get("kind") in ("touch", "check point") for event in events)
+        each = {"settling_s": first[SETTLING], "set_ups_s": spent[SET_UPS]}
+        found |= {name: seconds for name, seconds in each.items() if seconds}
+        if touches:
+            found["touch_s"] = spent[TOUCHES] / touches
     return found
 
 
@@ -333,24 +299,18 @@ def read_learnt(folder: Path, rig: LoadedRig) -> dict[str, float]:
     """
     known: dict[str, float] = {}
     for path in sorted(folder.glob(f"*/{FILE}"))[-LOOKS_BACK:]:
-        for name, value in _read(path, rig).items():
-            known[name] = KEEPS * known[name] + (1.0 - KEEPS) * value if name in known else value
+        # another rig's run, or a file that can't be understood: an estimate isn't worth a fault
+        with suppress(OSError, ValueError, KeyError, TypeError):
+            kept = json.loads(path.read_text(encoding="utf-8"))
+            if kept["rig"] == _name(rig):
+                new = {
+                    name: float(kept["figures"][name]) for name in ASSUMED & kept["figures"].keys()
+                }
+                known |= {
+                    name: KEEPS * known.get(name, value) + (1.0 - KEEPS) * value
+                    for name, value in new.items()
+                }
     return known
-
-
-def _read(path: Path, rig: LoadedRig) -> dict[str, float]:
-    """Nothing where the run was another rig's, or the file can't be understood: an estimate isn't
-    worth a fault.
-    """
-    try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        return (
-            {name: float(kept["figures"][name]) for name in ASSUMED if name in kept["figures"]}
-            if kept["rig"] == _name(rig)
-            else {}
-        )
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
 
 
 def write_learnt(
@@ -363,21 +323,15 @@ def write_learnt(
     """Keep in the folder of a ``run`` what was expected, what it took, and the figures that follow.
     Raises OSError.
     """
-    known = {
-        "rig": _name(rig),
-        "expected_s": {**asdict(expected), "total_s": expected.total_s},
-        "took": dict(spent),
-        "figures": dict(new),
-    }
+    expected_s = {**asdict(expected), "total_s": expected.total_s}
+    known = {"rig": _name(rig), "expected_s": expected_s, "took": {**spent}, "figures": {**new}}
     write_synced(run / FILE, json.dumps(known, indent=1).encode())
 
 
 def told(expected: TimeEstimate, spent: Mapping[str, float]) -> str:
     """``It took 20 min of the bench's time; 38 min were expected.``"""
-    return (
-        f"It took {spent['total_s'] / 60:.0f} min of the bench's time; {expected.total_s / 60:.0f}"
-        " min were expected."
-    )
+    took_min, expected_min = spent["total_s"] / 60, expected.total_s / 60
+    return f"It took {took_min:.0f} min of the bench's time; {expected_min:.0f} min were expected."
 
 
 def _name(rig: LoadedRig) -> str:
@@ -393,7 +347,7 @@ def carry_touches(planned: Sequence[PlannedTrial], axes: str, check_every: int) 
     standing, carried = None, 0
     for index, one in enumerate(planned):
         fixed = fixed_key(one.phantom, shared(one.pose, axes)[1], one.pose.yaw_rad)
-        if standing is not None and carried and (fixed != standing or 0 < check_every <= carried):
+        if carried and (fixed != standing or 0 < check_every <= carried):
             at.append(index - 1)
             carried = 0
         if fixed == standing:

@@ -175,12 +175,10 @@ class Events:
 
     def _show(self) -> dict[str, str]:
         """The line on the screen; gives back what stands there beside trial and text."""
-        more = {**self.live(), **({"last error": self._error} if self._error else {})}
-        parts = [self._name, self._text]
-        for key, said in more.items():
-            parts.append(f"last error: {said[:LONGEST]}" if key == "last error" else said)
+        live, error = dict(self.live()), f"last error: {self._error[:LONGEST]}"
+        parts = [self._name, self._text, *live.values(), error if self._error else ""]
         self._screen.state("; ".join(part for part in parts if part))
-        return more
+        return {**live, "last error": self._error} if self._error else live
 
     def _write(self, what: str, **more: Any) -> None:
         if self.replaying and what != "warning":
@@ -244,9 +242,8 @@ def event_lines(path: Path | None) -> Iterator[FileIO | None]:
     try:
         file = FileIO(path, "a")
     except OSError as error:
-        raise ConfigError.plain(
-            f"--events {path}: it can't be opened: {error.strerror or error}"
-        ) from error
+        why = f"--events {path}: it can't be opened: {error.strerror or error}"
+        raise ConfigError.plain(why) from error
     try:
         yield file
     finally:

@@ -14,7 +14,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
@@ -60,9 +60,7 @@ class RigInUseError(LimitError):
 
 
 def run_lock(folder: Path) -> Path:
-    """Where the lock of a run is, whatever its rig: nobody may go
-    on with a run that is under way.
-    """
+    """Where a run's lock is, whatever its rig: nobody may go on with a run that is under way."""
     return folder / RUN_LOCK
 
 
@@ -72,9 +70,7 @@ def lock_path(rig: LoadedRig) -> Path | None:
 
 
 class Msvcrt(Protocol):
-    """What of Windows's C library is used (Microsoft's `_locking`): it locks from where the file's
-    own pointer stands.
-    """
+    """What of Windows's C library is used: its `_locking` locks from the file's own pointer on."""
 
     LK_NBLCK: int
     LK_UNLCK: int
@@ -84,30 +80,23 @@ class Msvcrt(Protocol):
 
 
 class SystemLock(Protocol):
-    """The system's lock on one byte of an open file."""
+    """Takes or gives back the system's lock on the byte `AT` of an open file. Raises OSError, with
+    one of `TAKEN` where somebody has it.
+    """
 
-    def take(self, file: FileIO) -> None:
-        """Raises OSError, with one of `TAKEN` where somebody has it."""
-
-    def give_back(self, file: FileIO) -> None:
-        """Let go of it."""
+    def __call__(self, file: FileIO, *, take: bool) -> None: ...
 
 
 @dataclass(frozen=True, slots=True)
 class WindowsLock:
-    """By handle: a second one in the same process is refused too. What is unlocked has to be what
-    was locked.
-    """
+    """By handle: a second one in the same process is refused too."""
 
     library: Msvcrt
 
-    def take(self, file: FileIO) -> None:
+    def __call__(self, file: FileIO, *, take: bool) -> None:
         file.seek(AT)
-        self.library.locking(file.fileno(), self.library.LK_NBLCK, 1)
-
-    def give_back(self, file: FileIO) -> None:
-        file.seek(AT)
-        self.library.locking(file.fileno(), self.library.LK_UNLCK, 1)
+        mode = self.library.LK_NBLCK if take else self.library.LK_UNLCK
+        self.library.locking(file.fileno(), mode, 1)
 
 
 @contextmanager
@@ -126,43 +115,32 @@ def locked(
     if path is None:
         yield
         return
-    lock = lock or SYSTEM
-    try:
-        path.touch()
-        # without a buffer, so that its pointer is the system's, and no more is read than asked for
-        file = FileIO(path, "r+")
-    except OSError as error:
-        raise ConfigError.plain(
-            f"{path}: the {who} can't be locked: {error.strerror or error}"
-        ) from error
-    with file:
-        told = _told(file)
+    system = lock or SYSTEM
+    with ExitStack() as stack:
+        told: dict[str, Any] | None = None
         try:
-            lock.take(file)
+            path.touch()
+            # without a buffer: its pointer is the system's, and no more is read than asked for
+            file = stack.enter_context(FileIO(path, "r+"))
+            told = _told(file)
+            system(file, take=True)
         except OSError as error:
-            if error.errno in TAKEN:
+            if told is not None and error.errno in TAKEN:
                 raise _in_use(path, told, who) from error
-            raise ConfigError.plain(
-                f"{path}: the {who} can't be locked: {error.strerror or error}"
-            ) from error
+            why = f"{path}: the {who} can't be locked: {error.strerror or error}"
+            raise ConfigError.plain(why) from error
         if told:
             if told.get("host") != platform.node():  # its process can't be seen from here
                 raise _in_use(path, told, who)
             tell(f"the lock of a bench that died ({_who(told)}) was taken over")
-        _write(
-            file,
-            {
-                "host": platform.node(),
-                "pid": os.getpid(),
-                "since": wall_time().isoformat(timespec="seconds"),
-                "run": what,
-            },
-        )
+        since = wall_time().isoformat(timespec="seconds")
+        me = {"host": platform.node(), "pid": os.getpid(), "since": since, "run": what}
+        _write(file, json.dumps(me).encode())
         try:
             yield
         finally:
-            _write(file, {})
-            lock.give_back(file)
+            _write(file, b"")
+            system(file, take=False)
 
 
 def _told(file: FileIO) -> dict[str, Any]:
@@ -174,10 +152,10 @@ def _told(file: FileIO) -> dict[str, Any]:
     return told if isinstance(told, dict) else {}
 
 
-def _write(file: FileIO, told: dict[str, Any]) -> None:
+def _write(file: FileIO, text: bytes) -> None:
     file.seek(0)
     file.truncate()
-    file.write(json.dumps(told).encode() if told else b"")
+    file.write(text)
 
 
 def _in_use(path: Path, told: dict[str, Any], who: str) -> RigInUseError:
@@ -190,21 +168,16 @@ def _who(told: dict[str, Any]) -> str:
     return ", ".join(known) or "it doesn't say who it is"
 
 
+SYSTEM: SystemLock
 if sys.platform == "win32":
     import msvcrt
 
-    SYSTEM: SystemLock = WindowsLock(msvcrt)
+    SYSTEM = WindowsLock(msvcrt)
 else:
     import fcntl
 
-    @dataclass(frozen=True, slots=True)
-    class PosixLock:
+    def _posix(file: FileIO, *, take: bool) -> None:
         """By process: it goes when any handle of the process on that file is closed."""
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB if take else fcntl.LOCK_UN, 1, AT)
 
-        def take(self, file: FileIO) -> None:
-            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, AT)
-
-        def give_back(self, file: FileIO) -> None:
-            fcntl.lockf(file, fcntl.LOCK_UN, 1, AT)
-
-    SYSTEM = PosixLock()
+    SYSTEM = _posix

@@ -21,7 +21,7 @@ from bench.results.answers import Answer, Examiner, close_detectors, one_line
 from bench.script.detectors import make_detectors
 from bench.truth.carrying import resumed
 from bench.truth.uncertainty import How
-from detector.protocol import Detection, Detector, Outcome
+from detector.protocol import Detection, Outcome
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import Recording, RecordingError, RecordingWriter, TruthRow
 
@@ -59,12 +59,7 @@ class Recorder:
             raise ConfigError.plain(f"--record {folder}: {error}.") from error
 
     def trial(
-        self,
-        trial_id: str,
-        frames: FrameSet,
-        truth: Sequence[TruthRow],
-        *,
-        confirmed: bool,
+        self, trial_id: str, frames: FrameSet, truth: Sequence[TruthRow], *, confirmed: bool
     ) -> None:
         """Add a trial's frame set with its truth; truth that isn't confirmed waits for `settled`,
         the frames stay without until then.
@@ -91,25 +86,17 @@ class Recorder:
             yield
         except (OSError, RecordingError) as error:
             self._broken = True
-            self._warn(
-                f"the recording in {self._folder} ends here: {error}. The run goes on, and its own"
-                " folder has all"
-            )
+            told = f"the recording in {self._folder} ends here: {error}"
+            self._warn(f"{told}. The run goes on, and its own folder has all")
 
     def _catch_up(self, run: RunRecord) -> None:
-        """Put in what the bench had written down but not yet recorded when it died, and remember
-        whose truth is still open.
-        """
+        """Put in what was written down but not yet recorded, and remember whose truth is open."""
         has_frames, has_truth = _has(self._folder)
         carried = resumed(run)
         for trial in run.trials:
             if trial.id not in has_frames:
                 self._writer.add(trial.id, Recording(run.folder).load(trial.id))
-            if (
-                trial.id in has_truth
-                or trial.invalid is not None
-                or trial.id in carried.unconfirmed
-            ):
+            if trial.id in has_truth | set(carried.unconfirmed) or trial.invalid is not None:
                 continue
             if trial.how == How.CARRIED and trial.id in carried.since:
                 self._open[trial.id] = _truth(trial)
@@ -139,11 +126,9 @@ def _refuse_others(folder: Path, before: RunRecord | None) -> None:
         return
     if before is None:
         raise ConfigError.plain(f"--record {folder}: the folder is not empty. Name a new one.")
-    others = sorted(_has(folder)[0] - {trial.id for trial in before.trials})
-    if others:
-        raise ConfigError.plain(
-            f"--record {folder}: has frames of another run, {others[0]} for one."
-        )
+    if others := sorted(_has(folder)[0] - {trial.id for trial in before.trials}):
+        why = f"--record {folder}: has frames of another run, {others[0]} for one."
+        raise ConfigError.plain(why)
 
 
 def _has(folder: Path) -> tuple[set[str], set[str]]:
@@ -153,15 +138,12 @@ def _has(folder: Path) -> tuple[set[str], set[str]]:
 
 
 def _truth(trial: TrialRecord) -> list[TruthRow]:
+    situation = str(trial.head["situation"])
     return [
         TruthRow(
-            str(trial.head["situation"]),
-            row["teat"],
-            (row["x_mm"], row["y_mm"], row["z_mm"]),
-            bool(row["visible"]),
-            row["u_mm"],
+            situation, r["teat"], (r["x_mm"], r["y_mm"], r["z_mm"]), bool(r["visible"]), r["u_mm"]
         )
-        for row in trial.truth
+        for r in trial.truth
     ]
 
 
@@ -174,70 +156,58 @@ def detect_lines(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, A
     examiner = Examiner(read_calibration(recording.calibration_path))
     try:
         for frame in recording.frames:
-            for answer in _answers(recording, frame, detectors, examiner):
-                yield json_line(frame, answer), sentence(frame, answer)
+            frames: FrameSet | None = None
+            try:
+                frames = recording.load(frame)
+            except RecordingError as error:
+                unread = Detection((), 0, str(error))
+            for detector in detectors:
+                if frames is None:
+                    answer = Answer(detector.name, unread, 0.0, Outcome.FAILED)
+                else:
+                    answer = examiner.ask(detector, frames)
+                yield _json_line(frame, answer), _sentence(frame, answer)
     finally:
         close_detectors(detectors)
 
 
-def _answers(
-    recording: Recording, frame: str, detectors: Sequence[Detector], examiner: Examiner
-) -> Iterator[Answer]:
-    try:
-        frames = recording.load(frame)
-    except RecordingError as error:
-        for detector in detectors:
-            yield Answer(detector.name, Detection((), 0, str(error)), 0.0, Outcome.FAILED)
-        return
-    for detector in detectors:
-        yield examiner.ask(detector, frames)
-
-
-def json_line(frame: str, answer: Answer) -> dict[str, Any]:
-    """One line of `teatbench detect --json` (the recording format, Detections); ``outcome``,
-    ``stderr``, ``cold`` where they apply.
-    """
+def _json_line(frame: str, answer: Answer) -> dict[str, Any]:
+    """The recording format's Detections; ``outcome``, ``stderr``, ``cold`` where they apply."""
     detection = answer.detection
-    teats = [
-        {"world_mm": _list(teat.world_mm), "covariance_mm2": _list(teat.covariance_mm2)}
-        for teat in detection.teats
-    ]
-    line = {
+    line: dict[str, Any] = {
         "frame": frame,
         "detector": answer.detector,
-        "teats": teats,
+        "teats": [
+            {"world_mm": _list(teat.world_mm), "covariance_mm2": _list(teat.covariance_mm2)}
+            for teat in detection.teats
+        ],
         "hidden": detection.hidden,
         "seconds": round(answer.seconds, 6),
     }
-    reason = {} if detection.reason is None else {"reason": detection.reason}
-    outcome = {} if answer.outcome is Outcome.ANSWERED else {"outcome": answer.outcome.value}
-    said = {"stderr": "\n".join(_last_words(answer))} if _last_words(answer) else {}
-    return {**line, **reason, **outcome, **said, **({"cold": True} if answer.cold else {})}
+    if detection.reason is not None:
+        line["reason"] = detection.reason
+    if answer.outcome is not Outcome.ANSWERED:
+        line["outcome"] = answer.outcome.value
+    if words := _last_words(answer):
+        line["stderr"] = "\n".join(words)
+    return {**line, "cold": True} if answer.cold else line
 
 
-def sentence(frame: str, answer: Answer) -> str:
+def _sentence(frame: str, answer: Answer) -> str:
     """The same for a person."""
     detection = answer.detection
     places = "; ".join(", ".join(f"{v:.1f}" for v in teat.world_mm) for teat in detection.teats)
-    found = f"{len(detection.teats)} teats, {detection.hidden} hidden" + (
-        f": {places} mm" if places else ""
-    )
-    head = f"{frame} {answer.detector}: {found} ({answer.seconds:.3f} s)" + (
-        f" - {detection.reason}" if detection.reason else ""
-    )
+    head = f"{frame} {answer.detector}: {len(detection.teats)} teats, {detection.hidden} hidden"
+    head += f"{f': {places} mm' if places else ''} ({answer.seconds:.3f} s)"
+    head += f" - {detection.reason}" if detection.reason else ""
     return "\n    ".join([head, *_last_words(answer)])
 
 
 def _last_words(answer: Answer) -> list[str]:
-    """The last lines of what a program wrote to its standard error, where it gave no answer: they
-    may say why.
-    """
-    lines = [one_line(line) for line in answer.stderr.splitlines()]
-    return (
-        []
-        if answer.outcome is Outcome.ANSWERED
-        else [line for line in lines if line][-SHOWN_LINES:]
-    )
+    """The last lines that a program without an answer wrote to its standard error."""
+    lines = map(one_line, answer.stderr.splitlines())
+    shown = [line for line in lines if line and answer.outcome is not Outcome.ANSWERED]
+    return shown[-SHOWN_LINES:]
 
 
 def _list(value: Any) -> Any:

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from bench.run.context import RunContext
 from bench.run.states import RunState
@@ -37,20 +36,18 @@ class Policy:
 
 
 HOMES = "keep your hands off it, it will home."
-POLICIES: Mapping[tuple[str, str], Policy] = MappingProxyType(
-    {
-        ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
-        ("arm", GARBLED): Policy(3, "Check the arm's cable and plugs, and what disturbs it."),
-        ("stage", GONE): Policy(3, f"Check the stage's power and its cable; {HOMES}"),
-        ("stage", GARBLED): Policy(3, f"Check the stage's cable and what disturbs it; {HOMES}"),
-        ("stage", REFUSES): Policy(1, f"Look whether something is in the stage's way; {HOMES}"),
-        ("bath", GONE): Policy(3, "Check the bath's power and its cable."),
-        ("bath", GARBLED): Policy(3, "Check the bath's cable, its address and what disturbs it."),
-        ("cameras", GONE): Policy(3, "Check the cameras' power and cables."),
-        ("cameras", GARBLED): Policy(3, "Check the cameras' cables and settings."),
-        ("cameras", REFUSES): Policy(2, "Look at the cameras: lens caps, light, focus, trigger."),
-    }
-)
+POLICIES: Mapping[tuple[str, str], Policy] = {
+    ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
+    ("arm", GARBLED): Policy(3, "Check the arm's cable and plugs, and what disturbs it."),
+    ("stage", GONE): Policy(3, f"Check the stage's power and its cable; {HOMES}"),
+    ("stage", GARBLED): Policy(3, f"Check the stage's cable and what disturbs it; {HOMES}"),
+    ("stage", REFUSES): Policy(1, f"Look whether something is in the stage's way; {HOMES}"),
+    ("bath", GONE): Policy(3, "Check the bath's power and its cable."),
+    ("bath", GARBLED): Policy(3, "Check the bath's cable, its address and what disturbs it."),
+    ("cameras", GONE): Policy(3, "Check the cameras' power and cables."),
+    ("cameras", GARBLED): Policy(3, "Check the cameras' cables and settings."),
+    ("cameras", REFUSES): Policy(2, "Look at the cameras: lens caps, light, focus, trigger."),
+}
 
 
 def instrument_of(fault: InstrumentError) -> str | None:
@@ -130,23 +127,17 @@ class Recovery:
             ctx.ask(Release())
         with ctx.states.during(RunState.PAUSED):
             ctx.event("dropped out", f"{what}: {fault} ({count})")
-            ctx.events.warn(
-                f"{fault}\nThe run is paused. {policy.check} It goes on by itself when the {name}"
-                f" {are} back."
-            )
+            then = f"{policy.check} It goes on by itself when the {name} {are} back."
+            ctx.events.warn(f"{fault}\nThe run is paused. {then}")
             while not self._back(name):
                 if ctx.clock.now() - started_s >= self._patience_s:
-                    ctx.event(
-                        "given up", f"the {name} did not come back within {self._patience_s:g} s"
-                    )
+                    why = f"the {name} did not come back within {self._patience_s:g} s"
+                    ctx.event("given up", why)
                     raise fault
                 ctx.wait(EVERY_S)
             ctx.check()
-            ctx.event(
-                "back",
-                f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s; done again from"
-                f" its start: {what}",
-            )
+            told = f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s"
+            ctx.event("back", f"{told}; done again from its start: {what}")
         self._missing = None
 
     def _back(self, name: str) -> bool:

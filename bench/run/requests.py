@@ -35,9 +35,8 @@ def read_wish(words: str) -> tuple[str, str]:
     without a reason.
     """
     text = " ".join(words.split())
-    for wish in (PAUSE, GO_ON, ABORT):
-        if text.lower() in (wish, *(short for short, meant in SHORT.items() if meant == wish)):
-            return wish, ""
+    if (whole := SHORT.get(text.lower(), text.lower())) in (PAUSE, GO_ON, ABORT):
+        return whole, ""
     first, _, reason = text.partition(" ")
     wish = SHORT.get(first.lower(), first.lower())
     if wish not in (SKIP, REPEAT):
@@ -57,15 +56,12 @@ def leave_wish(folder: Path, words: str) -> None:
     except ValueError as error:
         raise ConfigError.plain(str(error)) from error
     except OSError as error:
-        raise ConfigError.plain(
-            f"{folder / FILE} can't be written: {error.strerror or error}"
-        ) from error
+        why = f"{folder / FILE} can't be written: {error.strerror or error}"
+        raise ConfigError.plain(why) from error
 
 
 def was_taken(folder: Path, clock: Clock, within_s: float) -> bool:
-    """Whether the run in ``folder`` took what was left for it,
-    which it may need ``within_s`` for.
-    """
+    """Whether the run in ``folder`` took what was left for it within ``within_s``."""
     until_s = clock.now() + within_s
     while (folder / FILE).exists():
         if clock.now() >= until_s:
@@ -88,20 +84,15 @@ class Requests:
     def forget(self) -> None:
         """What was left for a bench that died before it took it isn't this one's."""
         if words := self._left():
-            self._tell(
-                f"Nobody took this in the last session, and it counts no more: {words.strip()}"
-            )
+            told = "Nobody took this in the last session, and it counts no more"
+            self._tell(f"{told}: {words.strip()}")
 
     def look(self) -> None:
-        """Amid a trial. Raises OperatorSkip, OperatorRepeat and OperatorAbort; a pause is noted in
-        ``paused``.
-        """
+        """Amid a trial; raises OperatorSkip, OperatorRepeat, OperatorAbort, or sets ``paused``."""
         self._look(amid=True)
 
     def look_between(self) -> None:
-        """While no trial is in flight there is none to skip or to repeat, and to say so is all.
-        Raises OperatorAbort.
-        """
+        """While no trial is in flight: there is none to skip or to repeat. Raises OperatorAbort."""
         self._look(amid=False)
 
     def pause_if_asked(self, ctx: RunContext) -> None:
@@ -112,15 +103,12 @@ class Requests:
         if not self.paused:
             return
         with ctx.states.during(RunState.PAUSED):
-            ctx.events.warn(
-                "Paused, as asked. To go on: "
-                f"teatbench control {ctx.store.folder} go on (or type: go on)"
-            )
+            how = f"teatbench control {ctx.store.folder} go on (or type: go on)"
+            ctx.events.warn(f"Paused, as asked. To go on: {how}")
             while self.paused:
                 ctx.events.state("paused, as asked")
                 if isinstance(ctx.clock, VirtualClock):
-                    # whoever pauses lives in real time, and the bath need not race through days
-                    # meanwhile
+                    # whoever pauses lives in real time: the bath need not race through days
                     RealClock().sleep(REAL_S)
                 ctx.wait(PAUSE_POLL_S)
 

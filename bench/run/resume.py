@@ -5,11 +5,12 @@ On a rig of emulators under virtual time the simulated world died with the bench
 by going through the finished trials once more, without detection and without a word to the record:
 then it stands where it stood, to the last bit, and what follows equals the run that nobody
 disturbed. Touches are compared with those on record; where they differ, the record says so. A rig
-in real time needs no such thing, for its world went on. May not know instruments.
+in real time needs no such thing, for its world went on.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -46,12 +47,10 @@ class ResumePoint:
     @property
     def poison(self) -> dict[str, str]:
         """Trials that aren't tried again, with the reason."""
-        trials = list(self.deaths.values())
-        why = "the bench died in it {} times, and doesn't try it again"
         return {
-            trial: why.format(trials.count(trial))
-            for trial in trials
-            if trials.count(trial) >= POISON_DEATHS
+            trial: f"the bench died in it {times} times, and doesn't try it again"
+            for trial, times in Counter(self.deaths.values()).items()
+            if times >= POISON_DEATHS
         }
 
 
@@ -61,21 +60,19 @@ def what_is_left(folder: Path, planned: Sequence[str]) -> ResumePoint:
     """
     run = read_run(folder)
     if run.ending == RunState.FINISHED:
-        raise ConfigError.plain(
-            f"{folder} is finished: nothing is left to do. 'teatbench report' writes its report"
-            " anew."
-        )
-    skipped = {str(row["trial"]) for row in run.skipped}
-    done = frozenset({trial.id for trial in run.trials} | skipped)
+        why = f"{folder} is finished: nothing is left to do."
+        raise ConfigError.plain(f"{why} 'teatbench report' writes its report anew.")
+    done = frozenset(
+        {trial.id for trial in run.trials} | {str(row["trial"]) for row in run.skipped}
+    )
     deaths = dict(run.facts.get(DEATHS, {}))
     states = [event for event in run.events if event["kind"] == EVENT]
     first = next((trial for trial in planned if trial not in done), None)
     if states and states[-1]["text"] in IN_A_TRIAL and first is not None:
         # by the event's number: looked at twice it is still one death
         deaths[str(states[-1]["number"])] = first
-    times = [float(event["t_s"]) for event in run.events if event["t_s"] is not None] + (
-        [float(run.bath[-1, 0])] if len(run.bath) else []
-    )
+    times = [float(event["t_s"]) for event in run.events if event["t_s"] is not None]
+    times += run.bath[-1:, 0].tolist()
     return ResumePoint(run, done, deaths, max(times, default=0.0))
 
 
@@ -83,37 +80,30 @@ def files_of(run: RunRecord) -> tuple[LoadedRig, LoadedScript]:
     """Rig and script of a run, as they were. Raises ConfigError where they aren't there any more,
     or were changed since.
     """
-    asked = run.facts.get(ASKED)
+    asked, folder = run.facts.get(ASKED), run.folder
     if not isinstance(asked, dict):
-        raise ConfigError.plain(
-            f"{run.folder} can't be resumed: it doesn't say which rig and script it was run with."
-        )
-    rig = load_rig(_there(run.folder, Path(asked["rig"]), "rig.toml"))
-    script = load_script(
-        _there(run.folder, Path(asked["script"]), SCRIPT), rig.rig.limits.set_point_c
-    )
-    # the script of a Python file is what the file gives
-    for path, text, name in ((rig.path, rig.text, "rig.toml"), (script.path, script.text, SCRIPT)):
-        if text != read_text(run.folder / name):
-            raise ConfigError.plain(
-                f"{path} has changed since the run in {run.folder} began. Put back"
-                f" {run.folder / name}, or start a new run."
-            )
-    if read_text(rig.calibration_path) != read_text(run.folder / "calibration.toml"):
-        raise ConfigError.plain(
-            f"{rig.calibration_path} has changed since the run in {run.folder} began. Start a new"
-            " run."
-        )
+        why = f"{folder} can't be resumed: it doesn't say which rig and script it was run with."
+        raise ConfigError.plain(why)
+    for path, copy in ((asked["rig"], "rig.toml"), (asked["script"], SCRIPT)):
+        if not Path(path).is_file():
+            why = f"{path} is not there any more; a copy of it is {folder / copy}."
+            raise ConfigError.plain(f"{why} Put it back to resume the run.")
+    rig = load_rig(Path(asked["rig"]))
+    script = load_script(Path(asked["script"]), rig.rig.limits.set_point_c)
+    for path, text, copy, cure in (
+        (rig.path, rig.text, "rig.toml", f"Put back {folder / 'rig.toml'}, or start a new run."),
+        # the script of a Python file is what the file gives
+        (script.path, script.text, SCRIPT, f"Put back {folder / SCRIPT}, or start a new run."),
+        (
+            rig.calibration_path,
+            read_text(rig.calibration_path),
+            "calibration.toml",
+            "Start a new run.",
+        ),
+    ):
+        if text != read_text(folder / copy):
+            raise ConfigError.plain(f"{path} has changed since the run in {folder} began. {cure}")
     return rig, script
-
-
-def _there(folder: Path, path: Path, name: str) -> Path:
-    if not path.is_file():
-        raise ConfigError.plain(
-            f"{path} is not there any more; a copy of it is {folder / name}. Put it back to resume"
-            " the run."
-        )
-    return path
 
 
 class RehearsedStore(Store):
@@ -129,7 +119,7 @@ class RehearsedStore(Store):
     def __init__(self, left: ResumePoint) -> None:
         self._silent = False
         super().__init__(left.run.folder)
-        self._read_to_s = float(left.run.bath[-1, 0]) if len(left.run.bath) else -np.inf
+        self._read_to_s = float(left.run.bath[:, 0].max(initial=-np.inf))
         note_deaths(self, left)
         self._silent = True
         self._checks = {int(row["number"]) for row in left.run.checks}

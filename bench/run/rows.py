@@ -49,9 +49,8 @@ def frame_rows(
     for answer in answers:
         images |= stage_pictures(answer)
     there = {name: image for name, image in images.items() if image is not None}
-    return store.frames(
-        trial_id, there, {name: frames.exposed_s.get(name.split("_")[0]) for name in there}
-    )
+    exposed_s = {name: frames.exposed_s.get(name.split("_")[0]) for name in there}
+    return store.frames(trial_id, there, exposed_s)
 
 
 def truth_row(
@@ -60,26 +59,23 @@ def truth_row(
     exact: NDArray[np.float64] | None = None,
     point: TruthPoint | None = None,
 ) -> Row:
-    """The row of the table ``truth``; ``point`` has the budget,
-    where the truth is the bench's own.
-    """
-    x, y, z = row.xyz_mm
-    kept = None if exact is None else json.dumps([float(v) for v in exact])
-    place = {
-        "x_mm": x,
-        "y_mm": y,
-        "z_mm": z,
+    """The row of the table ``truth``; ``point`` has the budget of a truth of the bench's own."""
+    found: dict[str, Any] = {
+        "trial": trial_id,
+        "teat": row.teat,
+        **_place(row.xyz_mm),
         "u_mm": row.u_mm,
         "visible": int(row.visible),
-        "exact_mm": kept,
+        "exact_mm": _json(exact),
+        "covariance_mm2": None if point is None else _json(point.covariance_mm2),
     }
-    known: Row = (
-        {}
-        if point is None
-        else {"how": point.how.value, "budget": json.dumps(point.uncertainty.as_dict())}
-    )
-    spread = None if point is None else _json(point.covariance_mm2)
-    return {"trial": trial_id, "teat": row.teat, **place, **known, "covariance_mm2": spread}
+    if point is not None:
+        found |= {"how": point.how.value, "budget": json.dumps(point.uncertainty.as_dict())}
+    return found
+
+
+def _place(xyz_mm: Any) -> Row:
+    return {f"{axis}_mm": float(value) for axis, value in zip("xyz", xyz_mm, strict=True)}
 
 
 def judged(
@@ -92,72 +88,52 @@ def judged(
     """Rows of ``detections`` and ``found``, and scores by detector, for all answers on one frame
     set; no scores without truth.
     """
-    detections: list[Row] = []
-    found: list[Row] = []
-    scores: dict[str, SceneScore] = {}
-    for answer in answers:
-        head, ends = detection_rows(trial_id, answer)
-        detections.append(head)
-        found.extend(ends)
-        if truth:
-            scores[answer.detector] = score_answer(
-                answer, truth, limit_mm=limit_mm, time_limit_s=time_limit_s
-            )
-    return detections, found, scores
+    rows = [detection_rows(trial_id, answer) for answer in answers]
+    scores = {
+        answer.detector: score_answer(answer, truth, limit_mm=limit_mm, time_limit_s=time_limit_s)
+        for answer in (answers if truth else ())
+    }
+    return [head for head, _ in rows], [end for _, ends in rows for end in ends], scores
 
 
 def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
     """The rows of the tables ``detections`` and ``found``."""
     detection = answer.detection
+    whose = {"trial": trial, "detector": answer.detector}
+    trace = {
+        stage.name: {key: _small(value) for key, value in stage.data.items()}
+        for stage in detection.trace
+    }
     head = {
-        "trial": trial,
-        "detector": answer.detector,
+        **whose,
         "hidden": detection.hidden,
         "reason": detection.reason,
         "outcome": answer.outcome.value,
         "cold": int(answer.cold),
-        "trace": json.dumps(
-            {
-                stage.name: {key: _small(value) for key, value in stage.data.items()}
-                for stage in detection.trace
-            }
-        ),
+        "trace": json.dumps(trace),
         "wall_seconds": answer.seconds,
         "wall_start_up_s": answer.start_up_s,
         "wall_stderr": answer.stderr or None,
         "wall_cpu_s": answer.cpu_s,
         "wall_load": answer.load,
     }
-    found: list[Row] = []
-    for number, teat in enumerate(detection.teats, 1):
-        x, y, z = (float(v) for v in teat.world_mm)
-        places = {
+    return head, [
+        {
+            **whose,
+            "number": number,
+            **_place(teat.world_mm),
             "covariance_mm2": _json(teat.covariance_mm2),
             "left_px": _json(teat.left_px),
             "right_px": _json(teat.right_px),
         }
-        found.append(
-            {
-                "trial": trial,
-                "detector": answer.detector,
-                "number": number,
-                "x_mm": x,
-                "y_mm": y,
-                "z_mm": z,
-                **places,
-            }
-        )
-    return head, found
+        for number, teat in enumerate(detection.teats, 1)
+    ]
 
 
 def stage_pictures(answer: Answer) -> dict[str, Picture]:
-    """The two-dimensional masks among a detector's stages as 8-bit pictures, by
-    ``detector-stage``.
-    """
+    """The two-dimensional masks of a detector's stages as 8-bit pictures, by ``detector-stage``."""
     return {
-        f"{answer.detector}-{stage.name.replace(' ', '-')}": np.where(
-            mask, np.uint8(255), np.uint8(0)
-        )
+        f"{answer.detector}-{stage.name.replace(' ', '-')}": np.uint8(255) * mask
         for stage in answer.detection.trace
         for mask in stage.data.values()
         if mask.dtype == np.bool_ and mask.ndim == 2
@@ -169,15 +145,11 @@ def _json(value: Any) -> str | None:
 
 
 def _small(value: Any) -> Any:
-    """Points and figures go into the record; pictures are told by their shape (masks are kept as
-    files of their own).
-    """
+    """Points and figures as they are, pictures by their shape: masks are files of their own."""
     array = np.asarray(value)
-    return (
-        array.tolist()
-        if array.size <= 400
-        else {"shape": list(array.shape), "type": str(array.dtype)}
-    )
+    if array.size <= 400:
+        return array.tolist()
+    return {"shape": list(array.shape), "type": str(array.dtype)}
 
 
 FRAME_FACT = "arm frame"
@@ -185,16 +157,17 @@ FRAME_FACT = "arm frame"
 
 def write_arm_facts(store: Store, rig: LoadedRig) -> None:
     """The rig's table frame and verification, where it names them, into the run's store."""
-    if rig.frame is not None:
-        frame = rig.frame
-        figures = {"residual_mm": frame.residual_mm, "residuals_mm": frame.residuals_mm}
-        where = {"om": frame.world_from_arm.om.tolist(), "T": frame.world_from_arm.T.tolist()}
-        head = {
+    if (frame := rig.frame) is not None:
+        fact = {
             "file": rig.rig.arm.frame,
             "made": frame.made.isoformat(),
             "serial_number": frame.serial_number,
+            "residual_mm": frame.residual_mm,
+            "residuals_mm": frame.residuals_mm,
+            "om": frame.world_from_arm.om.tolist(),
+            "T": frame.world_from_arm.T.tolist(),
         }
-        store.fact(FRAME_FACT, {**head, **figures, **where})
+        store.fact(FRAME_FACT, fact)
     if rig.verification is not None:
         store.fact(VERIFICATION_FACT, as_dict(rig.verification))
 
@@ -209,7 +182,7 @@ def write_facts(
     everything = {
         **facts,
         "detectors": [detector.name for detector in detectors],
-        "items": {detector.name: item(detector) for detector in detectors},
+        "items": {detector.name: _item(detector) for detector in detectors},
         "calibration_sha256": hashlib.sha256(calibration.read_bytes()).hexdigest(),
         "versions": versions(),
         "commit": commit(Path(__file__).resolve().parents[2] / ".git"),
@@ -221,7 +194,7 @@ def write_facts(
             store.fact(key, value)
 
 
-def item(detector: Detector) -> dict[str, str]:
+def _item(detector: Detector) -> dict[str, str]:
     """The item under test: name, version, a hash over its configuration, and the configuration."""
     parameters = json.dumps(dict(detector.parameters), sort_keys=True, default=str)
     digest = hashlib.sha256(f"{detector.name} {detector.version} {parameters}".encode()).hexdigest()

@@ -4,11 +4,13 @@ folder and one report.
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bench.config import ConfigError, read_calibration, read_config, read_text
 from bench.record.reader import TrialRecord, read_run
@@ -48,6 +50,9 @@ from instruments.operators.operator import time_left
 BETWEEN_S = 1.0  # of the bench's time, between two sessions of a run
 # touches of one end scatter by less, and no bench sets a pose up again this well by chance
 SAME_POSE_MM = 1.5
+# of a frame set that came without instruments
+NOT_KNOWN = ("started_s", "ended_s", "captured_s", "bath_c", "bath_state", "note")
+INTERRUPTED = "interrupted (Ctrl-C)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +122,8 @@ def resume_run(
     )
     under_test = _allowed(rig, script, how.detectors)
     here = str(folder.resolve())
-    with (
-        locked(lock_path(rig), here, events.warn),
-        locked(run_lock(folder), here, lambda _: None, "run"),
-    ):
+    run_locked = locked(run_lock(folder), here, lambda _: None, "run")
+    with locked(lock_path(rig), here, events.warn), run_locked:
         left = what_is_left(folder, [trial.id for trial in script.planned])
         recorder = recorder_again(left.run, rig.calibration_path, events.warn)
         store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
@@ -139,45 +142,32 @@ def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list
     refuse_latched(rig)
     refuse_old_calibration(rig, script, today)
     refuse_untested_cut_out(rig, today)
-    if names:
-        return make_detectors(names)
-    return make_detectors(script.script.detectors, script.path.parent)
+    wanted = (names,) if names else (script.script.detectors, script.path.parent)
+    return make_detectors(*wanted)
 
 
 def _begun(
-    rig: LoadedRig,
-    script: LoadedScript,
-    out: Path,
-    under_test: Sequence[Detector],
-    how: RunOptions,
+    rig: LoadedRig, script: LoadedScript, out: Path, under_test: Sequence[Detector], how: RunOptions
 ) -> Store:
     """A new run folder that says what the run is."""
-    files = {
-        **rig.arm_files,
-        **rig.answer_files,
-        **script.layout_files,
-        **script.truth_files,
-        **script.source_files,
-        "rig.toml": rig.text,
-        SCRIPT: script.text,
-    }
+    files = {**rig.arm_files, **rig.answer_files, **script.layout_files, **script.truth_files}
+    files |= {**script.source_files, "rig.toml": rig.text, SCRIPT: script.text}
+    table, trials = script.script, script.script.trials
+    order = pose_set(trials, script.planned, seed=table.seed, order=table.order)
+    today = wall_time().date()
     recorded = rig.rig.cameras.url.startswith("recording:")
     kind = "emulated" if rig.rig.all_emulated else "recorded" if recorded else "real"
     facts = {
         "kind": kind,
-        "title": script.script.title,
-        "about": script.script.about,
+        "title": table.title,
+        "about": table.about,
         "seed": how.seed,
         "rig": rig.rig.name,
         "script": script.name,
-        "set_point_c": script.script.bath.set_point_c,
+        "set_point_c": table.bath.set_point_c,
         "planned": len(script.planned),
-        CALIBRATION_FACT: calibration_fact(
-            rig.calibration, wall_time().date(), emulated=kind == "emulated"
-        ),
-        "pose set": pose_set(
-            script.script.trials, script.planned, seed=script.script.seed, order=script.script.order
-        ),
+        CALIBRATION_FACT: calibration_fact(rig.calibration, today, emulated=kind == "emulated"),
+        "pose set": order,
         **({RECORDED: str(how.record.resolve())} if how.record else {}),
         ASKED: {
             "rig": str(rig.path.resolve()),
@@ -208,58 +198,51 @@ def _run(
 ) -> tuple[Path, Ending]:
     """From open files to an ended run; closes store and detectors."""
     try:
-        try:
-            current().check_interrupts()
-            expected = needs(rig, script, read_learnt(store.folder.parent, rig)).time
-            trials = len(script.planned)
-            to_do = trials - len(left.done) if left else trials
-            left_s = expected.settling_s + to_do * expected.each_s(trials)
-            how.begun(
-                f"{to_do} trials, {time_left(left_s)} of the bench's time. Run folder:"
-                f" {store.folder}"
+        current().check_interrupts()
+        expected = needs(rig, script, read_learnt(store.folder.parent, rig)).time
+        trials = len(script.planned)
+        to_do = trials - len(left.done) if left else trials
+        told = time_left(expected.settling_s + to_do * expected.each_s(trials))
+        how.begun(f"{to_do} trials, {told} of the bench's time. Run folder: {store.folder}")
+        with (
+            events.kept_in(store.folder),
+            open_instruments(
+                rig,
+                seed=how.seed or 0,
+                realtime=how.realtime,
+                capture=how.capture,
+                screen=events.aside,
+                start_s=left.last_s + BETWEEN_S if left else 0.0,
+            ) as devices,
+        ):
+            refuse_other_cameras(rig.calibration.record, devices.cameras.identity)
+            bath, inferred = devices.bath, rig.rig.bath.allow_inferred
+            charge = GuardianTarget(
+                bath.url, rig.profile_source, bath.pump_url, rig.relay_source, inferred
             )
-            with (
-                events.kept_in(store.folder),
-                open_instruments(
-                    rig,
-                    seed=how.seed or 0,
-                    realtime=how.realtime,
-                    capture=how.capture,
-                    screen=events.aside,
-                    start_s=left.last_s + BETWEEN_S if left else 0.0,
-                ) as devices,
-            ):
-                refuse_other_cameras(rig.calibration.record, devices.cameras.identity)
-                charge = GuardianTarget(
-                    devices.bath.url,
-                    rig.profile_source,
-                    devices.bath.pump_url,
-                    rig.relay_source,
-                    rig.rig.bath.allow_inferred,
+            with guarded(charge, store.folder, devices.clock) as (pulse, guardian_client):
+                ctx = RunContext(rig, script, devices, store, events, pulse, guardian_client)
+                engine = Engine(
+                    ctx,
+                    under_test,
+                    exact_ends=devices.exact_ends,
+                    recorder=recorder,
+                    left=left,
+                    typed=how.typed,
+                    expected=expected,
                 )
-                with guarded(charge, store.folder, devices.clock) as (pulse, guardian_client):
-                    ctx = RunContext(rig, script, devices, store, events, pulse, guardian_client)
-                    engine = Engine(
-                        ctx,
-                        under_test,
-                        exact_ends=devices.exact_ends,
-                        recorder=recorder,
-                        left=left,
-                        typed=how.typed,
-                        expected=expected,
-                    )
-                    try:
-                        return store.folder, engine.run()
-                    finally:
-                        if guardian_client and engine.bath_is_safe:
-                            guardian_client.done()
-        # before the engine had the instruments: nothing was switched on
-        except (InstrumentError, KeyboardInterrupt) as error:
-            if isinstance(store, RehearsedStore):
-                store.go_live()
-            if isinstance(error, KeyboardInterrupt):
-                return store.folder, _end(store, Ending.ABORTED, "interrupted (Ctrl-C)")
-            return store.folder, _end(store, Ending.FAULTED, str(error))
+                try:
+                    return store.folder, engine.run()
+                finally:
+                    if guardian_client and engine.bath_is_safe:
+                        guardian_client.done()
+    # before the engine had the instruments: nothing was switched on
+    except (InstrumentError, KeyboardInterrupt) as error:
+        if isinstance(store, RehearsedStore):
+            store.go_live()
+        if isinstance(error, KeyboardInterrupt):
+            return store.folder, _end(store, Ending.ABORTED, INTERRUPTED)
+        return store.folder, _end(store, Ending.FAULTED, str(error))
     finally:
         close_detectors(under_test)
         store.close()
@@ -269,43 +252,38 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
     """Run detectors over a recording and score them; gives back the run's folder. Raises
     ConfigError, RecordingError.
     """
-    under_test = make_detectors(detectors)
-    recording = Recording(path)
-    calibration = read_calibration(recording.calibration_path)
-    rules = read_config(RECORDING_RULES, Rules)
-    store = _new_store(
-        out,
-        f"score-{path.resolve().name}",
-        {RULES: read_text(RECORDING_RULES)},
-        recording.calibration_path,
-    )
-    facts = {
-        "kind": "recorded",
-        "title": f"Recording {path.resolve().name}",
-        "about": str(path.resolve()),
-        "planned": len(recording.frames),
-    }
-    poses, examiner, ended = pose_names(recording), Examiner(calibration), False
+    under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
+    examiner = Examiner(read_calibration(recording.calibration_path))
+    rules, files = read_config(RECORDING_RULES, Rules), {RULES: read_text(RECORDING_RULES)}
+    store = _new_store(out, f"score-{path.name}", files, recording.calibration_path)
+    planned, poses, ended = len(recording.frames), _pose_names(recording), False
+    facts = {"kind": "recorded", "title": f"Recording {path.name}", "about": str(path)}
     try:
-        write_facts(store, facts, under_test, recording.calibration_path)
+        write_facts(store, {**facts, "planned": planned}, under_test, recording.calibration_path)
         for number, frame in enumerate(recording.frames, 1):
-            progress.trial(number - 1, len(recording.frames), frame)
+            progress.trial(number - 1, planned, frame)
             frames = recording.load(frame)
             answers = [examiner.ask(detector, frames) for detector in under_test]
             known = recording.truth.get(frame, ())
-            situation = known[0].situation if known else "unknown"
             trial = f"{number:03d}-{frame}"
-            head = _head(trial, number, poses[frame], situation)
+            head = {
+                **dict.fromkeys(NOT_KNOWN),
+                "id": trial,
+                "number": number,
+                "name": poses[frame],
+                "situation": known[0].situation if known else "unknown",
+                "repeat": 1,  # each is a pose of its own
+                "wall_time": wall_time().isoformat(timespec="milliseconds"),
+            }
             scored = judged(trial, answers, known, rules.visible_within_mm, rules.time_limit_s)
             rows = [truth_row(trial, row) for row in known]
-            store.finished(
-                TrialRecord(head, frame_rows(store, trial, frames, answers), [], rows, *scored)
-            )
-        progress.trial(len(recording.frames), len(recording.frames), "")
+            pictures = frame_rows(store, trial, frames, answers)
+            store.finished(TrialRecord(head, pictures, [], rows, *scored))
+        progress.trial(planned, planned, "")
         _end(store, Ending.FINISHED)
         ended = True
     except KeyboardInterrupt:
-        _end(store, Ending.ABORTED, "interrupted (Ctrl-C)")
+        _end(store, Ending.ABORTED, INTERRUPTED)
         ended = True
     finally:
         close_detectors(under_test)
@@ -319,44 +297,34 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
     return store.folder
 
 
-def pose_names(recording: Recording) -> dict[str, str]:
-    """For each frame the first one that shows the same pose: frames of one pose are repeats, not
-    independent trials.
-
-    A recording has no word for it, so it is told by the truth: same situation, same teats, each end
-    within SAME_POSE_MM.
+def _pose_names(recording: Recording) -> dict[str, str]:
+    """For each frame the first one that shows the same pose, by the truth (same situation, same
+    teats, each end within SAME_POSE_MM): frames of one pose are repeats, not independent trials.
     """
     names: dict[str, str] = {}
-    # by situation and teats: only frames that share those are compared
-    firsts: dict[tuple[tuple[str, str], ...], list[str]] = {}
+    # by situation and teats: names of the first frames, and their ends (n, 3)
+    firsts: dict[tuple[tuple[str, str], ...], dict[str, NDArray[np.float64]]] = {}
     for frame in recording.frames:
-        known = firsts.setdefault(
-            tuple((teat.situation, teat.teat) for teat in recording.truth.get(frame, ())), []
-        )
-        names[frame] = next(
-            (first for first in known if _same_ends(recording, first, frame)), frame
-        )
-        if names[frame] == frame and frame in recording.truth:
-            known.append(frame)
+        names[frame] = frame
+        if truth := recording.truth.get(frame):
+            ends = np.array([teat.xyz_mm for teat in truth])
+            known = firsts.setdefault(tuple((teat.situation, teat.teat) for teat in truth), {})
+            for first, there in known.items():
+                if (np.linalg.norm(ends - there, axis=1) <= SAME_POSE_MM).all():
+                    names[frame] = first
+                    break
+            else:
+                known[frame] = ends
     return names
-
-
-def _same_ends(recording: Recording, one: str, other: str) -> bool:
-    pairs = zip(recording.truth[one], recording.truth[other], strict=True)
-    return all(math.dist(p.xyz_mm, q.xyz_mm) <= SAME_POSE_MM for p, q in pairs)
 
 
 def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -> Store:
     try:
-        folder = new_run_folder(out, name, wall_time())
-        return Store.create(
-            folder, {**files, "calibration.toml": calibration.read_text(encoding="utf-8")}
-        )
+        files = {**files, "calibration.toml": calibration.read_text(encoding="utf-8")}
+        return Store.create(new_run_folder(out, name, wall_time()), files)
     except OSError as error:
-        raise ConfigError.plain(
-            f"a run can't be kept in {out}: {error.strerror or error}. Name another folder with"
-            " --out."
-        ) from error
+        why = f"a run can't be kept in {out}: {error.strerror or error}"
+        raise ConfigError.plain(f"{why}. Name another folder with --out.") from error
 
 
 def _end(store: Store, ending: Ending, why: str = "") -> Ending:
@@ -367,14 +335,3 @@ def _end(store: Store, ending: Ending, why: str = "") -> Ending:
     store.fact("ending", ending.value)
     store.fact("wall_ended", wall_time().isoformat(timespec="seconds"))
     return ending
-
-
-def _head(trial: str, number: int, frame: str, situation: str) -> dict[str, object]:
-    """The row of a frame set that came without instruments: each is a pose of its own."""
-    unknown = ("started_s", "ended_s", "captured_s", "bath_c", "bath_state", "note")
-    head = {"id": trial, "number": number, "name": frame, "situation": situation, "repeat": 1}
-    return {
-        **head,
-        **dict.fromkeys(unknown),
-        "wall_time": wall_time().isoformat(timespec="milliseconds"),
-    }

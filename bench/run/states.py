@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import StrEnum
-from types import MappingProxyType
 
 EVENT = "run state"  # the kind of a change of state, in the record
 
@@ -30,19 +29,17 @@ class RunState(StrEnum):
 
 
 _S = RunState
-TABLE: Mapping[RunState, frozenset[RunState]] = MappingProxyType(
-    {
-        _S.PLANNED: frozenset({_S.PREPARING, _S.SAFING, _S.ABORTED, _S.FAULTED}),
-        _S.PREPARING: frozenset({_S.SETTLING, _S.RUNNING, _S.PAUSED, _S.SAFING}),
-        _S.SETTLING: frozenset({_S.RUNNING, _S.PAUSED, _S.SAFING}),
-        _S.RUNNING: frozenset({_S.SETTLING, _S.PAUSED, _S.SAFING}),
-        _S.PAUSED: frozenset({_S.PREPARING, _S.SETTLING, _S.RUNNING, _S.SAFING}),
-        _S.SAFING: frozenset({_S.FINISHED, _S.ABORTED, _S.FAULTED}),
-        _S.FINISHED: frozenset(),
-        _S.ABORTED: frozenset(),
-        _S.FAULTED: frozenset(),
-    }
-)
+TABLE: Mapping[RunState, frozenset[RunState]] = {
+    _S.PLANNED: frozenset({_S.PREPARING, _S.SAFING, _S.ABORTED, _S.FAULTED}),
+    _S.PREPARING: frozenset({_S.SETTLING, _S.RUNNING, _S.PAUSED, _S.SAFING}),
+    _S.SETTLING: frozenset({_S.RUNNING, _S.PAUSED, _S.SAFING}),
+    _S.RUNNING: frozenset({_S.SETTLING, _S.PAUSED, _S.SAFING}),
+    _S.PAUSED: frozenset({_S.PREPARING, _S.SETTLING, _S.RUNNING, _S.SAFING}),
+    _S.SAFING: frozenset({_S.FINISHED, _S.ABORTED, _S.FAULTED}),
+    _S.FINISHED: frozenset(),
+    _S.ABORTED: frozenset(),
+    _S.FAULTED: frozenset(),
+}
 ENDS = frozenset(state for state, following in TABLE.items() if not following)
 AWAY = frozenset({_S.PAUSED, _S.SETTLING})
 
@@ -64,10 +61,8 @@ class RunStates:
         if state is self.current:
             return
         if state not in TABLE[self.current]:
-            raise ValueError(
-                f"a run that is {self.current} can't be {state} next (only"
-                f" {', '.join(sorted(TABLE[self.current])) or 'nothing'})"
-            )
+            only = ", ".join(sorted(TABLE[self.current])) or "nothing"
+            raise ValueError(f"a run that is {self.current} can't be {state} next (only {only})")
         self._away_s, self._since_s = self.away_s, self._now_s()
         self.current = state
         self._tell(state)

@@ -33,7 +33,6 @@ from instruments.camera.recording import TruthRow
 from instruments.clock import wall_time
 from instruments.errors import DeviceError
 from instruments.operators.operator import NextTrial, OperatorRepeat, OperatorSkip
-from instruments.world.phantom import PlatePose
 
 
 class Attempts:
@@ -71,13 +70,12 @@ class Attempts:
         try:
             if why := self._poison.get(trial.id):
                 raise OperatorSkip(why)
-            while self._again(trial):
-                pass
+            self._until_done(trial)
         except OperatorSkip as skip:
             by = "the bench" if trial.id in self._poison else "the operator"
-            self._skipped(trial, f"{by} skipped it: {skip.reason}", skip.reason)
+            self._skipped(trial, skip.reason, f"{by} skipped it: ")
         except NoTruthError as none:
-            self._skipped(trial, str(none), str(none))
+            self._skipped(trial, str(none))
         self._done += 1
         self._started_s = None
         self._timed += 1
@@ -98,23 +96,18 @@ class Attempts:
         under_way_s = self._working_s() - self._started_s if self._started_s is not None else 0.0
         return each_s * (self._planned - self._done) - min(each_s, under_way_s)
 
-    def _again(self, trial: PlannedTrial) -> bool:
-        """Whether somebody wants what was just done once more."""
-        try:
-            self._through(f"trial {trial.id}", lambda: self._once(trial))
-        except OperatorRepeat as wish:
-            because = f": {wish.reason}" if wish.reason else ""
-            self._ctx.event(
-                "repeated",
-                f"{trial.id}: the operator asked for it again from its set-up{because}",
-            )
-            return True
-        return False
+    def _until_done(self, trial: PlannedTrial) -> None:
+        while True:
+            try:
+                return self._through(f"trial {trial.id}", lambda: self._once(trial))
+            except OperatorRepeat as wish:
+                told = f"{trial.id}: the operator asked for it again from its set-up"
+                self._ctx.event("repeated", f"{told}: {wish.reason}" if wish.reason else told)
 
-    def _skipped(self, trial: PlannedTrial, told: str, reason: str) -> None:
+    def _skipped(self, trial: PlannedTrial, reason: str, by: str = "") -> None:
         row = {**_head(trial), "t_s": self._ctx.clock.now(), "reason": reason}
         self._ctx.store.skipped({"trial": row.pop("id"), **row})
-        self._ctx.event("skipped", f"{trial.id}: {told}")
+        self._ctx.event("skipped", f"{trial.id}: {by}{reason}")
 
     def _working_s(self) -> float:
         """The time but for that which was no work at all."""
@@ -148,22 +141,16 @@ class TrialRun:
         # what of a pose the stage does; the operator does the rest
         self._axes = rig.stage.axes if ctx.devices.stage and rig.stage else ""
         self._examiner = Examiner(ctx.rig.calibration, rig.limits.detection_timeout_s)
-        self._taker = FrameTaker(
-            ctx.devices.cameras,
-            rig.cameras,
-            ctx.rig.calibration,
-            self._before_another_try,
-            ctx.event,
-        )
+        again, cameras = self._before_another_try, ctx.devices.cameras
+        self._taker = FrameTaker(cameras, rig.cameras, ctx.rig.calibration, again, ctx.event)
 
     def run(self, trial: PlannedTrial) -> None:
         """From settling to the trial's rows. Raises what an instrument, an interlock or the
         operator raises; nothing is stored then.
         """
-        ctx = self._ctx
+        ctx, there = self._ctx, shown(trial, self._axes)
         ctx.store.refuse_gone()
         started_s = ctx.clock.now()
-        there = shown(trial, self._axes)
         self._truth.before(there)
         self._settle()
         ctx.states.to(RunState.RUNNING)
@@ -174,8 +161,7 @@ class TrialRun:
         ctx.wait(self._rig.cameras.settle_s)
         frames = self._capture_settled(trial.id)
         captured_s = ctx.clock.now()
-        bath = ctx.watch.last
-        bath_state = ctx.watch.state
+        bath, bath_state = ctx.watch.last, ctx.watch.state
         ctx.events.state("taking the truth")
         truth = self._truth.of_trial(there)
         ctx.check()
@@ -203,16 +189,14 @@ class TrialRun:
             self._recorder.trial(trial.id, frames, rows, confirmed=truth.how is How.TOUCHED)
 
     def look(self) -> None:
-        """See whether the cameras work. Raises where they don't."""
+        """Raises where the cameras give nothing usable."""
         self._taker.look()
 
     def _stable(self) -> bool:
         return self._ctx.watch.state == State.STABLE
 
     def _settle(self) -> None:
-        """Wait until the stability gate is open. Raises DeviceError where that takes longer than
-        the script allows.
-        """
+        """Wait until the stability gate is open. Raises DeviceError after the script's time."""
         ctx = self._ctx
         gate, start, watch = ctx.script.script.bath, ctx.clock.now(), ctx.watch
         if self._stable():
@@ -223,9 +207,8 @@ class TrialRun:
             ctx.wait(1.0)
             if ctx.clock.now() - start > gate.timeout_s:
                 why = f"not stable within {gate.timeout_s:g} s: {watch.why_not_stable}"
-                raise DeviceError(
-                    "bath", why, hint="Check level, lid and pump, or allow more time in the script."
-                )
+                hint = "Check level, lid and pump, or allow more time in the script."
+                raise DeviceError("bath", why, hint=hint)
         ctx.event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
 
     def _settle_again(self, trial_id: str) -> None:
@@ -234,9 +217,8 @@ class TrialRun:
         """
         ctx = self._ctx
         while not self._stable():
-            ctx.event(
-                "suspended", f"{trial_id}: the bath left its band: {ctx.watch.why_not_stable}"
-            )
+            why = ctx.watch.why_not_stable
+            ctx.event("suspended", f"{trial_id}: the bath left its band: {why}")
             self._settle()
             ctx.wait(self._rig.cameras.settle_s)
         ctx.states.to(RunState.RUNNING)
@@ -255,24 +237,18 @@ class TrialRun:
                 return frames
 
     def _move(self, trial: PlannedTrial) -> None:
-        """By way of the place from which the pose is to be reached, where the script asks for
-        one.
-        """
-        if not self._axes:
-            return
-        self._ctx.events.state(f"moving the phantom: {trial.name}")
-        for pose in (trial.approach, trial.pose):
-            if pose is not None:
-                self._move_to(shared(pose, self._axes)[0])
-
-    def _move_to(self, pose: PlatePose) -> None:
-        stage, there = self._ctx.devices.stage, self._rig.stage
+        """By way of the place from which the script has the pose reached, if it names one."""
+        ctx, stage, there = self._ctx, self._ctx.devices.stage, self._rig.stage
         if stage is None or there is None:
             return
-        self._ctx.check()  # nothing moves any more once an interlock has tripped
-        self._ctx.long("moving the stage", 600.0)
-        stage.move_to(**there.machine(pose), feed_mm_min=there.feed_mm_per_min)
-        self._ctx.check()
+        ctx.events.state(f"moving the phantom: {trial.name}")
+        for pose in (trial.approach, trial.pose):
+            if pose is not None:
+                ctx.check()  # nothing moves any more once an interlock has tripped
+                ctx.long("moving the stage", 600.0)
+                place = there.machine(shared(pose, self._axes)[0])
+                stage.move_to(**place, feed_mm_min=there.feed_mm_per_min)
+                ctx.check()
 
     def _before_another_try(self, seconds: float) -> None:
         self._ctx.wait(seconds)
@@ -293,11 +269,9 @@ class TrialRun:
         for detector in () if self.rehearsing else self._detectors:
             what = f"detecting with {detector.name}"
             self._ctx.events.state(what)
-            patience_s = (
-                detector.patience_s
-                if isinstance(detector, Served)
-                else 2.0 * self._rig.limits.detection_timeout_s
-            )
+            patience_s = 2.0 * self._rig.limits.detection_timeout_s
+            if isinstance(detector, Served):
+                patience_s = detector.patience_s
             self._ctx.long(what, 10.0 + patience_s, silent=True)
             answers.append(self._examiner.ask(detector, frames))
         return answers
@@ -325,10 +299,4 @@ class TrialRun:
 
 def _head(trial: PlannedTrial) -> dict[str, object]:
     """Which trial a row is of."""
-    return {
-        "id": trial.id,
-        "number": trial.number,
-        "name": trial.name,
-        "situation": trial.situation,
-        "repeat": trial.repeat,
-    }
+    return {name: getattr(trial, name) for name in ("id", "number", "name", "situation", "repeat")}

@@ -33,10 +33,8 @@ Settled = Callable[[Sequence[str], bool], None]
 def refuse_carry(rig: LoadedRig, script: LoadedScript) -> None:
     """Raises ConfigError for a script that carries on a rig that has no stage to carry with."""
     if script.script.truth.mode == "carry" and rig.rig.stage is None:
-        raise ConfigError.plain(
-            f'{script.path}: [truth] mode = "carry" needs a stage, and {rig.path} has none. Use'
-            ' mode = "touch", or a rig with a [stage].'
-        )
+        why = f'{script.path}: [truth] mode = "carry" needs a stage, and {rig.path} has none.'
+        raise ConfigError.plain(f'{why} Use mode = "touch", or a rig with a [stage].')
 
 
 def shown(trial: PlannedTrial, axes: str) -> ExpectedScene:
@@ -101,11 +99,8 @@ def _registration(
         # the world that it was made in has to be the one that the arm gives now
         made = ctx.rig.frame.made if ctx.rig.frame else None
         if why := found.outdated(ctx.devices.arm.identity.serial_number, made):
-            raise LimitError(
-                "stage",
-                f"its registration {ctx.script.script.truth.file} {why}",
-                hint="Make it anew: 'teatbench calibrate stage'",
-            )
+            what = f"its registration {ctx.script.script.truth.file} {why}"
+            raise LimitError("stage", what, hint="Make it anew: 'teatbench calibrate stage'")
     for key, value in as_facts(found).items():
         ctx.store.fact(key, value)
     return found
@@ -114,19 +109,12 @@ def _registration(
 def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Toucher) -> Registration:
     planned, table = ctx.script.planned, ctx.script.script.truth
     phantom, teat = planned[0].phantom, table.registration_teat
-    if teat > len(phantom.teats):
-        what = (
-            f"registration_teat = {teat}, but the first trial's phantom has"
-            f" {len(phantom.teats)} teats"
-        )
+    if teat > (there := len(phantom.teats)):
+        what = f"registration_teat = {teat}, but the first trial's phantom has {there} teats"
         raise DeviceError("truth", what, hint="Name one of them in the script's [truth].")
     ctx.ask(planned[0].arrangement(settings.axes))
-    at_mm = table.registration_at_mm
-    poses = (
-        tuple(PlatePose(x, y) for x, y in at_mm)
-        if at_mm
-        else around(shared(trial.pose, settings.axes)[0] for trial in planned)
-    )
+    poses = tuple(PlatePose(x, y) for x, y in table.registration_at_mm or ())
+    poses = poses or around(shared(trial.pose, settings.axes)[0] for trial in planned)
 
     def tell(text: str) -> None:
         ctx.note(text)
@@ -146,8 +134,7 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
             tell=tell,
         )
     except RegistrationError as error:
-        raise DeviceError(
-            "stage", str(error), hint="Name other places in the script's registration_at_mm."
-        ) from error
+        hint = "Name other places in the script's registration_at_mm."
+        raise DeviceError("stage", str(error), hint=hint) from error
     write_registration(ctx.store.folder / REGISTRATION_FILE, made)
     return made

@@ -208,10 +208,9 @@ class Console(PromptedOperator):
             except (Exception, KeyboardInterrupt) as why:
                 # ended without an answer: say why, unless that is what was answered
                 if not isinstance(why, WISHES):
+                    told = f"\nNo answer is needed any more: {str(why) or 'interrupted'}\n"
                     with contextlib.suppress(OperatorAbort):
-                        self._write(
-                            f"\nNo answer is needed any more: {str(why) or 'interrupted'}\n"
-                        )
+                        self._write(told)
                 raise
 
     def _answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
@@ -226,13 +225,8 @@ class Console(PromptedOperator):
             except NotUnderstoodError as error:
                 self._write(f"{error}\n")
             except OperatorSkip as skip:
-                reason = (
-                    skip.reason
-                    or self._line(
-                        "Why? (a few words for the record; Enter alone: don't skip): ", check
-                    ).strip()
-                )
-                if reason:
+                why = "Why? (a few words for the record; Enter alone: don't skip): "
+                if reason := skip.reason or self._line(why, check).strip():
                     raise OperatorSkip(reason) from None
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
@@ -251,11 +245,8 @@ class Console(PromptedOperator):
                 return "\n"
             if self._clock.now() >= remind_s:
                 remind_s += self._remind_s
-                waited_s = self._clock.now() - asked_s
-                self._write(
-                    f"\nStill waiting for you, since {waited_s:.0f} s; nothing is lost by taking"
-                    f" longer.\n{question}"
-                )
+                waited = f"Still waiting for you, since {self._clock.now() - asked_s:.0f} s"
+                self._write(f"\n{waited}; nothing is lost by taking longer.\n{question}")
         if not self._terminal:  # nobody's Enter has ended the question's row
             self._write("\n")
         check()  # an answer that came too late is none

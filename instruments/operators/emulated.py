@@ -110,14 +110,11 @@ class EmulatedOperator:
 
     def _touch_check_point(self, touch: int, of: int, check: Callable[[], None]) -> None:
         if self._check_point_mm is None:
-            raise ValueError(
-                "the emulated operator knows of no check point; give it check_point_mm"
-            )
+            what = "the emulated operator knows of no check point; give it check_point_mm"
+            raise ValueError(what)
         self._take_time(check)
-        turn = 2.0 * np.pi * (touch - 1) / of
-        lean = np.array(
-            [np.sin(SWING_RAD) * np.cos(turn), np.sin(SWING_RAD) * np.sin(turn), np.cos(SWING_RAD)]
-        )
+        turn, out, up = 2.0 * np.pi * (touch - 1) / of, np.sin(SWING_RAD), np.cos(SWING_RAD)
+        lean = np.array([out * np.cos(turn), out * np.sin(turn), up])
         self._world.hold(np.array(self._check_point_mm), lean)
 
     def _set_up(self, arrangement: Arrangement) -> Answer:
@@ -146,13 +143,10 @@ class EmulatedOperator:
                 return wanted, stands
             if before.pose != wanted.pose and self._makes("forgotten move"):
                 return replace(wanted, pose=before.pose), stands
-        x_mm, y_mm, yaw_rad = self._placing.normal(0.0, 1.0, 3) * self._placement
+        x_mm, y_mm, yaw_rad = (self._placing.normal(0.0, 1.0, 3) * self._placement).tolist()
         pose = wanted.pose
         return wanted, PlatePose(
-            pose.x_mm + float(x_mm),
-            pose.y_mm + float(y_mm),
-            pose.z_mm,
-            pose.yaw_rad + float(yaw_rad),
+            pose.x_mm + x_mm, pose.y_mm + y_mm, pose.z_mm, pose.yaw_rad + yaw_rad
         )
 
     def _makes(self, mistake: Mistake) -> bool:
@@ -198,11 +192,9 @@ class BoardHands:
     def _before_cameras(self, asked: BoardAsked) -> Board:
         if asked.number > SHOWN:
             raise OperatorEnough(f"the emulated operator has shown the board {SHOWN} times")
-        key = (asked.pattern, asked.cameras)
+        key, cameras = (asked.pattern, asked.cameras), self._cameras(asked)
         if key not in self._drawn:
-            self._drawn[key] = poses(
-                asked.pattern, self._cameras(asked), DEPTHS_MM, self._world.seed, SHOWN
-            )
+            self._drawn[key] = poses(asked.pattern, cameras, DEPTHS_MM, self._world.seed, SHOWN)
         return self._drawn[key][asked.number - 1]
 
     def _fixed(self, asked: BoardAsked) -> Board:

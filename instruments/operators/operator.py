@@ -259,15 +259,13 @@ class Prompt:
         """The possible answers, always with abort. ``pedal``: a pedal is watched."""
         go = "Enter or a pedal to go on" if pedal and self.pedal else "Enter to go on"
         if self.hidden_to:
-            go = (
-                "Enter when it stands; if teat ends are hidden from a camera, their numbers first"
-                f" (1 to {self.hidden_to})"
-            )
-        trial = (
-            ["s REASON = skip this trial", "r = repeat it from its set-up"] if self.in_trial else []
-        )
-        enough = ["e = enough, go on with what there is"] if self.enough else []
-        return f"{go} ({', '.join([*trial, *enough, ABORT_KEY])}): "
+            go = "Enter when it stands; if teat ends are hidden from a camera, their numbers first"
+            go += f" (1 to {self.hidden_to})"
+        keys = ["s REASON = skip this trial", "r = repeat it from its set-up"]
+        keys = [*(keys if self.in_trial else ()), ABORT_KEY]
+        if self.enough:
+            keys.insert(-1, "e = enough, go on with what there is")
+        return f"{go} ({', '.join(keys)}): "
 
     def explained(self) -> str:
         """Why it is asked, and what each answer does."""

@@ -102,29 +102,19 @@ class PromptedOperator(ABC):
             case Homing(instruction):
                 return Prompt("homing", instruction)
             case CheckPoint(touch, of):
-                lean = LEANS[(touch - 1) % len(LEANS)]
-                text = (
-                    "Arm check: put the tip into the divot of the check point, the stylus"
-                    f" {lean}, and hold it still."
-                )
+                text = "Arm check: put the tip into the divot of the check point, the stylus"
+                text += f" {LEANS[(touch - 1) % len(LEANS)]}, and hold it still."
                 return Prompt("check point", text, progress=f"touch {touch} of {of}", pedal=True)
             case Arrangement():
-                text = (
-                    f"Situation {request.situation}, layout"
-                    f" {request.phantom.name}:\n{request.instruction}"
-                )
-                return Prompt("set up", text, progress=self._progress(), hidden_to=request.teats)
+                scene = f"Situation {request.situation}, layout {request.phantom.name}:"
+                text, hidden_to = f"{scene}\n{request.instruction}", request.teats
+                return Prompt("set up", text, progress=self._progress(), hidden_to=hidden_to)
             case Touch():
                 return self._touch(request)
             case BoardAsked():
-                progress = f"{'position' if request.fixed else 'view'} {request.number}"
-                return Prompt(
-                    "board",
-                    request.instruction,
-                    progress=progress,
-                    pedal=True,
-                    enough=not request.fixed,
-                )
+                at = f"{'position' if request.fixed else 'view'} {request.number}"
+                text, enough = request.instruction, not request.fixed
+                return Prompt("board", text, progress=at, pedal=True, enough=enough)
             case BoardTouch():
                 return Prompt("corner", request.instruction, pedal=True)
             case Task(text, pedal):
@@ -134,10 +124,9 @@ class PromptedOperator(ABC):
         teats = self._stands[0].phantom.teats if self._stands else ()
         teat, of = request.teat, request.of
         name = teats[teat - 1].name if teat <= len(teats) else ""
-        text = (
-            f"{'Once more: touch' if request.again else 'Touch'} the end of teat"
-            f" {f'{teat} ({name})' if name else teat} of {of} with the tip and hold it still."
-        )
+        which = f"{teat} ({name})" if name else teat
+        do = "Once more: touch" if request.again else "Touch"
+        text = f"{do} the end of teat {which} of {of} with the tip and hold it still."
         each = [f"touch {request.number} of {request.numbers}"] if request.numbers > 1 else []
         progress = self._progress(f"teat {teat} of {of}", *each)
         return Prompt("touch", text, progress=progress, pedal=True)

@@ -63,10 +63,8 @@ def check_answer(to: Kind, answer: str) -> None:
         hidden = ', "hidden 2 4"' if to == "set up" else ""
         trial = f', "skip REASON", "repeat"{hidden}' if prompt.in_trial else ""
         enough = ', "enough"' if prompt.enough else ""
-        raise ValueError(
-            f'{str(error).rstrip(".")}; to a prompt of the kind "{to}" there are'
-            f' "go"{trial}{enough}, "abort"'
-        ) from error
+        there = f'to a prompt of the kind "{to}" there are "go"{trial}{enough}, "abort"'
+        raise ValueError(f"{str(error).rstrip('.')}; {there}") from error
     except OperatorSkip as skip:
         if not skip.reason:
             raise ValueError('"skip" needs a reason: "skip the teat came off"') from skip
@@ -103,25 +101,20 @@ class ScriptedAnswers(PromptedOperator):
         try:
             return understood(answer, prompt)
         except NotUnderstoodError as error:
-            what = f"{error} There are {prompt.hidden_to} teats here"
-            raise ProtocolError(
-                "operator",
-                what,
-                asked=f"{prompt.kind}: {_words(prompt)}",
-                hint=f"Correct {self._source}.",
-            ) from error
+            what, hint = (
+                f"{error} There are {prompt.hidden_to} teats here",
+                f"Correct {self._source}.",
+            )
+            asked = f"{prompt.kind}: {_words(prompt)}"
+            raise ProtocolError("operator", what, asked=asked, hint=hint) from error
 
     def finish(self) -> None:
-        left = self._answers[self._given :]
-        if left:
-            first = left[0]
+        if left := self._answers[self._given :]:
             what = (
-                f"the run has ended and {len(left)} answers of {self._source} were never asked for;"
-                f" the first is {_told(first)}"
+                f"the run has ended and {len(left)} answers of {self._source} were never asked for"
             )
-            raise ProtocolError(
-                "operator", what, hint="Take them out, or correct the prompts that they are for."
-            )
+            hint = "Take them out, or correct the prompts that they are for."
+            raise ProtocolError("operator", f"{what}; the first is {_told(left[0])}", hint=hint)
 
     def _next(self, prompt: Prompt) -> str:
         following = self._answers[self._given] if self._given < len(self._answers) else None
@@ -131,17 +124,13 @@ class ScriptedAnswers(PromptedOperator):
         if prompt.kind in self._otherwise:
             return self._otherwise[prompt.kind]
         seen = _told(following) if following else "no further answer"
-        hint = (
-            f'Add an answer to = "{prompt.kind}" before it, or one for all such prompts under'
-            ' "otherwise".'
-        )
-        raise ProtocolError(
-            "operator",
+        what, asked = (
             f"{self._source} has no answer to this prompt",
-            asked=f"{prompt.kind}: {_words(prompt)}",
-            seen=seen,
-            hint=hint,
+            f"{prompt.kind}: {_words(prompt)}",
         )
+        add = f'Add an answer to = "{prompt.kind}" before it'
+        hint = f'{add}, or one for all such prompts under "otherwise".'
+        raise ProtocolError("operator", what, asked=asked, seen=seen, hint=hint)
 
 
 def _words(prompt: Prompt) -> str:

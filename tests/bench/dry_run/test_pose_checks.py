@@ -32,9 +32,8 @@ def script(**table: object) -> LoadedScript:
     trial = Trial.model_validate({**HEAD, **table})
     changed = loaded.script.model_copy(update={"trials": (trial,)})
     layouts = {trial.layout: load_layout(find_layout(trial.layout))}
-    return replace(
-        loaded, script=changed, planned=plan((trial,), layouts, repeats=1, seed=1, shuffled=False)
-    )
+    planned = plan((trial,), layouts, repeats=1, seed=1, shuffled=False)
+    return replace(loaded, script=changed, planned=planned)
 
 
 def kinds(rig: LoadedRig, loaded: LoadedScript) -> dict[str, str]:
@@ -51,22 +50,39 @@ def test_what_ships_is_clean(rig: LoadedRig, name: str) -> None:
     assert result.unchecked == ()
 
 
-def test_a_pose_beyond_the_travel(rig: LoadedRig) -> None:
-    found = kinds(rig, script(pose={"x_mm": -160.0, "y_mm": 0.0}))
-    assert (
-        found["limits"]
-        == "t: x -160 mm, y +0 mm needs the stage's X axis at -310, which goes from -300 to 0"
-    )
+ROD = ({"kind": "rod", "x_mm": -150.0, "y_mm": 284.0},)
+
+
+@pytest.mark.parametrize(
+    ("kind", "table", "text"),
+    [
+        (
+            "limits",
+            {"pose": {"x_mm": -160.0, "y_mm": 0.0}},
+            "x -160 mm, y +0 mm needs the stage's X axis at -310, which goes from -300 to 0",
+        ),
+        (
+            "reach",
+            {"layout": "single", "pose": {"x_mm": -120.0, "y_mm": 130.0}},
+            "the arm doesn't reach the end of teat RF at [-235, 492, 135] mm",
+        ),
+        (
+            "collision",
+            {"objects": ROD, "pose": {"x_mm": -35.0}},
+            "teat RF's flange stands 21.2 mm inside object 1 (rod)",
+        ),
+    ],
+)
+def test_trouble_is_named(rig: LoadedRig, kind: str, table: dict[str, object], text: str) -> None:
+    assert kinds(rig, script(**table))[kind] == f"t: {text}"
+    table.pop("pose")
+    assert kind not in kinds(rig, script(**table)), "it is the pose that is wrong"
 
 
 def test_an_approach_beyond_the_travel_though_the_pose_is_not(rig: LoadedRig) -> None:
     assert "limits" not in kinds(rig, script(pose={"y_mm": 135.0}, layout="single"))
-    assert (
-        "Y axis at 7.5"
-        in kinds(rig, script(pose={"y_mm": 135.0}, layout="single", approach=("-y", "+y")))[
-            "limits"
-        ]
-    )
+    found = kinds(rig, script(pose={"y_mm": 135.0}, layout="single", approach=("-y", "+y")))
+    assert "Y axis at 7.5" in found["limits"]
 
 
 def test_a_registration_that_goes_beyond_the_travel(rig: LoadedRig) -> None:
@@ -85,18 +101,6 @@ def test_a_teat_that_leaves_the_thermal_picture(rig: LoadedRig) -> None:
         "t: the end of teat LF isn't whole in the thermal picture: it lacks "
     )
     assert "view" not in kinds(rig, script())
-
-
-def test_a_teat_out_of_the_arms_reach(rig: LoadedRig) -> None:
-    found = kinds(rig, script(layout="single", pose={"x_mm": -120.0, "y_mm": 130.0}))
-    assert found["reach"] == "t: the arm doesn't reach the end of teat RF at [-235, 492, 135] mm"
-
-
-def test_an_object_in_the_way_of_the_plate(rig: LoadedRig) -> None:
-    rod = {"kind": "rod", "x_mm": -150.0, "y_mm": 284.0}
-    assert "collision" not in kinds(rig, script(objects=(rod,)))
-    found = kinds(rig, script(objects=(rod,), pose={"x_mm": -35.0}))
-    assert found["collision"] == "t: teat RF's flange stands 21.2 mm inside object 1 (rod)"
 
 
 def test_teats_that_stand_in_each_other_are_found_even_where_no_file_says_so(
@@ -122,12 +126,8 @@ def test_what_cannot_be_checked_is_said(rig: LoadedRig) -> None:
 
 def test_a_real_arm_may_be_held_at_a_slant(rig: LoadedRig) -> None:
     """At 462 mm the upright stylus is beyond the wrist's reach, and a person would lean it."""
-    by_hand = replace(
-        rig,
-        rig=rig.rig.model_copy(
-            update={"operator": rig.rig.operator.model_copy(update={"url": "console:"})}
-        ),
-    )
+    console = rig.rig.operator.model_copy(update={"url": "console:"})
+    by_hand = replace(rig, rig=rig.rig.model_copy(update={"operator": console}))
     far = script(layout="single", pose={"x_mm": -145.0, "y_mm": 100.0})
     assert "reach" in kinds(rig, far)
     assert "reach" not in kinds(by_hand, far)
@@ -138,21 +138,15 @@ def test_a_carried_truth_is_touched_at_the_start_at_checks_and_at_the_end() -> N
         "single": Layout("single", PhantomFile.model_validate(SINGLE)),
         "other": Layout("other", PhantomFile.model_validate(OTHER)),
     }
-    row = Trial.model_validate(
-        {
-            **HEAD,
-            "layout": "single",
-            "grid": {"x_mm": (0.0, 90.0), "y_mm": (0.0, 0.0), "step_mm": (10.0, 10.0)},
-        }
-    )
+    grid = {"x_mm": (0.0, 90.0), "y_mm": (0.0, 0.0), "step_mm": (10.0, 10.0)}
+    row = Trial.model_validate({**HEAD, "layout": "single", "grid": grid})
     other = row.model_copy(update={"name": "u", "layout": "other"})
     planned = plan((row,), layouts, repeats=1, seed=1, shuffled=False)
     assert carry_touches(planned, "XY", 0) == [0, 9]
     assert carry_touches(planned, "XY", 4) == [0, 4, 8, 9]
     assert carry_touches(planned, "", 4) == list(range(10)), "moved by hand, nothing is carried"
-    assert carry_touches(
-        plan((row, other), layouts, repeats=1, seed=1, shuffled=False), "XY", 0
-    ) == [0, 9, 10, 19]
+    both = plan((row, other), layouts, repeats=1, seed=1, shuffled=False)
+    assert carry_touches(both, "XY", 0) == [0, 9, 10, 19]
 
 
 SINGLE = {"about": "x", "teats": [{"name": "LF", "base_mm": (-115.0, 300.0)}]}

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import pytest
 
@@ -19,7 +20,6 @@ from bench.script.model import LoadedScript, load_script
 from detector.protocol import Detection, DetectionFailure
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, run_of
 
-SLOWER = SCRIPT.replace("window_s = 2.0", "window_s = 20.0")
 FAR = "{ x_mm = 12.0, y_mm = -8.0 }"
 ANSWERS = (
     '[[answers]]\nto = "touch"\nanswer = "{}"\n\n[otherwise]\nhoming = "go"\n"set up" = "go"\ntouch'
@@ -36,10 +36,13 @@ def nothing_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def loaded(
-    folder: Path, *, script: str = SCRIPT, operator: str = "emulator:", check_point: str = ""
-) -> tuple[LoadedRig, LoadedScript]:
-    files(folder, script=script, operator=operator, check_point=check_point)
+def arguments_in(folder: Path) -> list[str]:
+    at = {"--rig": folder / "rig.toml", "--out": folder / "runs"}
+    return ["run", str(folder / "script.toml"), *(str(w) for pair in at.items() for w in pair)]
+
+
+def loaded(folder: Path, **more: Any) -> tuple[LoadedRig, LoadedScript]:
+    files(folder, **more)
     return load_rig(folder / "rig.toml"), load_script(folder / "script.toml")
 
 
@@ -48,36 +51,25 @@ def found(rehearsal: Rehearsal) -> list[tuple[str, str]]:
 
 
 def test_it_takes_as_long_and_asks_as_often_as_the_run(tmp_path: Path, nothing_stays: Path) -> None:
-    arguments = files(
-        tmp_path,
-        stage=STAGE,
-        check_point=CHECK_POINT,
-        emulation="prompt_s = 3.0",
-        script=SLOWER,
-        touches=2,
-    )
-    rig, script = load_rig(tmp_path / "rig.toml"), load_script(tmp_path / "script.toml")
-    rehearsal = rehearse(rig, script, ())
+    slow = SCRIPT.replace("window_s = 2.0", "window_s = 20.0")
+    more = {"stage": STAGE, "check_point": CHECK_POINT, "emulation": "prompt_s = 3.0"}
+    rehearsal = rehearse(*loaded(tmp_path, script=slow, touches=2, **more), ())
     assert list(nothing_stays.iterdir()) == []
-    assert main(arguments) in (0, 1, 4)
+    assert main(arguments_in(tmp_path)) in (0, 1, 4)
     run = run_of(tmp_path)
     assert rehearsal.total_s == pytest.approx(run.events[-1]["t_s"], abs=1e-6)
     assert rehearsal.findings == ()
     assert (rehearsal.planned, rehearsal.trials, rehearsal.rendered) == (3, 3, 3)
     touches = sum(len(trial.touches) for trial in run.trials)
     assert rehearsal.prompts == 1 + 2 * 2 + 3 + touches
-    frames = sum(
-        path.stat().st_size
-        for path in run.folder.glob("frames/*/*.png")
-        if "thesis" not in path.name
-    )
+    pictures = run.folder.glob("frames/*/*.png")
+    frames = sum(path.stat().st_size for path in pictures if "thesis" not in path.name)
     assert rehearsal.disk_mb == pytest.approx(frames / 1e6, rel=0.2)
 
 
 def test_a_gate_that_never_opens_and_an_interlock_are_met(tmp_path: Path) -> None:
-    rig, script = loaded(
-        tmp_path, script=SCRIPT.replace("window_s = 2.0", "window_s = 60.0\ntimeout_s = 30.0")
-    )
+    late = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\ntimeout_s = 30.0")
+    rig, script = loaded(tmp_path, script=late)
     never = rehearse(rig, script, ())
     assert found(never) == [("place-1", "fault")]
     assert "not stable within 30 s" in never.findings[0].text
@@ -102,21 +94,16 @@ def test_what_the_arm_does_not_reach_is_told_by_the_trial_and_the_others_are_gon
 
 
 def test_a_check_point_out_of_reach_ends_it(tmp_path: Path) -> None:
-    rig, script = loaded(tmp_path, check_point=CHECK_POINT.replace("120.0", "900.0"))
-    rehearsal = rehearse(rig, script, ())
-    assert found(rehearsal) == [("before the trials", "reach")]
-    assert (
-        rehearsal.findings[0].text == "the arm doesn't reach the check point at [-190, 900, 15] mm"
-    )
+    far = CHECK_POINT.replace("120.0", "900.0")
+    rehearsal = rehearse(*loaded(tmp_path, check_point=far), ())
+    (reach,) = rehearsal.findings
+    assert (reach.trial, reach.kind) == ("before the trials", "reach")
+    assert reach.text == "the arm doesn't reach the check point at [-190, 900, 15] mm"
 
 
 def test_what_the_run_gets_over_is_told_and_is_no_finding(tmp_path: Path) -> None:
-    files(
-        tmp_path,
-        stage=STAGE,
-        emulation='faults = [{ instrument = "stage", name = "disconnect", amount = 0.2 }]',
-    )
-    rehearsal = rehearse(load_rig(tmp_path / "rig.toml"), load_script(tmp_path / "script.toml"), ())
+    faults = 'faults = [{ instrument = "stage", name = "disconnect", amount = 0.2 }]'
+    rehearsal = rehearse(*loaded(tmp_path, stage=STAGE, emulation=faults), ())
     assert dict(rehearsal.recovered) == {"an instrument dropped out and came back": 1}
     assert rehearsal.findings == ()
     assert rehearsal.trials == 3
@@ -126,14 +113,10 @@ def test_what_the_run_gets_over_is_told_and_is_no_finding(tmp_path: Path) -> Non
 def test_frames_that_fail_the_rigs_checks_and_a_detector_that_fails(tmp_path: Path) -> None:
     rig, script = loaded(tmp_path)
     checks = rig.rig.cameras.checks.model_copy(update={"black_dn": 250})
-    dark = replace(
-        rig,
-        rig=rig.rig.model_copy(
-            update={"cameras": rig.rig.cameras.model_copy(update={"checks": checks})}
-        ),
-    )
+    cameras = rig.rig.cameras.model_copy(update={"checks": checks})
+    dark = replace(rig, rig=rig.rig.model_copy(update={"cameras": cameras}))
     rehearsal = rehearse(dark, script, ())
-    assert found(rehearsal) == [("place-1", "frames"), ("place-2", "frames"), ("place-3", "frames")]
+    assert found(rehearsal) == [(f"place-{number}", "frames") for number in (1, 2, 3)]
     assert "black" in rehearsal.findings[0].text
     assert (rehearsal.trials, rehearsal.rendered) == (3, 0)
     failing = rehearse(rig, script, (Failing(),))
@@ -157,10 +140,8 @@ def test_answers_that_are_left_over_are_met_and_one_that_skips_is_told(tmp_path:
     assert skipped.findings == ()
     assert dict(skipped.recovered) == {"the operator's script skips a trial": 1}
     assert skipped.trials == 2
-    answers.write_text(
-        ANSWERS.format("go").replace('answer = "go"', 'answer = "go"\nsays = "teat 9"'),
-        encoding="utf-8",
-    )
+    never = ANSWERS.format("go").replace('answer = "go"', 'answer = "go"\nsays = "teat 9"')
+    answers.write_text(never, encoding="utf-8")
     left = rehearse(rig, script, ())
     assert found(left) == [("after the trials", "fault")]
     assert "1 answers of answers.toml were never asked for" in left.findings[0].text

@@ -53,46 +53,30 @@ def script(folder: Path, text: str = SCRIPT) -> LoadedScript:
 def test_every_address_is_an_emulators_and_nothing_else_is_changed(
     lab: LoadedRig, tmp_path: Path
 ) -> None:
-    relay = replace(
-        lab,
-        rig=lab.rig.model_copy(
-            update={"bath": lab.rig.bath.model_copy(update={"pump_url": "COM9"})}
-        ),
-    )
+    bath = lab.rig.bath.model_copy(update={"pump_url": "COM9"})
+    relay = replace(lab, rig=lab.rig.model_copy(update={"bath": bath}))
     twin = twin_of(relay, script(tmp_path), TOLD).rig
     assert set(twin.emulated) == {"arm", "bath", "stage", "cameras", "operator"}
     assert twin.bath.pump_url == "emulator:"
     assert twin.limits == lab.rig.limits
     assert twin.arm.model_copy(update={"url": lab.rig.arm.url}) == lab.rig.arm
     assert twin.cameras.settle_s == lab.rig.cameras.settle_s
-    assert (twin.emulation.ambient_c, twin.emulation.bath_start_c) == (
-        lab.rig.bath.room_c,
-        lab.rig.bath.room_c,
-    )
+    assert twin.emulation.ambient_c == twin.emulation.bath_start_c == lab.rig.bath.room_c
 
 
 def test_the_emulated_stage_is_set_as_the_controller_told(lab: LoadedRig, tmp_path: Path) -> None:
     settings = twin_of(lab, script(tmp_path), TOLD).rig.emulation.stage.settings
-    assert {number: settings[number] for number in (130, 131, 132)} == {
-        130: 620.0,
-        131: 400.0,
-        132: 90.0,
-    }
-    assert {number: settings[number] for number in (100, 111, 120, 24, 25, 27)} == {
-        100: 80.0, 111: 6000.0, 120: 500.0, 24: 120.0, 25: 2000.0, 27: 2.0,
-    }  # fmt: skip
+    wanted = {130: 620.0, 131: 400.0, 132: 90.0, 24: 120.0, 25: 2000.0, 27: 2.0}
+    wanted |= {100: 80.0, 111: 6000.0, 120: 500.0}
+    assert {number: settings[number] for number in wanted} == wanted
 
 
 def test_a_travel_that_nobody_knows_is_far_enough(lab: LoadedRig, tmp_path: Path) -> None:
     wide = script(tmp_path, SCRIPT.replace("x_mm = 12.0", "x_mm = -412.0"))
     settings = twin_of(lab, wide, None).rig.emulation.stage.settings
     assert settings == {130: 150.0 + 412.0 + 10.0, 131: 275.0}
-    turning = replace(
-        lab,
-        rig=lab.rig.model_copy(
-            update={"stage": lab.rig.stage and lab.rig.stage.model_copy(update={"axes": "XYA"})}
-        ),
-    )
+    table = lab.rig.stage and lab.rig.stage.model_copy(update={"axes": "XYA"})
+    turning = replace(lab, rig=lab.rig.model_copy(update={"stage": table}))
     stage = twin_of(turning, wide, None).rig.emulation.stage
     assert (stage.dialect, set(stage.settings)) == ("grblHAL", {130, 131, 133})
 
@@ -119,21 +103,13 @@ def test_the_arm_stands_where_the_frame_says_under_its_own_number(
 
 def test_a_registration_of_a_turned_stage_holds_on_the_twin(lab: LoadedRig, tmp_path: Path) -> None:
     turned = Motion.from_vectors((0.0, 0.0, 0.02), (30.0, 500.0, 135.0))
-    places = (
-        (-250.0, -230.0, 0.0),
-        (-50.0, -230.0, 0.0),
-        (-50.0, -40.0, 0.0),
-        (-250.0, -40.0, 0.0),
-    )
+    places = [(x, y, 0.0) for x in (-250.0, -50.0) for y in (-230.0, -40.0)]
     stations = [Station(at, tuple(turned.apply(np.array(at)).tolist()), 0.2) for at in places]
     registration = Registration(
         MADE, "40937", "Grbl", 1, tuple(stations), StageAccuracy(5e-4, 5e-4, 0.02)
     )
-    carried = replace(
-        script(tmp_path, CARRY.replace(", z_mm = 6.0, yaw_deg = 4.0", "")),
-        registration=registration,
-    )
-    rehearsal = rehearse(lab, carried, ())
+    flat = script(tmp_path, CARRY.replace(", z_mm = 6.0, yaw_deg = 4.0", ""))
+    rehearsal = rehearse(lab, replace(flat, registration=registration), ())
     assert rehearsal.findings == (), "check touches find the ends where the stage carried them"
     assert rehearsal.trials == 3
 

@@ -5,6 +5,7 @@ readings is found out.
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,6 @@ import pytest
 
 from bench.calibrate.arm import Plan, touch_frame, verify
 from bench.calibrate.simulated_arm import Step, TryingArm
-from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
 from bench.report.page import stored_rules
 from bench.results.verdicts import judge
@@ -23,30 +23,25 @@ from bench.rig.arm_files import Limits, frame_text, verification_text, write_fil
 from bench.rig.loading import RIGS
 from bench.rig.model import Arm
 from bench.scoring.decisions import Verdict
-from bench.script.model import TRIALS
 from bench.truth.arm_check import check_arm, location_of, shift_mm
 from bench.truth.arm_tip import TipReader
 from detector.geometry import Motion
 from instruments.clock import wall_time
-from instruments.operators.emulated import EmulatedOperator
 from instruments.operators.operator import CheckPoint, Request
-from instruments.world.world import World
 from tests.bench.calibrate.arm_rig import Follower, emulated
+from tests.bench.commands import Said, teatbench
+from tests.bench.operated_runs import texts
 
 PLACED = Motion.from_vectors((0.015, -0.01, 0.4), (-40.0, -60.0, 9.0))
 REQUIREMENT = "arm verified before and after"
 
 
 @pytest.fixture(scope="module")
-def script(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first trial of the six situations, once, with a stability gate of a minute."""
-    text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
-    head, first, *_ = text.split("[[trials]]")
-    for old, new in {"repeats = 3": "repeats = 1", "window_s = 600.0": "window_s = 60.0"}.items():
-        assert old in head
-        head = head.replace(old, new)
+def script(short_script: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first trial of the six situations."""
+    first = "[[trials]]".join(short_script.read_text(encoding="utf-8").split("[[trials]]")[:2])
     path = tmp_path_factory.mktemp("script") / "one.toml"
-    path.write_text(f"{head}[[trials]]{first}", encoding="utf-8")
+    path.write_text(first, encoding="utf-8")
     return path
 
 
@@ -80,22 +75,14 @@ def rig_in(folder: Path, arm: str = "", emulation: str = "") -> Path:
     text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
     assert "[arm]\n" in text
     assert "[emulation]" not in text
-    (folder / "calibration.toml").write_text(
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
-    path = folder / "rig.toml"
-    path.write_text(
-        text.replace("[arm]\n", f"[arm]\n{arm}") + f"\n[emulation]\n{emulation}", encoding="utf-8"
-    )
-    return path
-
-
-def placed_key() -> str:
-    return f"arm_placed = {{ om = {PLACED.om.tolist()}, T = {PLACED.T.tolist()} }}\n"
+    shutil.copy(RIGS / "calibration.toml", folder)
+    text = text.replace("[arm]\n", f"[arm]\n{arm}") + f"\n[emulation]\n{emulation}"
+    (folder / "rig.toml").write_text(text, encoding="utf-8")
+    return folder / "rig.toml"
 
 
 def done(rig: Path, script: Path, out: Path) -> Done:
-    code = main(["run", str(script), "--rig", str(rig), "--out", str(out)])
+    code = teatbench("run {} --rig {} --out {}", script, rig, out)
     (folder,) = out.iterdir()
     return Done(code, read_run(folder))
 
@@ -122,7 +109,8 @@ def elsewhere(script: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
     folder = tmp_path_factory.mktemp("elsewhere")
     arm_files(folder)
     keys = 'frame = "arm-frame.toml"\nverification = "arm-verification.toml"\n'
-    return done(rig_in(folder, keys, placed_key()), script, folder / "runs")
+    placed = f"arm_placed = {{ om = {PLACED.om.tolist()}, T = {PLACED.T.tolist()} }}\n"
+    return done(rig_in(folder, keys, placed), script, folder / "runs")
 
 
 def test_an_arm_elsewhere_scores_like_one_in_its_place(in_place: Done, elsewhere: Done) -> None:
@@ -180,18 +168,15 @@ def test_the_runs_folder_keeps_the_files_of_the_arm(elsewhere: Done) -> None:
     assert 'frame = "arm-frame.toml"' in rig.read_text(encoding="utf-8")
     assert (elsewhere.run.folder / "arm-frame.toml").is_file()
     assert (elsewhere.run.folder / "arm-verification.toml").is_file()
-    assert main(["check", str(rig)]) == 0, "the folder's own rig file can be used again"
+    assert teatbench("check {}", rig) == 0, "the folder's own rig file can be used again"
 
 
 def test_an_arm_that_was_moved_is_found_out(script: Path, tmp_path: Path) -> None:
     """Elsewhere on the table, and nobody made a frame: every truth is wrong, and the requirement
     says so.
     """
-    run = done(
-        rig_in(tmp_path, emulation="arm_placed = { T = [3.0, 0.0, 0.0] }\n"),
-        script,
-        tmp_path / "runs",
-    )
+    rig = rig_in(tmp_path, emulation="arm_placed = { T = [3.0, 0.0, 0.0] }\n")
+    run = done(rig, script, tmp_path / "runs")
     assert run.verdict is Verdict.NOT_MET
     assert run.code == 1
     assert "from its place before the trials" in run.page
@@ -200,11 +185,9 @@ def test_an_arm_that_was_moved_is_found_out(script: Path, tmp_path: Path) -> Non
 
 def test_a_rig_without_a_check_point_has_not_measured_it(script: Path, tmp_path: Path) -> None:
     path = rig_in(tmp_path)
-    text = path.read_text(encoding="utf-8")
-    path.write_text(
-        "\n".join(line for line in text.split("\n") if not line.startswith("check_point_mm")),
-        encoding="utf-8",
-    )
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    kept = "".join(line for line in lines if not line.startswith("check_point_mm"))
+    path.write_text(kept, encoding="utf-8")
     run = done(path, script, tmp_path / "runs")
     assert run.verdict is Verdict.NOT_MEASURED
     assert not any(key.startswith("arm check") for key in run.run.facts)
@@ -215,17 +198,13 @@ def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(
 ) -> None:
     arm_files(tmp_path)
     file = tmp_path / "arm-frame.toml"
-    file.write_text(
-        file.read_text(encoding="utf-8").replace('"40937"', '"40938"'), encoding="utf-8"
-    )
+    text = file.read_text(encoding="utf-8").replace('"40937"', '"40938"')
+    file.write_text(text, encoding="utf-8")
     run = done(rig_in(tmp_path, 'frame = "arm-frame.toml"\n'), script, tmp_path / "runs")
     assert run.code == 3
     assert run.run.ending == "faulted"
-    faults = [event["text"] for event in run.run.events if event["kind"] == "fault"]
-    assert any(
-        "table frame is of the arm 40938, but the arm that answers is 40937" in text
-        for text in faults
-    ), faults
+    (fault,) = texts(run.run, "fault")
+    assert "table frame is of the arm 40938, but the arm that answers is 40937" in fault
     assert not any("heating" in event["text"] for event in run.run.events)
 
 
@@ -239,22 +218,10 @@ def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(
     ],
 )
 def test_wrong_keys_of_a_rig_are_shown(
-    lines: str, message: str, script: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    lines: str, message: str, script: Path, tmp_path: Path, said: Said
 ) -> None:
-    assert (
-        main(
-            [
-                "run",
-                str(script),
-                "--rig",
-                str(rig_in(tmp_path, lines)),
-                "--out",
-                str(tmp_path / "runs"),
-            ]
-        )
-        == 2
-    )
-    assert message in capsys.readouterr().err
+    rig = rig_in(tmp_path, lines)
+    assert message in said(2, "run {} --rig {} --out {}", script, rig, tmp_path / "runs").err
     assert not (tmp_path / "runs").exists()
 
 
@@ -275,13 +242,8 @@ def checked(spoil: Callable[[TryingArm], None]) -> dict[str, Any]:
         spoil(trying)
         arm.sign_on()
         arm.confirm_homed()
-        return check_arm(
-            Checker(trying).ask,
-            TipReader(arm, settings, None),
-            settings,
-            trying.clock,
-            lambda: None,
-        )
+        tip = TipReader(arm, settings, None)
+        return check_arm(Checker(trying).ask, tip, settings, trying.clock, lambda: None)
 
 
 def test_an_arm_that_was_not_homed_is_found_out() -> None:
@@ -295,12 +257,3 @@ def test_an_arm_that_was_not_homed_is_found_out() -> None:
 
     assert shift_mm(checked(lambda trying: None)) < 1.0
     assert shift_mm(checked(off_its_peg)) > 20.0
-
-
-def test_an_operator_who_knows_no_check_point_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    class NoWorld(World):
-        def __init__(self) -> None:
-            self.seed = 1
-
-    with pytest.raises(ValueError, match="no check point"):
-        EmulatedOperator(NoWorld(), hand_error_mm=0.1).ask(CheckPoint(1, 5))

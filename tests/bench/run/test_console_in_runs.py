@@ -5,12 +5,14 @@ hands follow each "go on".
 from __future__ import annotations
 
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.bench.calibrate.arm_terminal import Terminal, at_terminal
-from tests.bench.operated_runs import CHECK_POINT, SCRIPT, files, run_of
+from tests.bench.operated_runs import CHECK_POINT, SCRIPT, files, run_of, texts
 
 pytestmark = pytest.mark.skipif(
     sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not"
@@ -19,6 +21,10 @@ pytestmark = pytest.mark.skipif(
 ENTER = ""
 ABORT_KEY = "a = abort the run): "
 TWO = SCRIPT.replace("poses = [", "poses = [{ x_mm = 12.0 }, { x_mm = -8.0 }]\n#")
+
+
+def started(folder: Path, **more: Any) -> AbstractContextManager[Terminal]:
+    return at_terminal(files(folder, operator="console:", script=TWO, **more))
 
 
 def answer(terminal: Terminal, words: str, line: str = ENTER) -> str:
@@ -31,27 +37,20 @@ def answer(terminal: Terminal, words: str, line: str = ENTER) -> str:
 
 
 def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
-    with at_terminal(
-        files(tmp_path, operator="console:", touches=2, check_point=CHECK_POINT, script=TWO)
-    ) as terminal:
+    with started(tmp_path, touches=2, check_point=CHECK_POINT) as terminal:
         answer(terminal, "Put the arm's stylus on its peg", "what?")
         answer(terminal, "Not understood: 'what?'.", "?")
         answer(terminal, "from where they are when it is switched on")
         for touch in (1, 2):
             answer(terminal, f"[touch {touch} of 2] Arm check")
         said = answer(terminal, "Move the plate to x +12 mm", "2, 4")
-        assert (
-            "[trial 1 of 2; about 4 min left] Situation ideal, layout table-5-1:\nTeats as in table"
-            " 5.1." in said
-        )
+        trial = "[trial 1 of 2; about 4 min left] Situation ideal, layout table-5-1:\nTeats as in"
+        assert f"{trial} table 5.1." in said
         assert "s REASON = skip this trial" in said
         for teat in (1, 2, 3, 4):
             for touch in (1, 2):
-                answer(
-                    terminal,
-                    f"[trial 1 of 2, teat {teat} of 4, touch {touch} of 2; about 4 min left] Touch"
-                    f" the end of teat {teat} (",
-                )
+                at = f"trial 1 of 2, teat {teat} of 4, touch {touch} of 2; about 4 min left"
+                answer(terminal, f"[{at}] Touch the end of teat {teat} (")
         answer(terminal, "[trial 2 of 2; ", "s")
         terminal.expect("Why?")
         terminal.type("the hose came off")
@@ -68,17 +67,24 @@ def safe(told: str, tmp_path: Path) -> None:
     """The run was aborted, for the reason that was ``told``, and the bath was made safe."""
     record = run_of(tmp_path)
     assert record.ending == "aborted"
-    assert any(event["kind"] == "aborted" and told in event["text"] for event in record.events)
-    assert any(event["kind"] == "safe" and "bath" in event["text"] for event in record.events)
+    assert any(told in text for text in texts(record, "aborted"))
+    assert any("bath" in text for text in texts(record, "safe"))
 
 
 @pytest.mark.parametrize(
-    ("key", "told"),
-    [("a\n", "the operator aborted the run"), ("\x04", "nobody is at the terminal")],
+    ("key", "told", "prompt"),
+    [
+        ("a\n", "the operator aborted the run", ""),
+        ("\x04", "nobody is at the terminal", ""),
+        ("\x03", "Ctrl-C", "[trial 1 of 2; "),
+    ],
+    ids=["its key", "Ctrl-D", "Ctrl-C amid a trial"],
 )
-def test_an_abort_ends_the_run_in_safe(key: str, told: str, tmp_path: Path) -> None:
-    """By its key, and by Ctrl-D."""
-    with at_terminal(files(tmp_path, operator="console:", script=TWO)) as terminal:
+def test_an_abort_ends_the_run_in_safe(key: str, told: str, prompt: str, tmp_path: Path) -> None:
+    with started(tmp_path) as terminal:
+        if prompt:
+            answer(terminal, "on its peg")
+        terminal.expect(prompt)
         terminal.expect(ABORT_KEY)
         terminal.press(key)
         assert terminal.code() == 3
@@ -86,19 +92,8 @@ def test_an_abort_ends_the_run_in_safe(key: str, told: str, tmp_path: Path) -> N
     safe(told, tmp_path)
 
 
-def test_ctrl_c_at_a_prompt_amid_a_trial_ends_the_run_in_safe(tmp_path: Path) -> None:
-    with at_terminal(files(tmp_path, operator="console:", script=TWO)) as terminal:
-        answer(terminal, "on its peg")
-        terminal.expect("[trial 1 of 2; ")
-        terminal.expect(ABORT_KEY)
-        terminal.press("\x03")
-        assert terminal.code() == 3
-    assert "Traceback" not in terminal.text
-    safe("Ctrl-C", tmp_path)
-
-
 def test_a_terminal_that_closes_ends_the_run_in_safe(tmp_path: Path) -> None:
-    with at_terminal(files(tmp_path, operator="console:", script=TWO)) as terminal:
+    with started(tmp_path) as terminal:
         terminal.expect(ABORT_KEY)
         assert terminal.hang_up() == 3
     safe("", tmp_path)
@@ -106,15 +101,7 @@ def test_a_terminal_that_closes_ends_the_run_in_safe(tmp_path: Path) -> None:
 
 def test_a_trip_ends_a_prompt_without_enter_and_reminders_come_before(tmp_path: Path) -> None:
     fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0'
-    with at_terminal(
-        files(
-            tmp_path,
-            operator="console:",
-            operator_more="remind_s = 0.5",
-            script=TWO,
-            emulation=fault,
-        )
-    ) as terminal:
+    with started(tmp_path, operator_more="remind_s = 0.5", emulation=fault) as terminal:
         terminal.expect(ABORT_KEY)
         for _ in range(2):
             terminal.expect("Still waiting for you, since")

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
 from bench.safety.stability import State
+from tests.bench.commands import Said, teatbench
 from tests.conftest import ROOT
 
 
@@ -37,7 +37,7 @@ class Done:
 
 def run_command(arguments: Sequence[str], out: Path) -> tuple[int, Path]:
     """Run a command that leaves one run in ``out``; its exit code and the run's folder."""
-    code = main([*arguments, "--out", str(out)])
+    code = teatbench("{} --out {}", arguments, out)
     (folder,) = out.iterdir()
     return code, folder
 
@@ -51,19 +51,11 @@ def done(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> Done:
 
 
 def test_the_bench_does_its_work_and_the_exit_code_is_the_verdict(done: Done) -> None:
-    verdict = json.loads((done.run.folder / "report" / "run.json").read_text(encoding="utf-8"))[
-        "verdict"
-    ]
-    assert done.code == {"met": 0, "not met": 1, "inconclusive": 4}[verdict]
+    table = json.loads((done.run.folder / "report" / "run.json").read_text(encoding="utf-8"))
+    assert done.code == {"met": 0, "not met": 1, "inconclusive": 4}[table["verdict"]]
     assert done.run.ending == "finished"
-    assert [trial.head["situation"] for trial in done.run.trials] == [
-        "non_vertical",
-        "overlapping",
-        "spurious_teat",
-        "hot_body_at_base",
-        "hot_body_at_ends",
-        "cooler_bodies",
-    ]
+    names = "non_vertical overlapping spurious_teat hot_body_at_base hot_body_at_ends cooler_bodies"
+    assert [trial.head["situation"] for trial in done.run.trials] == names.split()
 
 
 def test_every_capture_is_in_a_stable_bath(done: Done) -> None:
@@ -125,15 +117,11 @@ def content(folder: Path) -> dict[str, Any]:
     """All tables of a run but the columns and facts of real time, and the bytes of its frames."""
     found: dict[str, Any] = {}
     with closing(sqlite3.connect(folder / "run.sqlite")) as db:
-        for (table,) in db.execute(
-            "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name"
-        ).fetchall():
-            columns = [
-                row[1]
-                for row in db.execute(f"PRAGMA table_info({table})")
-                if not row[1].startswith("wall")
-            ]
-            rows = db.execute(f"SELECT {', '.join(columns)} FROM {table} ORDER BY rowid").fetchall()
+        tables = db.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")
+        for (table,) in tables.fetchall():
+            names = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
+            columns = ", ".join(name for name in names if not name.startswith("wall"))
+            rows = db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall()
             found[table] = [
                 row for row in rows if table != "facts" or not row[0].startswith("wall")
             ]
@@ -163,18 +151,16 @@ def test_another_seed_gives_other_noise(done: Done, short_script: Path, tmp_path
     first, second = content(done.run.folder), content(folder)
     assert first["touches"] != second["touches"]
     assert first["bath"] != second["bath"]
-    assert (
-        first["frames/001-non-vertical-1/left.png"] != second["frames/001-non-vertical-1/left.png"]
-    )
+    picture = "frames/001-non-vertical-1/left.png"
+    assert first[picture] != second[picture]
 
 
-def test_the_report_can_be_written_again(done: Done, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_can_be_written_again(done: Done, said: Said) -> None:
     page = done.run.folder / "report" / "index.html"
     before = page.read_bytes()
     page.unlink()
-    assert main(["report", str(done.run.folder)]) == done.code
+    assert str(page) in said(done.code, "report {}", done.run.folder).out.replace("\n", "")
     assert page.read_bytes() == before
-    assert str(page) in capsys.readouterr().out.replace("\n", "")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals to a child")
@@ -182,14 +168,8 @@ def test_the_report_can_be_written_again(done: Done, capsys: pytest.CaptureFixtu
 def test_ctrl_c_ends_safe_and_leaves_a_run(
     short_script: Path, tmp_path: Path, after_s: float
 ) -> None:
-    text = (
-        short_script.read_text(encoding="utf-8")
-        .replace("repeats = 1", "repeats = 50")
-        .replace("window_s = 60.0", "window_s = 600.0")
-    )
-    (tmp_path / "long.toml").write_text(text, encoding="utf-8")
     out = tmp_path / "runs"
-    with started(["run", str(tmp_path / "long.toml"), "--out", str(out)]) as child:
+    with long_run(short_script, out, window_s=600.0) as child:
         folder = wait_for_run(out, child)
         time.sleep(after_s)
         child.send_signal(signal.SIGINT)
@@ -208,10 +188,8 @@ def test_ctrl_c_ends_safe_and_leaves_a_run(
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 def test_a_killed_bench_leaves_a_run_that_reports(short_script: Path, tmp_path: Path) -> None:
-    text = short_script.read_text(encoding="utf-8").replace("repeats = 1", "repeats = 50")
-    (tmp_path / "long.toml").write_text(text, encoding="utf-8")
     out = tmp_path / "runs"
-    with started(["run", str(tmp_path / "long.toml"), "--out", str(out)]) as child:
+    with long_run(short_script, out) as child:
         folder = wait_for_run(out, child)
         while child.poll() is None and not list((folder / "frames").glob("003-*")):
             time.sleep(0.02)
@@ -220,32 +198,34 @@ def test_a_killed_bench_leaves_a_run_that_reports(short_script: Path, tmp_path: 
     run = read_run(folder)
     assert run.ending == "interrupted"
     assert len(run.trials) >= 2
-    assert main(["report", str(folder)]) == 3
-    assert "died before the run was over" in (folder / "report" / "index.html").read_text(
-        encoding="utf-8"
-    )
+    assert teatbench("report {}", folder) == 3
+    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "died before the run was over" in page
+
+
+def long_run(script: Path, out: Path, window_s: float = 60.0) -> subprocess.Popen[str]:
+    """A bench that runs ``script`` with 50 repeats and a stability gate of ``window_s``."""
+    text = script.read_text(encoding="utf-8").replace("repeats = 1", "repeats = 50")
+    long = out.with_name("long.toml")
+    long.write_text(text.replace("window_s = 60.0", f"window_s = {window_s}"), encoding="utf-8")
+    return started(["run", str(long), "--out", str(out)])
 
 
 def started(arguments: Sequence[str]) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "bench.cli", *arguments]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
-        command,
+        [sys.executable, "-m", "bench.cli", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        text=True,
         encoding="utf-8",
-        env=environment,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
         cwd=ROOT,
     )
 
 
 def wait_for_run(out: Path, child: subprocess.Popen[str]) -> Path:
     while child.poll() is None:
-        if out.is_dir() and (
-            found := [path for path in out.iterdir() if (path / "run.sqlite").is_file()]
-        ):
-            return found[0]
+        if found := list(out.glob("*/run.sqlite")):
+            return found[0].parent
         time.sleep(0.01)
     raise AssertionError(f"the bench ended before it had a run: {child.communicate()[0]}")
 
@@ -253,7 +233,6 @@ def wait_for_run(out: Path, child: subprocess.Popen[str]) -> Path:
 def test_the_report_names_the_digest_by_which_the_record_is_checked(done: Done) -> None:
     head = read_run(done.run.folder).head
     assert head is not None
-    assert head.wall_digest in (done.run.folder / "report" / "index.html").read_text(
-        encoding="utf-8"
-    )
-    assert main(["store", "check", str(done.run.folder), "--digest", head.wall_digest]) == 0
+    page = (done.run.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert head.wall_digest in page
+    assert teatbench("store check {} --digest {}", done.run.folder, head.wall_digest) == 0

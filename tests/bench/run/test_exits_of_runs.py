@@ -50,7 +50,7 @@ def leave(way: str, folder: Path, recording: Path) -> Outcome:
     ):
         running.wait_for("on its peg")
         running.enter()
-        plant, start = rig.twin.world.plant, BRING[way](rig, running) or time.monotonic()
+        plant, start = rig.twin.world.plant, WAYS[way][0](rig, running) or time.monotonic()
         while plant.running and time.monotonic() - start < 60.0:
             time.sleep(0.002)
         standby_s = time.monotonic() - start
@@ -95,21 +95,18 @@ def interrupt_twice(rig: RealRig, running: MarkedBench) -> None:
     running.signal("SIGINT")
 
 
-BRING: dict[str, Callable[[RealRig, MarkedBench], float | None]] = {
-    "normal": to_the_end,
-    "mistaken": to_the_mistake,
-    "Ctrl-C": interrupt,
-    "Ctrl-C twice": interrupt_twice,
-    "closing": lambda _, running: running.wait_for(f"{MARK}closing"),
+def close(_: RealRig, running: MarkedBench) -> None:
+    running.wait_for(f"{MARK}closing")
+
+
+# how it is brought about, the run's ending, the exit code
+WAYS: dict[str, tuple[Callable[[RealRig, MarkedBench], float | None], str, int]] = {
+    "normal": (to_the_end, "finished", 0),
+    "mistaken": (to_the_mistake, "faulted", 1),
+    "Ctrl-C": (interrupt, "aborted", 3),
+    "Ctrl-C twice": (interrupt_twice, "aborted", 3),
+    "closing": (close, "interrupted", CLOSED_CODE),
 }
-ENDINGS = {
-    "normal": "finished",
-    "mistaken": "faulted",
-    "Ctrl-C": "aborted",
-    "Ctrl-C twice": "aborted",
-    "closing": "interrupted",
-}
-CODES = {"normal": 0, "mistaken": 1, "Ctrl-C": 3, "Ctrl-C twice": 3, "closing": CLOSED_CODE}
 
 
 @pytest.fixture(scope="module")
@@ -122,22 +119,18 @@ def test_every_way_out_of_a_run_leaves_standby_in_bounded_time(
     recording: Path, tmp_path: Path
 ) -> None:
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        jobs = [pool.submit(leave, way, tmp_path / way, recording) for way in BRING]
+        jobs = [pool.submit(leave, way, tmp_path / way, recording) for way in WAYS]
         outcomes = [job.result() for job in jobs]
     for outcome in outcomes:
         texts = [event["text"] for event in outcome.run.events]
         assert outcome.standby_s < BOUND_S, outcome.way
         assert outcome.gone_s < BOUND_S, outcome.way
-        assert (outcome.run.ending, outcome.code) == (
-            ENDINGS[outcome.way],
-            CODES[outcome.way],
-        ), f"{outcome.way}: {outcome.said}"
+        ended = (outcome.run.ending, outcome.code)
+        assert ended == WAYS[outcome.way][1:], f"{outcome.way}: {outcome.said}"
         if outcome.way == "closing":
             continue  # Windows ends the process behind the handler: there is no time for the record
         assert "bath is safe" in texts, outcome.way
-        assert outcome.run.guardian is None, (
-            f"{outcome.way}: the guardian was told that all is safe"
-        )
+        assert outcome.run.guardian is None, f"{outcome.way}: it was told that all is safe"
         if outcome.way == "mistaken":
             assert any("a mistake of the bench: ZeroDivisionError" in text for text in texts)
         if outcome.way.startswith("Ctrl-C"):

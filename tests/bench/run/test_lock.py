@@ -12,13 +12,14 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig
 from bench.run.lock import RigInUseError, WindowsLock, lock_path, locked
+from tests.bench.commands import Said
 from tests.bench.operated_runs import files
 from tests.conftest import ROOT
 
@@ -42,14 +43,25 @@ def holder(path: Path) -> subprocess.Popen[str]:
     return process
 
 
+def refused(path: Path, why: str, error: type[Exception] = RigInUseError, **more: Any) -> None:
+    with pytest.raises(error, match=why), locked(path, "x", print, **more):
+        pass
+
+
+def taken_over(path: Path, **more: Any) -> list[str]:
+    """What is told when the lock is taken and given back."""
+    told = list[str]()
+    with locked(path, "x", told.append, **more):
+        pass
+    return told
+
+
 def test_the_second_bench_is_told_who_has_the_rig_and_gets_it_when_that_one_ends(
     tmp_path: Path,
 ) -> None:
     path, told = tmp_path / "lab.lock.json", list[str]()
     first = holder(path)
-    who = rf"another bench has it: pid {first.pid}, host {platform.node()}.*runs/here"
-    with pytest.raises(RigInUseError, match=who), locked(path, "x", told.append):
-        pass
+    refused(path, rf"another bench has it: pid {first.pid}, host {platform.node()}.*runs/here")
     first.communicate("\n", 60)
     with locked(path, "x", told.append):
         assert json.loads(path.read_text(encoding="utf-8").rstrip("\0"))["pid"] == os.getpid()
@@ -58,60 +70,43 @@ def test_the_second_bench_is_told_who_has_the_rig_and_gets_it_when_that_one_ends
 
 
 def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_told(tmp_path: Path) -> None:
-    path, told = tmp_path / "lab.lock.json", list[str]()
+    path = tmp_path / "lab.lock.json"
     first = holder(path)
     first.kill()
     first.communicate(timeout=60)
-    with locked(path, "x", told.append):
-        pass
-    assert len(told) == 1
-    assert f"the lock of a bench that died (pid {first.pid}" in told[0]
+    (told,) = taken_over(path)
+    assert f"the lock of a bench that died (pid {first.pid}" in told
 
 
 def test_a_lock_of_another_machine_is_believed(tmp_path: Path) -> None:
     path = tmp_path / "lab.lock.json"
     path.write_text(json.dumps({"host": "another", "pid": 1}), encoding="utf-8")
-    with (
-        pytest.raises(RigInUseError, match=rf"pid 1, host another.*delete .*{path.name}"),
-        locked(path, "x", print),
-    ):
-        pass
+    refused(path, rf"pid 1, host another.*delete .*{path.name}")
 
 
 def test_a_file_that_says_nothing_understandable_is_taken_over(tmp_path: Path) -> None:
-    path, told = tmp_path / "lab.lock.json", list[str]()
+    path = tmp_path / "lab.lock.json"
     path.write_text("{half", encoding="utf-8")
-    with locked(path, "x", told.append):
-        pass
-    assert "can't be read" in told[0]
+    assert "can't be read" in taken_over(path)[0]
 
 
 def test_an_emulated_rig_needs_none_and_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
     assert lock_path(load_rig(find_rig(None))) is None
     with locked(None, "x", print):
         pass
-    with (
-        pytest.raises(ConfigError, match="the rig can't be locked"),
-        locked(tmp_path / "no" / "lab.lock.json", "x", print),
-    ):
-        pass
+    refused(tmp_path / "no" / "lab.lock.json", "the rig can't be locked", ConfigError)
 
 
-def test_a_run_is_refused_before_anything_is_opened(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_is_refused_before_anything_is_opened(tmp_path: Path, said: Said) -> None:
     arguments, rig = files(tmp_path, operator="console:"), tmp_path / "rig.toml"
     # nobody is there, and nobody is asked
     urls = iter(["socket://127.0.0.1:9", "tcp://127.0.0.1:9", "recording:frames"])
     text = re.sub('"emulator:"', lambda _: f'"{next(urls)}"', rig.read_text(encoding="utf-8"))
     text = text.replace("[bath]", '[bath]\ncut_out_tested = "2024-03-01"')
-    rig.write_text(
-        text.replace("bath_start_c = 33.0", "").replace("[emulation]", ""), encoding="utf-8"
-    )
+    text = text.replace("bath_start_c = 33.0", "").replace("[emulation]", "")
+    rig.write_text(text, encoding="utf-8")
     first = holder(rig.with_name("rig.lock.json"))
-    assert main(arguments) == 3
-    said = capsys.readouterr().err
-    assert f"rig: another bench has it: pid {first.pid}" in said
+    assert f"rig: another bench has it: pid {first.pid}" in said(3, "{}", arguments).err
     assert not (tmp_path / "runs").exists()
     first.communicate("\n", 60)
 
@@ -146,18 +141,12 @@ def test_on_windows_the_second_is_refused_and_gets_it_afterwards(tmp_path: Path)
             "what a reader of the text reads at once must not touch the locked byte: Windows would"
             " refuse it"
         )
-        with (
-            pytest.raises(RigInUseError, match=f"pid {os.getpid()}.*runs/here"),
-            locked(path, "x", told.append, lock=lock),
-        ):
-            pass
+        refused(path, f"pid {os.getpid()}.*runs/here", lock=lock)
         assert json.loads(path.read_text(encoding="utf-8"))["run"] == "runs/here", (
             "the one that was refused wrote nothing"
         )
     assert system.held == {}
-    with locked(path, "x", told.append, lock=lock):
-        pass
-    assert told == []
+    assert told == taken_over(path, lock=lock) == []
     assert path.read_bytes() == b""
 
 
@@ -176,10 +165,5 @@ def test_a_folder_that_knows_no_locks_is_no_bench_that_has_it(tmp_path: Path) ->
         def locking(self, fd: int, mode: int, nbytes: int, /) -> None:
             raise OSError(errno.ENOLCK, "No locks available")
 
-    lock = WindowsLock(Lockless())
-    why = "the rig can't be locked: No locks available"
-    with (
-        pytest.raises(ConfigError, match=why),
-        locked(tmp_path / "lab.lock.json", "x", print, lock=lock),
-    ):
-        pass
+    why, lock = "the rig can't be locked: No locks available", WindowsLock(Lockless())
+    refused(tmp_path / "lab.lock.json", why, ConfigError, lock=lock)

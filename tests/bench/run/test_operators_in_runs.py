@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,41 +22,39 @@ WILLING = (
 )
 
 
+def answered(folder: Path, answers: str, **more: Any) -> tuple[int, RunRecord]:
+    """A run whose operator is a script of ``answers``."""
+    return run(files(folder, operator="script:answers.txt", answers=answers, **more), folder)
+
+
+def page_of(record: RunRecord) -> str:
+    return (record.folder / "report" / "index.html").read_text(encoding="utf-8")
+
+
 def test_a_skipped_trial_leaves_the_counts_and_is_told_with_its_reason(tmp_path: Path) -> None:
-    answers = WILLING + "touch (trial 2 of 3, teat 3): skip the teat came off\n"
-    code, record = run(files(tmp_path, operator="script:answers.txt", answers=answers), tmp_path)
+    why = "the teat came off"
+    code, record = answered(tmp_path, f"{WILLING}touch (trial 2 of 3, teat 3): skip {why}\n")
     assert code == 0, texts(record, "fault")
     assert [trial.head["number"] for trial in record.trials] == [1, 3]
-    (skipped,) = record.skipped
-    assert (skipped["number"], skipped["situation"], skipped["reason"]) == (
-        2,
-        "ideal",
-        "the teat came off",
-    )
-    assert texts(record, "skipped") == [
-        f"{skipped['trial']}: the operator skipped it: the teat came off"
-    ]
-    page = (record.folder / "report" / "index.html").read_text(encoding="utf-8")
+    (row,) = record.skipped
+    assert (row["number"], row["situation"], row["reason"]) == (2, "ideal", why)
+    assert texts(record, "skipped") == [f"{row['trial']}: the operator skipped it: {why}"]
+    page = page_of(record)
     assert "Deviations from the script" in page
-    assert f"{skipped['trial']} was skipped by the operator: the teat came off" in page
+    assert f"{row['trial']} was skipped by the operator: {why}" in page
     assert "on 2 frame sets of 2 poses" in page
 
 
 def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
     answers = "otherwise homing: go\notherwise set up: skip no phantom here\n"
-    code, record = run(files(tmp_path, operator="script:answers.txt", answers=answers), tmp_path)
-    assert code == 4
-    assert len(record.skipped) == 3
-    assert "All 3 trials were left out, so nothing was scored" in (
-        record.folder / "report" / "index.html"
-    ).read_text(encoding="utf-8")
+    code, record = answered(tmp_path, answers)
+    assert (code, len(record.skipped)) == (4, 3)
+    assert "All 3 trials were left out, so nothing was scored" in page_of(record)
 
 
 def test_a_trial_may_be_done_again_from_its_set_up(tmp_path: Path) -> None:
     answers = WILLING + "touch (trial 2 of 3, teat 3): repeat\nset up (trial 2 of 3): repeat\n"
-    code, record = run(
-        files(tmp_path, operator="script:answers.txt", answers=answers, stage=STAGE), tmp_path
-    )
+    code, record = answered(tmp_path, answers, stage=STAGE)
     assert code == 0, texts(record, "fault")
     assert len(record.trials) == 3
     assert len(texts(record, "repeated")) == 2
@@ -77,15 +76,13 @@ def test_a_trial_may_be_done_again_from_its_set_up(tmp_path: Path) -> None:
 def test_a_script_that_does_not_fit_the_run_faults_it(
     answers: str, words: str, tmp_path: Path
 ) -> None:
-    code, record = run(files(tmp_path, operator="script:answers.txt", answers=answers), tmp_path)
-    assert code == 3
-    assert record.ending == "faulted"
+    code, record = answered(tmp_path, answers)
+    assert (code, record.ending) == (3, "faulted")
     assert words in texts(record, "fault")[0]
 
 
 def test_an_answer_may_abort_the_run(tmp_path: Path) -> None:
-    answers = WILLING + "set up (trial 2 of 3): abort\n"
-    code, record = run(files(tmp_path, operator="script:answers.txt", answers=answers), tmp_path)
+    code, record = answered(tmp_path, f"{WILLING}set up (trial 2 of 3): abort\n")
     assert (code, record.ending, len(record.trials)) == (3, "aborted", 1)
     assert texts(record, "aborted") == ["the operator aborted the run"]
 
@@ -94,12 +91,11 @@ def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path)
     """Under virtual time the wall's passes by a second or two."""
     code, record = run([*files(tmp_path, emulation="prompt_s = 1.0"), "--realtime"], tmp_path)
     assert code in (0, 1, 4)
-    first, last = record.events[0], record.events[-1]
-    wall_s = (
-        datetime.fromisoformat(last["wall_time"]) - datetime.fromisoformat(first["wall_time"])
-    ).total_seconds()
-    assert last["t_s"] - first["t_s"] > 10.0
-    assert wall_s == pytest.approx(last["t_s"] - first["t_s"], abs=2.0)
+    ends = (record.events[0], record.events[-1])
+    bench_s = np.ptp([event["t_s"] for event in ends])
+    wall_s = np.ptp([datetime.fromisoformat(event["wall_time"]).timestamp() for event in ends])
+    assert bench_s > 10.0
+    assert wall_s == pytest.approx(bench_s, abs=2.0)
 
 
 def test_an_interlock_ends_a_prompt_of_the_emulated_operator(tmp_path: Path) -> None:
@@ -116,15 +112,20 @@ def test_an_interlock_ends_a_prompt_of_the_emulated_operator(tmp_path: Path) -> 
 POSES = (PlatePose(12.0, -8.0), PlatePose(-15.0, 0.0, 6.0, float(np.radians(4.0))), PlatePose())
 
 
-def exact_ends(record: RunRecord) -> list[np.ndarray]:
-    """Where the teat ends were in each trial, as the emulated world knows it."""
-    return [
-        np.array([json.loads(row["exact_mm"]) for row in trial.truth]) for trial in record.trials
-    ]
+WANTED = np.array([shipped_phantom("table-5-1").moved(pose).ends_mm for pose in POSES])
 
 
-def wanted_ends() -> list[np.ndarray]:
-    return [shipped_phantom("table-5-1").moved(pose).ends_mm for pose in POSES]
+def exact_ends(record: RunRecord) -> np.ndarray:
+    """Where the teat ends were in each trial (3, 4, 3), as the emulated world knows it."""
+    return np.array(
+        [[json.loads(row["exact_mm"]) for row in trial.truth] for trial in record.trials]
+    )
+
+
+def touched_ends(record: RunRecord) -> np.ndarray:
+    """Where they were touched, in the same shape."""
+    rows = [[[row[f"{a}_mm"] for a in "xyz"] for row in trial.truth] for trial in record.trials]
+    return np.array(rows)
 
 
 def test_without_a_stage_the_emulated_operator_puts_the_plate_where_the_script_says(
@@ -133,27 +134,18 @@ def test_without_a_stage_the_emulated_operator_puts_the_plate_where_the_script_s
     code, record = run(files(tmp_path), tmp_path)
     assert code == 0, texts(record, "fault")
     assert "stage" not in record.facts["identities"]
-    for found, wanted in zip(exact_ends(record), wanted_ends(), strict=True):
-        assert found == pytest.approx(wanted, abs=1e-6)
+    assert exact_ends(record) == pytest.approx(WANTED, abs=1e-6)
 
 
 def test_placement_errors_come_out_in_the_truth_and_not_as_errors_of_it(tmp_path: Path) -> None:
     emulation = "placement_error_mm = 2.0\nplacement_error_deg = 1.0\nhand_error_mm = 0.05"
     code, record = run(files(tmp_path, emulation=emulation), tmp_path)
     assert code == 0, texts(record, "fault")
-    for found, wanted, trial in zip(exact_ends(record), wanted_ends(), record.trials, strict=True):
-        assert 0.1 < np.linalg.norm(found - wanted, axis=1).max() < 20.0
-        touched = np.array([[row[f"{axis}_mm"] for axis in "xyz"] for row in trial.truth])
-        assert np.linalg.norm(touched - found, axis=1).max() < 2.0
-    assert (
-        len(
-            {
-                round(float((f - w)[0, 0]), 6)
-                for f, w in zip(exact_ends(record), wanted_ends(), strict=True)
-            }
-        )
-        == 3
-    )
+    found = exact_ends(record)
+    off = np.linalg.norm(found - WANTED, axis=2).max(axis=1)
+    assert ((off > 0.1) & (off < 20.0)).all()
+    assert np.linalg.norm(touched_ends(record) - found, axis=2).max() < 2.0
+    assert len(set(np.round((found - WANTED)[:, 0, 0], 6))) == 3
 
 
 def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
@@ -165,19 +157,12 @@ def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
         "set up (Move the plate to x -15 mm, y +0 mm, z +6 mm, yaw +4 deg): go\ntouch: go x4\n"
         "set up (x +0 mm, y +0 mm): go\ntouch: go x4\ncheck point: go x2\n"
     )
-    arguments = files(
-        tmp_path, operator="script:answers.txt", check_point=CHECK_POINT, answers=answers
-    )
-    code, record = run(arguments, tmp_path)
+    code, record = answered(tmp_path, answers, check_point=CHECK_POINT)
     assert code == 0, texts(record, "fault")
     assert [row["visible"] for row in record.trials[0].truth] == [1, 0, 1, 0]
-    for found, wanted in zip(exact_ends(record), wanted_ends(), strict=True):
-        assert found == pytest.approx(wanted, abs=1e-6)
-    said = capsys.readouterr().out
-    assert (
-        "[trial 2 of 3, teat 4 of 4; less than a minute left] Touch the end of teat 4 (LF) of 4"
-        in said
-    )
+    assert exact_ends(record) == pytest.approx(WANTED, abs=1e-6)
+    touch = "[trial 2 of 3, teat 4 of 4; less than a minute left] Touch the end of teat 4 (LF) of 4"
+    assert touch in capsys.readouterr().out
     assert record.folder.joinpath("answers.txt").read_text(encoding="utf-8") == answers
 
 
@@ -189,6 +174,4 @@ def test_a_mistake_of_the_hand_is_noticed_and_does_not_get_into_the_truth(
     assert code == 0, texts(record, "fault")
     refused = [row for trial in record.trials for row in trial.touches if row["refused"]]
     assert [(row["trial"], row["teat"]) for row in refused] == [(record.trials[0].id, "2")]
-    for trial, wanted in zip(record.trials, wanted_ends(), strict=True):
-        touched = np.array([[row[f"{axis}_mm"] for axis in "xyz"] for row in trial.truth])
-        assert np.linalg.norm(touched - wanted, axis=1).max() < 2.0
+    assert np.linalg.norm(touched_ends(record) - WANTED, axis=2).max() < 2.0

@@ -12,12 +12,14 @@ import sys
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from io import FileIO
+from itertools import count
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 
-from bench.cli.main import main
+from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import FolderGoneError, Store
@@ -25,9 +27,10 @@ from bench.run.engine import Ending
 from bench.run.events import Events, event_lines
 from instruments.clock import stopwatch_s
 from instruments.operators.emulated import EmulatedOperator
-from instruments.operators.operator import Answer, Arrangement, Request, no_check
+from instruments.operators.operator import Arrangement
+from tests.bench.commands import Said, teatbench
 from tests.bench.killed_runs import Silent, only_run, resume, start
-from tests.bench.operated_runs import files
+from tests.bench.operated_runs import files, texts
 
 FULL = [
     OSError(errno.ENOSPC, "No space left on device"),
@@ -75,14 +78,12 @@ def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
         try:
             assert start(tmp_path, progress=progress)[1] is Ending.FAULTED
         except sqlite3.OperationalError:
-            assert for_good, "what could not be closed cleanly is told by the command"
+            assert for_good, "the command says what could not be closed cleanly"
     run = read_run(only_run(tmp_path, "runs"))
     assert run.ending in ("faulted", "interrupted")
     kept = [trial.id for trial in run.trials]
-    assert any(
-        "the record could not be written" in text and "teatbench resume" in text
-        for text in progress.warned
-    )
+    told = [text for text in progress.warned if "the record could not be written" in text]
+    assert any("teatbench resume" in text for text in told)
     assert resume(tmp_path, "runs")[1] is Ending.FINISHED
     whole = read_run(only_run(tmp_path, "runs"))
     assert [trial.id for trial in whole.trials][: len(kept)] == kept
@@ -101,6 +102,9 @@ def replaced(run: Path) -> None:
 def another_database(run: Path) -> None:
     (run / DATABASE).rename(run / "old.sqlite")
     shutil.copy(run / "old.sqlite", run / DATABASE)
+
+
+ASK = EmulatedOperator.ask
 
 
 class Tampering(Silent):
@@ -133,46 +137,36 @@ class Tampering(Silent):
 )
 @pytest.mark.parametrize(("at", "touched"), [("trial", 1), ("capturing", 2)])
 def test_a_folder_that_is_gone_is_noticed_in_the_trial_in_which_it_went(
-    what: Callable[[Path], object],
-    at: str,
-    touched: int,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    what: Callable[[Path], object], at: str, touched: int, tmp_path: Path
 ) -> None:
     """Not at the end: SQLite goes on writing into a file that has no name any more."""
     files(tmp_path)
-    asked, ask = [], EmulatedOperator.ask
-
-    def counted(
-        operator: EmulatedOperator, request: Request, check: Callable[[], None] = no_check
-    ) -> Answer:
-        if isinstance(request, Arrangement):
-            asked.append(request)
-        return ask(operator, request, check)
-
-    monkeypatch.setattr(EmulatedOperator, "ask", counted)
-    progress = Tampering(what, tmp_path, at)
-    with pytest.raises(
-        FolderGoneError, match=r"was deleted, moved or replaced: .* teatbench resume"
+    progress, why = (
+        Tampering(what, tmp_path, at),
+        "was deleted, moved or replaced: .* teatbench resume",
+    )
+    with (
+        patch.object(EmulatedOperator, "ask", autospec=True, side_effect=ASK) as ask,
+        pytest.raises(FolderGoneError, match=why),
     ):
         start(tmp_path, progress=progress)
+    asked = [call for call in ask.call_args_list if isinstance(call.args[1], Arrangement)]
     assert len(asked) == touched, "nobody sets up a trial that can't be kept"
     if what is shutil.rmtree:
         assert not list((tmp_path / "runs").glob("*/frames")), "the folder isn't made anew"
 
 
 def test_a_folder_that_is_gone_is_told_by_the_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
 ) -> None:
-    arguments, own = files(tmp_path), Store.frames
+    own = Store.frames
 
     def gone(store: Store, *given: Any, **more: Any) -> Any:
         store._place = ()  # as if it were another one
         return own(store, *given, **more)
 
     monkeypatch.setattr(Store, "frames", gone)
-    assert main(arguments) == 3
-    told = capsys.readouterr().err
+    told = said(3, "{}", files(tmp_path)).err
     assert "was deleted, moved or replaced" in told
     assert "disk full" not in told
     run = read_run(only_run(tmp_path, "runs"))
@@ -181,16 +175,13 @@ def test_a_folder_that_is_gone_is_told_by_the_command(
 
 
 def test_a_folder_that_may_not_be_written_is_told_before_anything_is_opened(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
 ) -> None:
-    arguments = files(tmp_path)
-
     def refused(*_: Any, **__: Any) -> Any:
         raise OSError(errno.EROFS, "Read-only file system")
 
     monkeypatch.setattr(Store, "create", refused)
-    assert main(arguments) == 2
-    assert "a run can't be kept in" in capsys.readouterr().err
+    assert "a run can't be kept in" in said(2, "{}", files(tmp_path)).err
 
 
 @pytest.mark.parametrize("by_s", [-3600.0, 86400.0])
@@ -198,17 +189,16 @@ def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
     by_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     files(tmp_path)
-    looks = {"n": 0}
+    looks = count(1)
 
     def stepping() -> datetime:
-        looks["n"] += 1
-        return datetime.now(UTC) + (timedelta(seconds=by_s) if looks["n"] > 12 else timedelta())
+        return datetime.now(UTC) + (next(looks) > 12) * timedelta(seconds=by_s)
 
     monkeypatch.setattr("bench.run.context.wall_time", stepping)
     folder, ending = start(tmp_path)
     run = read_run(folder)
     assert (ending, len(run.trials)) == (Ending.FINISHED, 3)
-    (told,) = [event["text"] for event in run.events if event["kind"] == "clock"]
+    (told,) = texts(run, "clock")
     assert told.startswith(f"the computer's clock was set {by_s:+.0f} s")
     times = [event["t_s"] for event in run.events if event["t_s"] is not None]
     assert times == sorted(times), "the bench's own time goes on"
@@ -232,22 +222,18 @@ def test_a_busy_computer_is_no_clock_that_is_set(
     monkeypatch.setattr("bench.run.context.stopwatch_s", lambda: stopwatch_s() + asleep_s)
     run = read_run(start(tmp_path)[0])
     assert looks > 12
-    assert [event["text"] for event in run.events if event["kind"] == "clock"] == []
+    assert texts(run, "clock") == []
 
 
 def test_events_as_lines_and_each_is_json(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
-    assert main([*files(tmp_path), "--events", str(path)]) in (0, 1, 4)
-    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    assert teatbench("{} --events {}", files(tmp_path), path) in (0, 1, 4)
+    lines = list(map(json.loads, path.read_bytes().splitlines()))
     assert {line["what"] for line in lines} == {"doing", "trial", "asked", "event"}
     states = [line["text"] for line in lines if line.get("kind") == "run state"]
     assert states == ["preparing", "settling", "running", "safing", "finished"]
-    assert [line["name"] for line in lines if line["what"] == "trial"] == [
-        "place-1",
-        "place-2",
-        "place-3",
-        "",
-    ]
+    trials = [line["name"] for line in lines if line["what"] == "trial"]
+    assert trials == ["place-1", "place-2", "place-3", ""]
     record = [event["text"] for event in read_run(only_run(tmp_path, "runs")).events]
     assert [line["text"] for line in lines if line["what"] == "event"] == record, (
         "what is told is on record"
@@ -255,29 +241,16 @@ def test_events_as_lines_and_each_is_json(tmp_path: Path) -> None:
     assert any("bath" in line for line in lines if line["what"] == "doing")
 
 
-class Broken(Silent):
-    """A screen that fails at everything but warnings."""
-
-    def state(self, text: str) -> None:
-        raise RuntimeError("the plot has a bug")
-
-    def trial(self, done: int, total: int, name: str) -> None:
-        raise RuntimeError("the plot has a bug")
-
-
-def test_nothing_that_only_watches_can_end_a_run(tmp_path: Path) -> None:
+def test_a_file_for_lines_that_fails_can_not_end_a_run(tmp_path: Path) -> None:
     files(tmp_path)
-    assert start(tmp_path, progress=Broken())[1] is Ending.FINISHED
     with FileIO(tmp_path / "e", "a") as closed:
         pass
     shown = Silent()
-    assert start(tmp_path, "again", Events(shown, closed))[1] is Ending.FINISHED
+    assert start(tmp_path, progress=Events(shown, closed))[1] is Ending.FINISHED
     assert len(shown.warned) == 1, "it is told once"
     assert "--events: no further lines" in shown.warned[0]
 
 
 def test_a_file_for_lines_that_cannot_be_opened_is_wrong_use(tmp_path: Path) -> None:
-    from bench.config import ConfigError
-
     with pytest.raises(ConfigError, match="it can't be opened"), event_lines(tmp_path / "no" / "e"):
         pass

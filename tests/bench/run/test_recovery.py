@@ -27,45 +27,40 @@ from instruments.microscribe.errors import AnotherArmError, SilentArmError
 from instruments.stage.driver import Stage
 from tests.bench.fault_catalogue import Bringer, known_to
 from tests.bench.killed_runs import Silent, start
-from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, run, texts
+from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, run, run_of, texts
 
 TRIALS = ["001-place-1-1", "002-place-2-1", "003-place-3-1"]
 
 
-def faulty(
-    folder: Path, fault: str, *, more: str = "", prompt_s: float = 5.0
-) -> tuple[int, RunRecord]:
-    emulation = f"prompt_s = {prompt_s}\n[[emulation.faults]]\n{fault}\n{more}"
+def fault(instrument: str, name: str, at_s: float, for_s: float | None = None) -> str:
+    """The emulation with prompts of 5 s and this fault."""
+    lasts = "" if for_s is None else f"for_s = {for_s}\n"
+    whose = f'instrument = "{instrument}"\nname = "{name}"'
+    return f"prompt_s = 5.0\n[[emulation.faults]]\n{whose}\nat_s = {at_s}\n{lasts}"
+
+
+def faulty(folder: Path, emulation: str) -> tuple[int, RunRecord]:
     return run(files(folder, stage=STAGE, emulation=emulation), folder)
 
 
 @pytest.mark.parametrize(
-    ("fault", "instrument"),
+    ("instrument", "name", "at_s", "for_s"),
     [
-        ('instrument = "arm"\nname = "power loss"\nat_s = 60.0\nfor_s = 40.0', "arm"),
-        ('instrument = "arm"\nname = "silent"\nat_s = 60.0\nfor_s = 20.0', "arm"),
-        ('instrument = "stage"\nname = "silent"\nat_s = 45.0\nfor_s = 30.0', "stage"),
-        ('instrument = "stage"\nname = "disconnect"\nat_s = 45.0\nfor_s = 30.0', "stage"),
-        ('instrument = "cameras"\nname = "dropped"\nat_s = 30.0\nfor_s = 30.0', "cameras"),
-    ],
-    ids=[
-        "arm without power",
-        "arm silent",
-        "stage silent",
-        "stage unplugged",
-        "camera without frames",
+        ("arm", "power loss", 60.0, 40.0),
+        ("arm", "silent", 60.0, 20.0),
+        ("stage", "silent", 45.0, 30.0),
+        ("stage", "disconnect", 45.0, 30.0),
+        ("cameras", "dropped", 30.0, 30.0),
     ],
 )
 def test_it_goes_on_when_the_instrument_is_back(
-    fault: str, instrument: str, tmp_path: Path
+    instrument: str, name: str, at_s: float, for_s: float, tmp_path: Path
 ) -> None:
-    _, record = faulty(tmp_path, fault)
+    _, record = faulty(tmp_path, fault(instrument, name, at_s, for_s))
     assert record.ending == "finished", texts(record, "fault")
     assert [trial.id for trial in record.trials] == TRIALS
-    assert any(
-        f"the {instrument} {'are' if instrument == 'cameras' else 'is'} back after" in text
-        for text in texts(record, "back")
-    )
+    are = "are" if instrument == "cameras" else "is"
+    assert any(f"the {instrument} {are} back after" in text for text in texts(record, "back"))
     states = texts(record, EVENT)
     assert states[states.index("paused") + 1] == "running"
     assert sum(record.facts["retries"].values()) >= 1
@@ -88,44 +83,28 @@ class Gives(Silent):
         return words
 
 
-def given(words: str, folder: Path, fault: str) -> RunRecord:
+def given(words: str, folder: Path, emulation: str) -> RunRecord:
     """A run whose operator types ``words`` while an instrument is away."""
-    files(
-        folder,
-        stage=STAGE,
-        check_point=CHECK_POINT,
-        emulation=f"prompt_s = 5.0\n[[emulation.faults]]\n{fault}",
-    )
-    rig, progress = load_rig(folder / "rig.toml"), Gives(words)
-    return read_run(
-        run_script(
-            rig,
-            load_script(folder / "script.toml"),
-            folder / "runs",
-            progress,
-            RunOptions(typed=progress.typed),
-        )[0]
-    )
+    files(folder, stage=STAGE, check_point=CHECK_POINT, emulation=emulation)
+    rig, script = load_rig(folder / "rig.toml"), load_script(folder / "script.toml")
+    person = Gives(words)
+    run_script(rig, script, folder / "runs", person, RunOptions(typed=person.typed))
+    return run_of(folder)
 
 
 def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path: Path) -> None:
     """The stage comes back without its place: no trial may move it before it has homed."""
-    record = given(
-        "skip it is gone",
-        tmp_path,
-        'instrument = "stage"\nname = "silent"\nat_s = 55.0\nfor_s = 60.0',
-    )
+    record = given("skip it is gone", tmp_path, fault("stage", "silent", 55.0, 60.0))
     assert record.ending == "finished", texts(record, "fault")
-    assert [row["reason"] for row in record.skipped] == ["it is gone"]
-    assert [trial.id for trial in record.trials] == [
-        name for name in TRIALS if name != record.skipped[0]["trial"]
-    ]
+    (skipped,) = record.skipped
+    assert skipped["reason"] == "it is gone"
+    assert [trial.id for trial in record.trials] == [t for t in TRIALS if t != skipped["trial"]]
     assert [text.endswith("(still away)") for text in texts(record, "dropped out")] == [False, True]
     assert len(texts(record, "back")) == 1
 
 
 def test_an_abort_is_heard_while_preparing_waits_for_an_instrument(tmp_path: Path) -> None:
-    record = given("abort", tmp_path, 'instrument = "arm"\nname = "silent"\nat_s = 0.1')
+    record = given("abort", tmp_path, fault("arm", "silent", 0.1))
     assert (record.ending, len(record.trials)) == ("aborted", 0)
     assert texts(record, EVENT) == ["preparing", "paused", "safing", "aborted"]
 
@@ -143,9 +122,8 @@ def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Pat
     with known_to(bringer):
         record = read_run(start(tmp_path, progress=bringer)[0])
     assert record.ending == "finished", texts(record, "fault")
-    assert texts(record, "back")[0].endswith(
-        "done again from its start: the arm check after the trials"
-    )
+    again = "done again from its start: the arm check after the trials"
+    assert texts(record, "back")[0].endswith(again)
     assert "arm check after" in record.facts
 
 
@@ -153,16 +131,10 @@ def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The trip comes while the stage is connected anew: nothing may move from then on."""
-    fault = '[[emulation.faults]]\ninstrument = "stage"\nname = "silent"\nat_s = 45.0\nfor_s = 30.0'
-    files(tmp_path, stage=STAGE, emulation=f"prompt_s = 5.0\n{fault}")
+    files(tmp_path, stage=STAGE, emulation=fault("stage", "silent", 45.0, 30.0))
     low_level = Bringer("", EmulatedFault(instrument="bath", name="low level", for_s=600.0))
-    reconnect, home, wait, contexts, homings = (
-        Stage.reconnect,
-        Stage.home,
-        RunContext.wait,
-        list[RunContext](),
-        list[bool](),
-    )
+    reconnect, home, wait = Stage.reconnect, Stage.home, RunContext.wait
+    contexts, homings = list[RunContext](), list[bool]()
 
     def noted(ctx: RunContext, seconds: float) -> None:
         contexts.append(ctx)
@@ -217,22 +189,17 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
 
 
 def test_one_that_stays_away_ends_the_run_after_the_rigs_patience(tmp_path: Path) -> None:
-    code, record = faulty(
-        tmp_path,
-        'instrument = "arm"\nname = "power loss"\nat_s = 60.0',
-        more="[limits]\naway_s = 90.0",
-    )
+    lost = fault("arm", "power loss", 60.0)
+    code, record = faulty(tmp_path, f"{lost}[limits]\naway_s = 90.0")
     assert (code, record.ending) == (3, "faulted")
-    (paused,) = [
-        event for event in record.events if (event["kind"], event["text"]) == (EVENT, "paused")
-    ]
-    (given_up,) = [event for event in record.events if event["kind"] == "given up"]
-    assert 90.0 <= given_up["t_s"] - paused["t_s"] <= 110.0
+    (paused_s,) = [e["t_s"] for e in record.events if (e["kind"], e["text"]) == (EVENT, "paused")]
+    (given_up_s,) = [event["t_s"] for event in record.events if event["kind"] == "given up"]
+    assert 90.0 <= given_up_s - paused_s <= 110.0
     assert texts(record, EVENT)[-2:] == ["safing", "faulted"]
 
 
 @pytest.mark.parametrize(
-    ("fault", "kind"),
+    ("raised", "kind"),
     [
         (LinkError("arm at COM5", "gone"), ("arm", GONE)),
         (DeviceError("cameras", "no usable frame set"), ("cameras", REFUSES)),
@@ -241,18 +208,18 @@ def test_one_that_stays_away_ends_the_run_after_the_rigs_patience(tmp_path: Path
     ids=str,
 )
 def test_one_that_fails_again_each_time_it_is_back_ends_the_run_after_the_tables_tries(
-    fault: InstrumentError, kind: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    raised: InstrumentError, kind: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tries: list[str] = []
 
     def fails(_: TrialRun, trial: PlannedTrial) -> None:
         tries.append(trial.id)
-        raise fault
+        raise raised
 
     files(tmp_path, stage=STAGE)
     monkeypatch.setattr(TrialRun, "run", fails)
     record = read_run(start(tmp_path)[0])
-    assert (record.ending, texts(record, "fault")) == ("faulted", [str(fault)])
+    assert (record.ending, texts(record, "fault")) == ("faulted", [str(raised)])
     times = POLICIES[kind].times
     assert tries == [TRIALS[0]] * (1 + times)
     assert len(texts(record, "dropped out")) == len(texts(record, "back")) == times
@@ -262,8 +229,8 @@ def test_one_that_fails_again_each_time_it_is_back_ends_the_run_after_the_tables
 
 
 def test_a_rig_without_patience_ends_at_once(tmp_path: Path) -> None:
-    fault = 'instrument = "arm"\nname = "power loss"\nat_s = 60.0\nfor_s = 40.0'
-    code, record = faulty(tmp_path, fault, more="[limits]\naway_s = 0")
+    lost = fault("arm", "power loss", 60.0, 40.0)
+    code, record = faulty(tmp_path, f"{lost}[limits]\naway_s = 0")
     assert (code, record.ending) == (3, "faulted")
     assert not texts(record, "back")
 
@@ -285,40 +252,31 @@ def test_what_a_fault_is_and_whose() -> None:
         (ProtocolError("answers.txt", "an answer out of place"), None),
         (DeviceError("truth", "no"), None),
     ]
-    for fault, key in cases:
-        assert policy_for(fault) is (None if key is None else POLICIES[key]), fault
+    for case, key in cases:
+        assert policy_for(case) is (None if key is None else POLICIES[key]), case
     assert instrument_of(LinkError("guardian", "gone")) is None
 
 
-FAULT = """prompt_s = 120.0
-[[emulation.faults]]
-instrument = "bath"
-name = "dead heater"
-at_s = 855.0
-for_s = 105.0"""
+# a bath that leaves its band at once when its heater is dead for a while
+NARROW = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean_k = 0.03")
 
 
 def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) -> None:
-    script = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean_k = 0.03")
-    code, record = run(files(tmp_path, script=script, emulation=FAULT), tmp_path)
+    dead = fault("bath", "dead heater", 855.0, 105.0).replace("prompt_s = 5.0", "prompt_s = 120.0")
+    code, record = run(files(tmp_path, script=NARROW, emulation=dead), tmp_path)
     assert (code, record.ending, len(record.trials)) == (0, "finished", 3)
-    told = [event for event in record.events if event["kind"] == "suspended"]
-    assert told, [(event["t_s"], event["kind"], event["text"]) for event in record.events]
-    assert "the bath left its band" in told[0]["text"]
-    late = [trial for trial in record.trials if trial.head["note"]]
-    assert [trial.id for trial in late] == [told[0]["text"].split(":")[0]]
-    assert str(late[0].head["note"]).startswith("suspended for ")
+    told = texts(record, "suspended")[0]
+    assert "the bath left its band" in told
+    (late,) = [trial for trial in record.trials if trial.head["note"]]
+    assert late.id == told.split(":")[0]
+    assert str(late.head["note"]).startswith("suspended for ")
     assert all(trial.head["bath_state"] == "stable" for trial in record.trials), (
         "nothing was taken while it was out"
     )
-    states = [event["text"] for event in record.events if event["kind"] == EVENT]
-    assert states[2:5] == ["running", "settling", "running"]
-    assert latency_of(record, "thesis").median_s is not None
-    assert (
-        max(latency_of(record, "thesis").seconds)
-        < 60.0
-        <= late[0].head["ended_s"] - late[0].head["started_s"]
-    )
+    assert texts(record, EVENT)[2:5] == ["running", "settling", "running"]
+    latency = latency_of(record, "thesis")
+    assert latency.median_s is not None
+    assert max(latency.seconds) < 60.0 <= late.head["ended_s"] - late.head["started_s"]
 
 
 def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and_nothing_else(
@@ -327,12 +285,8 @@ def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and
     """It was in its band when the cameras were asked: what they gave later is of a bath that
     wasn't, and no detector's fault.
     """
-    take, wait, waiting, taken = (
-        FrameTaker.take,
-        RunContext.wait,
-        list[RunContext](),
-        list[FrameSet](),
-    )
+    take, wait = FrameTaker.take, RunContext.wait
+    waiting, taken = list[RunContext](), list[FrameSet]()
 
     def late(taker: FrameTaker) -> FrameSet:
         if not taken:
@@ -346,13 +300,10 @@ def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and
 
     monkeypatch.setattr(FrameTaker, "take", late)
     monkeypatch.setattr(RunContext, "wait", noted)
-    script = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean_k = 0.03")
-    fault = FAULT.replace("prompt_s = 120.0", "").replace("at_s = 855.0", "at_s = 100.0")
-    code, record = run(files(tmp_path, script=script, emulation=fault), tmp_path)
+    dead = fault("bath", "dead heater", 100.0, 105.0).removeprefix("prompt_s = 5.0\n")
+    code, record = run(files(tmp_path, script=NARROW, emulation=dead), tmp_path)
     assert (code, record.ending) == (0, "finished")
-    assert [
-        event["text"].split(":")[0] for event in record.events if event["kind"] == "suspended"
-    ] == ["001-place-1-1"]
+    assert [text.split(":")[0] for text in texts(record, "suspended")] == [TRIALS[0]]
     assert [trial.head["bath_state"] for trial in record.trials] == ["stable"] * 3
     assert len(taken) == 4, "the first trial's are taken again"
     assert len(record.trials[0].frames) == len(record.trials[1].frames)

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
 from bench.cli.run import typed_lines
 from bench.config import ConfigError
-from bench.record.reader import RunRecord, read_run
+from bench.record.reader import RunRecord
 from bench.rig.loading import load_rig
 from bench.run.requests import FILE, Requests, leave_wish, read_wish, was_taken
 from bench.run.start import RunOptions, run_script
@@ -20,8 +19,9 @@ from bench.script.model import load_script
 from instruments.clock import VirtualClock
 from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip
 from tests.bench.calibrate.arm_terminal import at_terminal
+from tests.bench.commands import Said
 from tests.bench.killed_runs import Silent, only_run
-from tests.bench.operated_runs import files
+from tests.bench.operated_runs import files, run_of, texts
 
 
 class Person(Silent):
@@ -46,15 +46,9 @@ class Person(Silent):
 
 def run_with(person: Person, folder: Path) -> RunRecord:
     files(folder, emulation="prompt_s = 5.0")
-    rig = load_rig(folder / "rig.toml")
-    out, _ = run_script(
-        rig,
-        load_script(folder / "script.toml"),
-        folder / "runs",
-        person,
-        RunOptions(typed=person.typed),
-    )
-    return read_run(out)
+    rig, script = load_rig(folder / "rig.toml"), load_script(folder / "script.toml")
+    run_script(rig, script, folder / "runs", person, RunOptions(typed=person.typed))
+    return run_of(folder)
 
 
 def test_a_pause_lasts_until_somebody_says_to_go_on(tmp_path: Path) -> None:
@@ -76,26 +70,19 @@ def test_while_it_is_paused_the_line_says_so_and_a_trial_that_is_not_there_canno
     assert (run.ending, len(run.trials), len(run.skipped)) == ("finished", 3, 0)
     assert any("paused, as asked" in text for text in person.states)
     assert person.warned[0] == "The run pauses before its next trial."
-    assert [
-        text for text in person.warned if text.startswith("No trial is in flight just now")
-    ] == [
-        "No trial is in flight just now, so nothing is done about: skip it leaks",
-        "No trial is in flight just now, so nothing is done about: repeat it moved",
+    none = "No trial is in flight just now"
+    assert [text for text in person.warned if text.startswith(none)] == [
+        f"{none}, so nothing is done about: skip it leaks",
+        f"{none}, so nothing is done about: repeat it moved",
     ]
 
 
 def test_a_trial_is_repeated_whole_and_another_skipped_each_with_its_reason(tmp_path: Path) -> None:
-    run = run_with(
-        Person(
-            "place-2", ["", "repeat the plate was touched", "", "", "", "", "", "skip it leaks"]
-        ),
-        tmp_path,
-    )
+    lines = ["", "repeat the plate was touched", *[""] * 5, "skip it leaks"]
+    run = run_with(Person("place-2", lines), tmp_path)
     assert run.ending == "finished"
-    told = {event["kind"]: event["text"] for event in run.events}
-    assert told["repeated"].endswith(
-        "the operator asked for it again from its set-up: the plate was touched"
-    )
+    again = "the operator asked for it again from its set-up: the plate was touched"
+    assert texts(run, "repeated")[-1].endswith(again)
     assert [row["reason"] for row in run.skipped] == ["it leaks"]
     assert len(run.trials) == 2
 
@@ -107,17 +94,13 @@ def test_an_abort_is_heard_before_the_first_trial_too(tmp_path: Path) -> None:
 
     run = run_with(Impatient("", ["", "", "abort"]), tmp_path)
     assert (run.ending, len(run.trials)) == ("aborted", 0)
-    assert [event["text"] for event in run.events if event["kind"] == EVENT] == [
-        "preparing",
-        "safing",
-        "aborted",
-    ]
+    assert texts(run, EVENT) == ["preparing", "safing", "aborted"]
 
 
 def test_an_abort_goes_to_safe(tmp_path: Path) -> None:
     run = run_with(Person("place-2", ["abort"]), tmp_path)
     assert run.ending == "aborted"
-    assert any(event["text"] == "bath is safe" for event in run.events)
+    assert "bath is safe" in texts(run, "safe")
 
 
 def test_a_wish_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
@@ -151,22 +134,12 @@ def test_what_was_left_for_a_bench_that_died_counts_no_more(tmp_path: Path) -> N
     assert len(told) == 1
 
 
-@pytest.mark.parametrize(
-    ("words", "meant"),
-    [
-        ("P", ("pause", "")),
-        ("go", ("go on", "")),
-        ("s  a  b", ("skip", "a b")),
-        ("a", ("abort", "")),
-    ],
-)
-def test_words(words: str, meant: tuple[str, str]) -> None:
-    assert read_wish(words) == meant
+def test_words() -> None:
+    meant = [("pause", ""), ("go on", ""), ("skip", "a b"), ("abort", "")]
+    assert [read_wish(words) for words in ("P", "go", "s  a  b", "a")] == meant
 
 
-def test_words_that_mean_nothing_are_told_and_change_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_words_that_mean_nothing_are_told_and_change_nothing(tmp_path: Path, said: Said) -> None:
     told: list[str] = []
     lines = ["hallo", "skip"]
     wishes = Requests(tmp_path, lambda: lines.pop(0), told.append)
@@ -176,16 +149,18 @@ def test_words_that_mean_nothing_are_told_and_change_nothing(
     assert told[1].startswith("skip needs a reason")
     with pytest.raises(ConfigError, match="repeat needs a reason"):
         leave_wish(tmp_path, "repeat")
-    ended = read_run(run_with(Person("", []), tmp_path).folder)
-    assert main(["tell", str(ended.folder), "pause"]) == 2
-    assert "has ended (finished)" in capsys.readouterr().out
+    ended = run_with(Person("", []), tmp_path).folder
+    assert "has ended (finished)" in said(2, "tell {} pause", ended).out
 
 
-@pytest.mark.skipif(
+TERMINAL = pytest.mark.skipif(
     sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not"
 )
+
+
+@TERMINAL
 def test_a_run_that_waits_at_a_prompt_hears_what_another_terminal_says(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, said: Said
 ) -> None:
     with at_terminal(files(tmp_path, operator="console:")) as terminal:
         terminal.expect("on its peg")
@@ -193,22 +168,19 @@ def test_a_run_that_waits_at_a_prompt_hears_what_another_terminal_says(
         terminal.type("")
         terminal.expect("[trial 1 of 3")
         terminal.expect("abort the run): ")
-        run = str(only_run(tmp_path, "runs"))
-        assert main(["control", run, "skip", "the", "hose", "leaks"]) == 0
-        assert "taken" in capsys.readouterr().out
+        run = only_run(tmp_path, "runs")
+        assert "taken" in said(0, "control {} skip the hose leaks", run).out
         terminal.expect("As told: skip the hose leaks")
         terminal.expect("[trial 2 of 3")
         terminal.expect("abort the run): ")
-        assert main(["tell", run, "abort"]) == 0
+        said(0, "tell {} abort", run)
         assert terminal.code() == 3
-    record = read_run(Path(run))
+    record = run_of(tmp_path)
     assert record.ending == "aborted"
     assert [row["reason"] for row in record.skipped] == ["the hose leaks"]
 
 
-@pytest.mark.skipif(
-    sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not"
-)
+@TERMINAL
 def test_a_bench_in_the_background_reads_nothing_of_what_is_typed_to_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

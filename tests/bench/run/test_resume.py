@@ -1,26 +1,39 @@
 """`teatbench resume` after any death: the run goes on at its first trial without a result, and ends
-as if nothing had been.
+as if nothing had been; on a rig whose world died with the bench or went on without it, with a truth
+that is touched or carried, and with ``--record``.
 """
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bench.cli.main import main
 from bench.config import ConfigError
-from bench.record.reader import read_run
+from bench.record.check import check_run
+from bench.record.reader import RunRecord, read_run
+from bench.record.writer import Store
+from bench.rig.loading import load_rig
 from bench.run.engine import Ending
 from bench.run.lock import locked, run_lock
+from bench.run.recordings import RECORDED, Recorder
 from bench.run.resume import what_is_left
+from bench.run.start import RunOptions, run_script
 from bench.run.states import EVENT
 from bench.run.trial import TrialRun
 from bench.script.model import load_script
+from bench.truth.carrying import REFERENCE_FACT, CarriedTruth
+from instruments.camera.recording import Recording, RecordingWriter
+from tests.bench.commands import Said
 from tests.bench.killed_runs import (
     Silent,
     killed_at,
@@ -31,46 +44,63 @@ from tests.bench.killed_runs import (
     start,
     steps_of,
 )
-from tests.bench.operated_runs import CHECK_POINT, STAGE, files
+from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, texts
 from tests.conftest import ROOT
 
 if sys.platform == "win32":
     pytest.skip("forks benches, and kills them", allow_module_level=True)
 
-KILLS = int(os.environ.get("TEATBENCH_KILLS", "2"))
+KILLS = os.environ.get("TEATBENCH_KILLS")
+TOUCHED_KILLS, CARRIED_KILLS = int(KILLS or 2), int(KILLS or 1)
+FIRST, SECOND, THIRD = TRIALS = ["001-place-1-1", "002-place-2-1", "003-place-3-1"]
+
+
+def carry(more: str = "") -> str:
+    """The script with a truth that the stage carries, and ``more`` keys about that."""
+    truth = f'[truth]\nmode = "carry"\nregistration = "first"\n{more}\n[[requirements]]'
+    script = SCRIPT.replace(", z_mm = 6.0, yaw_deg = 4.0", "")
+    return script.replace("[[requirements]]", truth, 1)
+
+
+def equal_after_resuming(folder: Path, out: str, why: str = "") -> None:
+    """As the undisturbed run in ``whole``."""
+    assert resume(folder, out)[1] is Ending.FINISHED, why
+    assert results(only_run(folder, out)) == results(only_run(folder, "whole")), why
+
+
+def killed_at_random(folder: Path, steps: int, seed: int, kills: int) -> None:
+    for number, step in enumerate(np.random.default_rng(seed).integers(1, steps, kills).tolist()):
+        out = f"killed-{number}"
+        assert killed_at(step, partial(start, folder, out)), step
+        if (folder / out).is_dir():  # else killed before there was a run at all
+            equal_after_resuming(folder, out, f"killed at step {step} of {steps}")
 
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     """The folder of a whole run in ``whole``, and how many steps its clock made."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    files(
-        folder,
-        stage=STAGE,
-        check_point=CHECK_POINT,
-        touches=2,
-        emulation="placement_error_mm = 1.0\nprompt_s = 2.0",
-    )
+    emulation = "placement_error_mm = 1.0\nprompt_s = 2.0"
+    files(folder, stage=STAGE, check_point=CHECK_POINT, touches=2, emulation=emulation)
     return folder, steps_of(lambda: start(folder, "whole"))
 
 
-@pytest.mark.timeout(max(120, 60 * KILLS))
+@pytest.mark.timeout(max(120, 60 * TOUCHED_KILLS))
 def test_killed_at_random_moments_and_resumed_equals_undisturbed(
     undisturbed: tuple[Path, int],
 ) -> None:
     folder, steps = undisturbed
     wanted = results(only_run(folder, "whole"))
-    assert all(
-        wanted[table]
-        for table in ("trials", "frames", "touches", "truth", "detections", "scores", "bath")
-    )
-    for number, step in enumerate(np.random.default_rng(9).integers(1, steps, KILLS).tolist()):
-        out = f"killed-{number}"
-        assert killed_at(step, lambda out=out: start(folder, out)), step  # type: ignore[misc]
-        if not (folder / out).is_dir():
-            continue  # before there was a run at all
-        assert resume(folder, out)[1] is Ending.FINISHED, step
-        assert results(only_run(folder, out)) == wanted, f"killed at step {step} of {steps}"
+    tables = ("trials", "frames", "touches", "truth", "detections", "scores", "bath")
+    assert all(wanted[table] for table in tables)
+    killed_at_random(folder, steps, 9, TOUCHED_KILLS)
+
+
+@pytest.mark.timeout(max(120, 60 * CARRIED_KILLS))
+def test_killed_at_random_moments_with_a_carried_truth_equals_undisturbed(tmp_path: Path) -> None:
+    files(tmp_path, stage=STAGE, script=carry("check_every = 1\n"))
+    steps = steps_of(lambda: start(tmp_path, "whole"))
+    killed_at_random(tmp_path, steps, 14, CARRIED_KILLS)
 
 
 def test_two_runs_with_one_seed_are_the_same_but_for_real_time(
@@ -80,14 +110,10 @@ def test_two_runs_with_one_seed_are_the_same_but_for_real_time(
     start(folder, "twin")
     one, other = (read_run(only_run(folder, out)) for out in ("whole", "twin"))
     assert results(one.folder) == results(other.folder)
-    assert [(e["t_s"], e["kind"], e["text"]) for e in one.events] == [
-        (e["t_s"], e["kind"], e["text"]) for e in other.events
-    ]
-    for trial in one.trials:
-        for frame in trial.frames:
-            assert (one.folder / frame["path"]).read_bytes() == (
-                other.folder / frame["path"]
-            ).read_bytes()
+    first, second = ([(e["t_s"], e["kind"], e["text"]) for e in run.events] for run in (one, other))
+    assert first == second
+    for path in (frame["path"] for trial in one.trials for frame in trial.frames):
+        assert (one.folder / path).read_bytes() == (other.folder / path).read_bytes()
     assert one.head is not None
     assert other.head is not None
     assert one.head.digest == other.head.digest, "the chain without real time"
@@ -105,11 +131,9 @@ def test_killed_twice_on_its_way_and_once_while_it_catches_up(
     assert results(run.folder) == results(only_run(folder, "whole"))
     assert not progress.warned
     assert len(run.facts["deaths"]) == 1, "the death amid catching up is no trial's"
-    assert [event["text"] for event in run.events if event["kind"] == "resumed"] == [
-        (
-            f"session 3 goes on after {len(run.trials) - 1} trials, gone through again on the emulated"
-            " rig: 2 with the same touches"
-        )
+    again = "gone through again on the emulated rig: 2 with the same touches"
+    assert texts(run, "resumed") == [
+        f"session 3 goes on after {len(run.trials) - 1} trials, {again}"
     ]
 
 
@@ -117,82 +141,268 @@ def test_a_trial_that_killed_the_bench_twice_is_skipped_and_reported(
     undisturbed: tuple[Path, int],
 ) -> None:
     folder, _ = undisturbed
-    poison = "002-place-2-1"
-    for begin in (start, resume, resume):
-        killed = killed_while(
-            f"'{poison}'",
-            "_store_trial",
-            TrialRun,
-            lambda begin=begin: begin(folder, "poison"),  # type: ignore[misc]
-        )
-        assert killed is (
-            begin is start or len(read_run(only_run(folder, "poison")).facts.get("deaths", {})) < 2
-        )
+    for begin, deaths in ((start, 0), (resume, 1), (resume, 2)):
+        work = partial(begin, folder, "poison")
+        assert killed_while(f"'{SECOND}'", "_store_trial", TrialRun, work) is (deaths < 2)
     run = read_run(only_run(folder, "poison"))
     assert run.ending == "finished"
-    assert [trial.id for trial in run.trials] == ["001-place-1-1", "003-place-3-1"]
+    assert [trial.id for trial in run.trials] == [FIRST, THIRD]
     assert [(row["trial"], row["reason"]) for row in run.skipped] == [
-        (poison, "the bench died in it 2 times, and doesn't try it again")
+        (SECOND, "the bench died in it 2 times, and doesn't try it again")
     ]
     assert main(["report", str(run.folder)]) in (0, 1, 4)
-    assert "died in it 2 times" in (run.folder / "report" / "index.html").read_text(
-        encoding="utf-8"
-    )
+    page = (run.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "died in it 2 times" in page
 
 
-def test_nothing_is_left_of_a_finished_run(
-    undisturbed: tuple[Path, int], capsys: pytest.CaptureFixture[str]
+def test_nothing_is_left_of_a_finished_run_and_its_states_are_in_its_record(
+    undisturbed: tuple[Path, int], said: Said
 ) -> None:
-    folder, _ = undisturbed
-    assert main(["resume", str(only_run(folder, "whole"))]) == 2
-    assert "is finished: nothing is left to do" in capsys.readouterr().err
+    run = read_run(only_run(undisturbed[0], "whole"))
+    assert "is finished: nothing is left to do" in said(2, "resume {}", run.folder).err
+    assert texts(run, EVENT) == ["preparing", "settling", "running", "safing", "finished"]
+    assert [trial.id for trial in run.trials] == TRIALS
 
 
-def test_a_run_that_is_under_way_is_left_alone(
-    undisturbed: tuple[Path, int], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_is_under_way_is_left_alone(undisturbed: tuple[Path, int]) -> None:
     folder, _ = undisturbed
     assert killed_at(200, lambda: start(folder, "busy"))
     run = only_run(folder, "busy")
     before = read_run(run)
     with locked(run_lock(run), "somebody", print):
         command = [sys.executable, "-m", "bench.cli", "resume", str(run)]
-        said = subprocess.run(
+        told = subprocess.run(
             command, capture_output=True, text=True, cwd=ROOT, timeout=60, check=False
         )
-    assert said.returncode == 3
-    assert "run: another bench has it" in said.stderr
+    assert told.returncode == 3
+    assert "run: another bench has it" in told.stderr
     assert read_run(run).facts == before.facts
 
 
-def test_a_rig_or_script_that_has_changed_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rig_or_script_that_has_changed_is_refused(tmp_path: Path, said: Said) -> None:
     files(tmp_path)
     assert killed_at(10, lambda: start(tmp_path))
-    run = only_run(tmp_path, "runs")
-    script = tmp_path / "script.toml"
-    script.write_text(
-        script.read_text(encoding="utf-8").replace("x_mm = 12.0", "x_mm = 11.0"), encoding="utf-8"
-    )
-    assert main(["resume", str(run)]) == 2
-    assert "script.toml has changed since the run" in capsys.readouterr().err
+    run, script = only_run(tmp_path, "runs"), tmp_path / "script.toml"
+    text = script.read_text(encoding="utf-8")
+    script.write_text(text.replace("x_mm = 12.0", "x_mm = 11.0"), encoding="utf-8")
+    assert "script.toml has changed since the run" in said(2, "resume {}", run).err
     script.unlink()
-    assert main(["resume", str(run)]) == 2
-    assert f"a copy of it is {run / 'script.toml'}" in capsys.readouterr().err
+    assert f"a copy of it is {run / 'script.toml'}" in said(2, "resume {}", run).err
     with pytest.raises(ConfigError, match="is no run"):
         what_is_left(tmp_path, [])
 
 
-def test_states_of_a_resumed_run_are_in_its_record(undisturbed: tuple[Path, int]) -> None:
-    folder, _ = undisturbed
-    run = read_run(only_run(folder, "whole"))
-    planned = [trial.id for trial in load_script(folder / "script.toml").planned]
-    assert [event["text"] for event in run.events if event["kind"] == EVENT] == [
-        "preparing",
-        "settling",
-        "running",
-        "safing",
-        "finished",
-    ]
-    assert [trial.id for trial in run.trials] == planned
+def killed_in_the_last_trial(folder: Path, out: str) -> RunRecord:
+    assert killed_while(f"'{THIRD}'", "_store_trial", TrialRun, lambda: start(folder, out))
+    return read_run(only_run(folder, out))
+
+
+@pytest.fixture
+def nothing_is_gone_through_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.run.start.in_virtual_time", lambda *_, **__: False)
+
+
+@pytest.mark.usefixtures("nothing_is_gone_through_again")
+def test_a_world_that_went_on_is_prepared_anew_and_what_is_redone_is_kept_apart(
+    tmp_path: Path,
+) -> None:
+    files(tmp_path, stage=STAGE, check_point=CHECK_POINT)
+    before = killed_in_the_last_trial(tmp_path, "runs")
+    kept = results(before.folder)
+    assert resume(tmp_path, "runs")[1] is Ending.FINISHED
+    after, now = read_run(before.folder), results(before.folder)
+    assert [trial.id for trial in after.trials] == TRIALS
+    for table in ("trials", "frames", "touches", "truth", "detections", "found", "scores"):
+        assert all(row in now[table] for row in kept[table]), (
+            f"nothing finished is lost or changed: {table}"
+        )
+    assert after.facts["arm check before"] == before.facts["arm check before"]
+    assert len(after.facts["arm check before, session 2"]["touches"]) == 2
+    assert after.facts["identities, session 2"] == after.facts["identities"]
+    assert texts(after, "resumed") == ["session 2 goes on after 2 trials"]
+
+
+def test_a_carried_truth_goes_on_in_a_world_that_died(tmp_path: Path) -> None:
+    files(tmp_path, stage=STAGE, script=carry())
+    start(tmp_path, "whole")
+    assert results(only_run(tmp_path, "whole"))["checks"]
+    whole = read_run(only_run(tmp_path, "whole"))
+    assert [trial.how for trial in whole.trials] == ["touched", "carried", "carried"]
+    killed_in_the_last_trial(tmp_path, "runs")
+    equal_after_resuming(tmp_path, "runs")
+
+
+@pytest.mark.usefixtures("nothing_is_gone_through_again")
+def test_a_carried_truth_goes_on_in_a_world_that_went_on(tmp_path: Path) -> None:
+    files(tmp_path, stage=STAGE, script=carry())
+    left = killed_in_the_last_trial(tmp_path, "runs")
+    resume(tmp_path, "runs")
+    after = read_run(left.folder)
+    assert [trial.how for trial in after.trials] == ["touched", "carried", "carried"], (
+        "the reference of the record is used further"
+    )
+    assert after.facts[REFERENCE_FACT]["trial"] == FIRST
+    assert {check["held"] for check in after.checks} <= {0, 1}
+    assert after.checks[-1]["after_trial"] == THIRD
+
+
+@pytest.mark.parametrize(
+    ("limit_mm", "kind"),
+    [(1.5, "check touch"), (0.01, "invalid")],
+    ids=["a check that holds", "a check that fails"],
+)
+def test_killed_just_after_a_check_of_the_carried_truth(
+    tmp_path: Path, limit_mm: float, kind: str
+) -> None:
+    """The check is in the record, the trial that it came before is not: gone through again, it is
+    not written a second time.
+    """
+    script = carry(f"check_every = 1\ncheck_limit_mm = {limit_mm}\n")
+    files(tmp_path, stage=STAGE, script=script)
+    start(tmp_path, "whole")
+    assert killed_while(f"'{kind}'", "event", Store, lambda: start(tmp_path, "runs"))
+    assert read_run(only_run(tmp_path, "runs")).checks
+    equal_after_resuming(tmp_path, "runs")
+    assert check_run(only_run(tmp_path, "runs")).whole
+
+
+def run_in(folder: Path, out: str, progress: Silent, how: RunOptions) -> tuple[Path, Ending]:
+    rig = load_rig(folder / "rig.toml")
+    script = load_script(folder / "script.toml", rig.rig.limits.set_point_c)
+    return run_script(rig, script, folder / out, progress, how)
+
+
+def test_a_run_that_somebody_ended_goes_on_too(tmp_path: Path) -> None:
+    class Leaves(Silent):
+        left = False
+
+        def trial(self, done: int, total: int, name: str) -> None:
+            self.left = name == "place-3"
+
+        def typed(self) -> str | None:
+            return "abort" if self.left else None
+
+    files(tmp_path)
+    person = Leaves()
+    folder, ending = run_in(tmp_path, "runs", person, RunOptions(typed=person.typed))
+    assert (ending, len(read_run(folder).trials)) == (Ending.ABORTED, 2)
+    assert resume(tmp_path, "runs")[1] is Ending.FINISHED
+    run = read_run(folder)
+    assert len(run.trials) == 3
+    assert run.facts["deaths"] == {}, "an end that was asked for is no death"
+
+
+TWO = SCRIPT.replace("}, {}]", "}]")
+
+
+def recording(folder: Path, out: str) -> Path:
+    return folder / f"recorded-{out}"
+
+
+def record(folder: Path, out: str, progress: Silent | None = None) -> Ending:
+    """The script in ``folder``, recorded beside its run."""
+    how = RunOptions(record=recording(folder, out))
+    return run_in(folder, out, progress or Silent(), how)[1]
+
+
+def content(path: Path) -> dict[str, bytes]:
+    return {
+        file.relative_to(path).as_posix(): file.read_bytes()
+        for file in path.rglob("*")
+        if file.is_file()
+    }
+
+
+def recorded_whole(folder: Path, script: str) -> Path:
+    """Recorded without a disturbance, as ``whole``."""
+    files(folder, stage=STAGE, script=script)
+    assert record(folder, "whole") is Ending.FINISHED
+    whole = Recording(recording(folder, "whole"))
+    assert len(whole.truth) == len(whole.frames) > 1
+    return folder
+
+
+@pytest.fixture(scope="module")
+def touched(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded_whole(tmp_path_factory.mktemp("touched"), TWO)
+
+
+@pytest.fixture(scope="module")
+def carried(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A truth that is carried waits for its check."""
+    return recorded_whole(tmp_path_factory.mktemp("carried"), carry("check_every = 1\n"))
+
+
+def recording_equal_after_resuming(folder: Path, out: str) -> None:
+    progress = Silent()
+    assert resume(folder, out, progress)[1] is Ending.FINISHED
+    assert not [text for text in progress.warned if "record" in text]
+    assert results(only_run(folder, out)) == results(only_run(folder, "whole"))
+    assert content(recording(folder, out)) == content(recording(folder, "whole"))
+
+
+@pytest.mark.parametrize(
+    ("truth", "words", "method", "kind"),
+    [
+        ("touched", f"'{SECOND}'", "trial", Recorder),
+        ("touched", f"'{SECOND}'", "add_truth", RecordingWriter),
+        ("touched", f"making {SECOND}", "replace", Path),
+        ("carried", f"'{SECOND}'", "stored", CarriedTruth),
+        ("carried", f"'{THIRD}'", "settled", Recorder),
+    ],
+    ids=[
+        "finished but not recorded",
+        "frames without their truth",
+        "frames half written",
+        "carried and not yet checked",
+        "checked but not recorded",
+    ],
+)
+def test_killed_where_run_and_recording_are_apart(
+    truth: str, words: str, method: str, kind: type, request: pytest.FixtureRequest
+) -> None:
+    folder, out = request.getfixturevalue(truth), f"{method}-{kind.__name__}"
+    assert killed_while(words, method, kind, lambda: record(folder, out))
+    assert content(recording(folder, out)) != content(recording(folder, "whole"))
+    recording_equal_after_resuming(folder, out)
+
+
+def test_a_recording_that_is_gone_is_made_anew_from_the_runs_folder(touched: Path) -> None:
+    assert killed_while(f"'{SECOND}'", "trial", Recorder, lambda: record(touched, "gone"))
+    shutil.rmtree(recording(touched, "gone"))
+    recording_equal_after_resuming(touched, "gone")
+
+
+def test_frames_of_another_run_are_left_alone_and_the_run_goes_on_without(touched: Path) -> None:
+    assert killed_while(f"'{SECOND}'", "trial", Recorder, lambda: record(touched, "another"))
+    path, progress = recording(touched, "another"), Silent()
+    shutil.rmtree(path)
+    (path / "frames" / "001-another-1").mkdir(parents=True)
+    (path / "frames" / "001-another-1" / "left.png").write_bytes(b"precious")
+    assert resume(touched, "another", progress)[1] is Ending.FINISHED
+    told = "has frames of another run, 001-another-1 for one. The run goes on without a recording."
+    assert [told in text for text in progress.warned] == [True]
+    assert content(path) == {"frames/001-another-1/left.png": b"precious"}
+
+
+def test_a_recording_that_cannot_be_written_is_told_once_and_ends_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    files(tmp_path, script=TWO)
+    monkeypatch.setattr(RecordingWriter, "add_truth", full)
+    progress = Silent()
+    assert record(tmp_path, "runs", progress) is Ending.FINISHED
+    told = [text for text in progress.warned if "the recording in" in text]
+    assert len(told) == 1
+    assert "ends here: [Errno 28] No space left on device. The run goes on" in told[0]
+    assert len(read_run(only_run(tmp_path, "runs")).trials) == 2
+    assert len(Recording(recording(tmp_path, "runs")).frames) == 1
+
+
+def test_where_it_is_recorded_is_in_the_record(touched: Path) -> None:
+    assert read_run(only_run(touched, "whole")).facts[RECORDED] == str(
+        recording(touched, "whole").resolve()
+    )

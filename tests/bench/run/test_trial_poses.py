@@ -4,15 +4,13 @@ by hand, or by both.
 
 from __future__ import annotations
 
-import io
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
-from bench.cli.terminal import TerminalProgress
 from bench.record.reader import RunRecord, read_run
 from bench.rig.loading import RIGS, LoadedRig, load_rig
 from bench.run.engine import Ending
@@ -20,6 +18,7 @@ from bench.run.start import run_script
 from bench.script.model import LoadedScript, load_script
 from instruments.stage.driver import Stage
 from instruments.world.phantom import PIVOT_MM
+from tests.bench.killed_runs import Silent
 
 SCRIPT = """title = "poses"
 detectors = ["thesis"]
@@ -64,21 +63,16 @@ def rig(folder: Path, axes: str) -> LoadedRig:
     text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
     part = '[stage]\nurl = "emulator:"\n'
     assert part in text
+    text = text.replace(part, f'{part}axes = "{axes}"\n' if axes else "")
     dialect = '\n[emulation.stage]\ndialect = "grblHAL"\n' if "A" in axes else ""
-    warm = "\n[emulation]\nbath_start_c = 33.0\n"
-    (folder / "rig.toml").write_text(
-        text.replace(part, f'{part}axes = "{axes}"\n' if axes else "") + warm + dialect,
-        encoding="utf-8",
-    )
-    (folder / "calibration.toml").write_text(
-        (RIGS / "calibration.toml").read_text(encoding="utf-8"), encoding="utf-8"
-    )
+    text += f"\n[emulation]\nbath_start_c = 33.0\n{dialect}"
+    (folder / "rig.toml").write_text(text, encoding="utf-8")
+    shutil.copy(RIGS / "calibration.toml", folder)
     return load_rig(folder / "rig.toml")
 
 
 def run(rig: LoadedRig, loaded: LoadedScript, out: Path) -> RunRecord:
-    with TerminalProgress(Console(file=io.StringIO())) as progress:
-        folder, ending = run_script(rig, loaded, out, progress)
+    folder, ending = run_script(rig, loaded, out, Silent())
     assert ending is Ending.FINISHED
     return read_run(folder)
 
@@ -92,9 +86,8 @@ def exact_mm(record: RunRecord) -> list[np.ndarray]:
 def turned(points_mm: np.ndarray, deg: float) -> np.ndarray:
     c, s = np.cos(np.radians(deg)), np.sin(np.radians(deg))
     pivot = np.array([*PIVOT_MM, 0.0])
-    return np.asarray(
-        (points_mm - pivot) @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + pivot
-    )
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray((points_mm - pivot) @ turn + pivot)
 
 
 @pytest.mark.parametrize("axes", ["XY", "XYZA", ""], ids=["two axes", "four axes", "by hand"])
@@ -105,24 +98,15 @@ def test_the_phantom_stands_where_the_script_says(tmp_path: Path, axes: str) -> 
     record = run(rig(tmp_path, axes), script(tmp_path), tmp_path / "runs")
     first, second = exact_mm(record)
     assert first == pytest.approx(STANDING_MM + np.array([10.0, -5.0, 0.0]), abs=0.05)
-    assert second == pytest.approx(
-        turned(STANDING_MM, 20.0) + np.array([-3.0, 0.0, 12.0]), abs=0.05
-    )
+    moved = turned(STANDING_MM, 20.0) + np.array([-3.0, 0.0, 12.0])
+    assert second == pytest.approx(moved, abs=0.05)
     assert [trial.pose for trial in record.trials] == ["one-1", "one-2"]
 
     assert (record.folder / "mine.toml").read_text(encoding="utf-8") == LAYOUT
     kept = record.facts["pose set"]
     assert kept["chosen"] == ["one: 2 poses as written; layout mine.toml."]
-    assert kept["poses"][1] == [
-        "002-one-2-1",
-        "one-2",
-        1,
-        -3.0,
-        0.0,
-        12.0,
-        pytest.approx(20.0),
-        None,
-    ]
+    pose = ["002-one-2-1", "one-2", 1, -3.0, 0.0, 12.0, pytest.approx(20.0), None]
+    assert kept["poses"][1] == pose
 
 
 def test_a_pose_is_reached_from_the_sides_that_are_asked_for(

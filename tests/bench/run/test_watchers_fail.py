@@ -15,13 +15,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
 from bench.record.reader import read_run
 from bench.run.engine import Ending
 from bench.run.events import EVENTS_FILE, Events, SafeProgress, event_lines, read_events
 from bench.run.trial import TrialRun
+from tests.bench.commands import teatbench
 from tests.bench.killed_runs import Silent, killed_while, only_run, resume, start
-from tests.bench.operated_runs import files
+from tests.bench.operated_runs import files, run_of, texts
 from tests.conftest import ROOT
 
 
@@ -71,34 +71,28 @@ def test_a_screen_that_fails_ends_neither_the_run_nor_the_lines(
         screen = Gone(error, after=3)
         assert start(tmp_path, progress=Events(screen, lines))[1] is Ending.FINISHED
     assert screen.tried == 4, "once it has failed it is left alone"
-    told = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    assert [line["name"] for line in told if line["what"] == "trial"] == [
-        "place-1",
-        "place-2",
-        "place-3",
-        "",
-    ]
-    assert [line["text"] for line in told if line["what"] == "warning"] == [
-        f"the screen shows nothing any more: {said(error)}"
-    ]
-    record = read_run(only_run(tmp_path, "runs")).events
-    assert [event["text"] for event in record if event["kind"] == "not shown"] == [
-        f"the screen shows nothing any more: {said(error)}"
-    ]
+    told = list(map(json.loads, path.read_bytes().splitlines()))
+    trials = [line["name"] for line in told if line["what"] == "trial"]
+    assert trials == ["place-1", "place-2", "place-3", ""]
+    why = [f"the screen shows nothing any more: {type(error).__name__}: {error}"]
+    assert [line["text"] for line in told if line["what"] == "warning"] == why
+    assert texts(run_of(tmp_path), "not shown") == why
 
 
-def said(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"
+class Shown(Silent):
+    """A screen whose lines are kept."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shown: list[str] = []
+
+    def state(self, text: str) -> None:
+        self.shown.append(text)
 
 
 def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
-    shown: list[str] = []
-
-    class Screen(Silent):
-        def state(self, text: str) -> None:
-            shown.append(text)
-
-    progress = Events(Screen())
+    screen = Shown()
+    shown, progress = screen.shown, Events(screen)
     progress.state("preparing")
     progress.live = lambda: {"bath": "bath 33.02 degC, stable", "left": "about 12 min left"}
     progress.trial(1, 3, "place-2")
@@ -114,15 +108,10 @@ def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
 
 
 def test_the_line_follows_the_bath_while_one_thing_takes_long(tmp_path: Path) -> None:
-    shown: list[str] = []
-
-    class Screen(Silent):
-        def state(self, text: str) -> None:
-            shown.append(text)
-
     files(tmp_path, emulation="prompt_s = 10.0")
-    assert start(tmp_path, progress=Events(Screen()))[1] is Ending.FINISHED
-    touching = [text for text in shown if text.startswith("place-2; taking the truth")]
+    screen = Shown()
+    assert start(tmp_path, progress=Events(screen))[1] is Ending.FINISHED
+    touching = [text for text in screen.shown if text.startswith("place-2; taking the truth")]
     assert len(touching) >= 40, "four touches of ten seconds, a look at the bath each second"
     assert len(set(touching)) > 1
 
@@ -145,8 +134,7 @@ def test_screen_and_lines_may_fail_both(tmp_path: Path) -> None:
     with FileIO(tmp_path / "e", "a") as closed:
         pass
     assert start(tmp_path, progress=Events(Gone(BrokenPipeError()), closed))[1] is Ending.FINISHED
-    kinds = [event["kind"] for event in read_run(only_run(tmp_path, "runs")).events]
-    assert kinds.count("not shown") == 2
+    assert len(texts(run_of(tmp_path), "not shown")) == 2
 
 
 def test_what_a_person_has_to_see_is_tried_again_all_the_same() -> None:
@@ -184,7 +172,7 @@ def test_a_reader_of_the_output_that_has_gone_ends_no_run(tmp_path: Path) -> Non
         complaints = bench.stderr.read()
         assert bench.wait() == 0, complaints
     assert complaints == ""
-    run = read_run(only_run(tmp_path, "runs"))
+    run = run_of(tmp_path)
     assert (run.ending, len(run.trials)) == ("finished", 3)
     assert (run.folder / "report" / "index.html").is_file()
     assert (run.folder / "times.json").is_file(), "what comes after the table is done too"
@@ -194,21 +182,15 @@ def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
     """It happens on the watch's own thread; a watcher at the other end of the lines has to hear of
     it all the same.
     """
-    files(
-        tmp_path,
-        emulation='[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0',
-    )
+    low = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0'
+    files(tmp_path, emulation=low)
     path = tmp_path / "events.jsonl"
     with event_lines(path) as lines:
         assert start(tmp_path, progress=Events(Silent(), lines))[1] is Ending.FAULTED
-    told = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    (trip,) = [line for line in told if line.get("kind") == "trip"]
-    assert trip["text"].startswith("interlock controller alarm")
-    assert trip["text"] in [event["text"] for event in read_run(only_run(tmp_path, "runs")).events]
-
-
-def lines_of(run: Path) -> list[dict[str, object]]:
-    return list(read_events(run))
+    told = map(json.loads, path.read_bytes().splitlines())
+    (trip,) = [line["text"] for line in told if line.get("kind") == "trip"]
+    assert trip.startswith("interlock controller alarm")
+    assert trip in [event["text"] for event in run_of(tmp_path).events]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills a process as POSIX does")
@@ -218,12 +200,12 @@ def test_the_run_keeps_its_events_and_a_killed_one_goes_on_with_their_numbers(
     files(tmp_path)
     assert killed_while("'002-place-2-1'", "_store_trial", TrialRun, lambda: start(tmp_path))
     run = only_run(tmp_path, "runs")
-    before = lines_of(run)
+    before = list(read_events(run))
     assert [line["number"] for line in before] == list(range(1, len(before) + 1))
     with (run / EVENTS_FILE).open("ab") as torn:
         torn.write(b'{"number": 999, "what": "do')  # of a machine that lost its power
     assert resume(tmp_path, "runs")[1] is Ending.FINISHED
-    lines = lines_of(run)
+    lines = list(read_events(run))
     assert lines[: len(before)] == before
     assert [line["number"] for line in lines] == list(range(1, len(lines) + 1))
     names = [line["name"] for line in lines if line["what"] == "trial"]
@@ -232,7 +214,7 @@ def test_the_run_keeps_its_events_and_a_killed_one_goes_on_with_their_numbers(
     )
     record = [event["text"] for event in read_run(run).events]
     assert [line["text"] for line in lines if line["what"] == "event"] == record
-    assert main(["store", "check", str(run)]) == 0, "it is no part of the checked record"
+    assert teatbench("store check {}", run) == 0, "it is no part of the checked record"
 
 
 def test_a_folder_that_takes_no_events_is_named_once_and_ends_no_run(tmp_path: Path) -> None:

@@ -33,6 +33,7 @@ if sys.platform == "win32":
 import pty
 
 PATIENCE_S = 60.0
+TOUCH = Touch(2, 4)
 KEYS = (
     "(s REASON = skip this trial, r = repeat it from its set-up, ? = explain, a = abort the run): "
 )
@@ -71,6 +72,12 @@ class Desk:
     def asked(self, request: Request, check: Callable[[], None] = no_check) -> Future[Answer]:
         return self._pool.submit(self.who.ask, request, check)
 
+    def prompted(self, check: Callable[[], None] = no_check) -> Future[Answer]:
+        """A touch is asked for, and the question stands there."""
+        done = self.asked(TOUCH, check)
+        self.expect(KEYS)
+        return done
+
     def type(self, text: str) -> None:
         os.write(self.near, text.encode())
 
@@ -104,9 +111,6 @@ def desk(*, remind_s: float = 60.0, watch: Callable[[], Pedal] | None = None) ->
         os.close(near)
 
 
-TOUCH = Touch(2, 4)
-
-
 def test_enter_goes_on_and_wrong_keys_do_not() -> None:
     with desk() as here:
         done = here.asked(TOUCH)
@@ -129,8 +133,7 @@ def test_what_is_typed_can_be_taken_back() -> None:
 
 def test_nobody_will_type_any_more_after_ctrl_d() -> None:
     with desk() as here:
-        done = here.asked(TOUCH)
-        here.expect(KEYS)
+        done = here.prompted()
         here.type("\x04")
         with pytest.raises(OperatorAbort):
             done.result(PATIENCE_S)
@@ -138,12 +141,10 @@ def test_nobody_will_type_any_more_after_ctrl_d() -> None:
 
 def test_enter_pressed_twice_answers_one_question() -> None:
     with desk() as here:
-        done = here.asked(TOUCH)
-        here.expect(KEYS)
+        done = here.prompted()
         here.type("\n\n")
         done.result(PATIENCE_S)
-        done = here.asked(TOUCH)
-        here.expect(KEYS)
+        done = here.prompted()
         time.sleep(0.1)
         assert not done.done()
         here.type("\n")
@@ -159,8 +160,7 @@ def test_an_abort_between_two_questions_is_not_lost() -> None:
 
 def test_who_takes_long_is_reminded_and_nothing_else_happens() -> None:
     with desk(remind_s=30.0) as here:
-        done = here.asked(TOUCH)
-        here.expect(KEYS)
+        done = here.prompted()
         for since_s in (30.0, 60.0, 90.0):
             here.clock.now_s = since_s
             reminder = here.expect(KEYS)
@@ -179,8 +179,7 @@ def test_a_trip_ends_the_prompt_before_enter() -> None:
             raise trips[0]
 
     with desk() as here:
-        done = here.asked(TOUCH, check)
-        here.expect(KEYS)
+        done = here.prompted(check)
         here.type("half a li")
         trips.append(RuntimeError("interlock over-temperature: 39.0 degC"))
         here.expect("No answer is needed any more: interlock over-temperature: 39.0 degC\n")
@@ -213,8 +212,7 @@ def test_a_pedal_goes_on_and_the_keyboard_still_works() -> None:
         foot.down = True
         assert done.result(PATIENCE_S) == DONE
         foot.down = False
-        done = here.asked(TOUCH)
-        here.expect(KEYS)
+        done = here.prompted()
         here.type("r\n")
         with pytest.raises(OperatorRepeat):
             done.result(PATIENCE_S)
@@ -250,8 +248,7 @@ def test_a_pedal_whose_arm_has_gone_ends_the_prompt() -> None:
 
 def test_a_terminal_that_closes_is_an_abort() -> None:
     with desk() as here:
-        done = here.asked(TOUCH)
-        here.expect(KEYS)
+        done = here.prompted()
         os.close(here.near)
         here.near = -1
         with pytest.raises(OperatorAbort, match="nobody is at the terminal any more"):

@@ -4,6 +4,8 @@ other.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import pytest
 
 from instruments.errors import ProtocolError
@@ -22,19 +24,11 @@ from instruments.operators.script import ScriptedAnswer, ScriptedAnswers
 from tests.instruments.operators.people import arrangement
 
 
-def scripted(*answers: ScriptedAnswer, **otherwise: str) -> tuple[ScriptedAnswers, list[str]]:
+def scripted(
+    *answers: ScriptedAnswer, otherwise: Mapping[Kind, str] | None = None
+) -> tuple[ScriptedAnswers, list[str]]:
     shown: list[str] = []
-    kinds: dict[str, Kind] = {
-        "homing": "homing",
-        "check_point": "check point",
-        "set_up": "set up",
-        "touch": "touch",
-    }
-    by_kind = {kinds[name]: answer for name, answer in otherwise.items()}
-    return (
-        ScriptedAnswers(answers, by_kind, "answers.toml", show=shown.append),
-        shown,
-    )
+    return ScriptedAnswers(answers, otherwise or {}, "answers.toml", show=shown.append), shown
 
 
 def test_answers_come_in_their_order() -> None:
@@ -62,9 +56,8 @@ def test_answers_come_in_their_order() -> None:
 
 
 def test_an_answer_waits_for_the_prompt_that_it_is_for() -> None:
-    who, _ = scripted(
-        ScriptedAnswer("touch", "skip worn", says="trial 2 of 3, TEAT 3"), touch="go", set_up="go"
-    )
+    skip = ScriptedAnswer("touch", "skip worn", says="trial 2 of 3, TEAT 3")
+    who, _ = scripted(skip, otherwise={"touch": "go", "set up": "go"})
     for trial in (1, 2):
         who.ask(NextTrial(trial, 3, None))
         who.ask(arrangement())
@@ -116,14 +109,8 @@ def test_a_teat_that_is_not_there_can_not_be_hidden() -> None:
     ("to", "answer", "words"),
     [
         ("touch", "skip", "needs a reason"),
-        (
-            "touch",
-            "2",
-            (
-                'Not understood: \'2\'; to a prompt of the kind "touch" there are "go", "skip'
-                ' REASON", "repeat", "abort"'
-            ),
-        ),
+        ("touch", "2", 'Not understood: \'2\'; to a prompt of the kind "touch" there are "go", '),
+        ("touch", "2", 'there are "go", "skip REASON", "repeat", "abort"'),
         ("homing", "skip it", 'there are "go", "abort"'),
         ("check point", "repeat", 'there are "go", "abort"'),
         ("set up", "hidden", '"hidden 2 4"'),
