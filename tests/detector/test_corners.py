@@ -124,11 +124,15 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("make", "refusal", "said"),
         [
-            (lambda: EMPTY, ViewRefusedError, "no 8 x 5 chessboard found: is the whole board in"),
+            (
+                lambda: EMPTY,
+                ViewRefusedError,
+                "no 8 x 5 chessboard found: is the whole board in the picture",
+            ),
             (
                 lambda: picture(CHESS, blur_px=3.5),
                 ViewRefusedError,
-                r"blurred: edges are \d+\.\d px",
+                r"blurred: edges are \d+\.\d px wide",
             ),
             (lambda: picture(CHESS, moved_px=13), ViewRefusedError, "the board moved: edges are"),
             (lambda: np.dstack([EMPTY] * 3), ValueError, "8-bit grey"),

@@ -53,7 +53,13 @@ def test_the_example_is_a_detector_in_20_lines(tmp_path: Path, said: Said) -> No
 
 def test_the_file_shows_the_defaults(tmp_path: Path) -> None:
     (tmp_path / "example.toml").write_text(block("toml"), encoding="utf-8")
-    assert read_config(tmp_path / "example.toml", DetectorFile).limits == Limits()
+    shown, usual = read_config(tmp_path / "example.toml", DetectorFile), Limits()
+    assert (shown.start_limit_s, shown.time_limit_s, shown.memory_limit_mib) == (
+        usual.start_s,
+        usual.answer_s,
+        usual.memory_mib,
+    )
+    assert (shown.restarts, shown.faults_in_a_row) == (usual.restarts, usual.in_a_row)
 
 
 def test_every_variant_of_the_thesis_is_told() -> None:
