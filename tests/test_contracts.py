@@ -44,11 +44,13 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_the_house_keeps_its_contracts(copy: Path) -> None:
     done = lint(copy)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", WRONG)
 def test_a_wrong_import_is_found(copy: Path, path: str) -> None:
     wanted, contract = WRONG[path]

@@ -150,6 +150,7 @@ def test_sentences_on_sensitivity() -> None:
     assert min(value for quantity, value in lost if quantity == "calibration") == 0.4
 
 
+@pytest.mark.slow
 def test_rows_of_families_are_made_from_a_run(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -46,6 +46,8 @@ from tests.bench.calibrate.touched import write_touched
 from tests.bench.small_recording import write_recording
 from tests.conftest import ROOT
 
+pytestmark = pytest.mark.slow
+
 MAY_JUDGE = {"run", "resume", "score", "compare"}  # their exit code may be a verdict
 AT_A_TERMINAL = {"arm home", "arm frame", "arm read", "arm verify"}
 # what a page names and its reader has, and what stands in for it here; whatever fits, in this order

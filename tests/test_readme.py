@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from bench.cli.arguments import EXIT_CODES
 from tests.conftest import ROOT
 
@@ -32,6 +34,7 @@ def test_the_two_commands_stand_there_and_ci_calls_them() -> None:
     assert "\npython3 run.py test\n" in ci
 
 
+@pytest.mark.slow
 def test_each_command_of_the_readme_works(tmp_path: Path) -> None:
     ours = [line for line in commands() if line.startswith("teatbench ")]
     assert len(ours) == 12

@@ -200,6 +200,7 @@ def test_a_set_point_that_is_refused_is_shown_in_its_place(
     assert shown[caret.index("^") : caret.rindex("^") + 1] == value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line", ['seed = "{}"', 'profile = "{}"', "{} = 1", '{} = "{}', "seed = [{}1]", 'baud = "{}"']
 )

@@ -51,6 +51,7 @@ def miss(found: Calibrated) -> Array:
     return np.array([differences[name] for name in found.fit.names])
 
 
+@pytest.mark.slow
 def test_rigs_are_found_within_the_stated_covariance() -> None:
     distances = []
     for found in map(joined, range(8)):
@@ -152,6 +153,7 @@ def test_opencvs_pictures(
         assert (round(found.fit.rig.cameras["left"].fc[0], 2), name) == (focal, worst[0])
 
 
+@pytest.mark.slow
 def test_opencvs_pictures_as_a_pair(shared_data: Path) -> None:
     folder = shared_data / "opencv_stereo_chessboards" / "photos"
     alone = {name: opencv_camera(folder, name, SubPixel(5)) for name in ("left", "right")}
@@ -174,6 +176,7 @@ def test_opencvs_pictures_as_a_pair(shared_data: Path) -> None:
     assert spacing_mm.mean() == pytest.approx(25.01, abs=0.005)
 
 
+@pytest.mark.slow
 def test_the_window_that_is_chosen_does_no_worse_than_the_best_fixed_one(shared_data: Path) -> None:
     folder = shared_data / "opencv_stereo_chessboards" / "photos"
     for camera in ("left", "right"):

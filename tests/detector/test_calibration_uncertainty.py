@@ -22,6 +22,8 @@ from detector.calibration.values import Pair
 from detector.geometry import Array, Motion, apply_homography
 from tests.detector.boards_seen import TOUCHED, seen, thesis_rig, world_fit
 
+pytestmark = pytest.mark.slow
+
 POINTS = np.array([[-190.0, 235.0, 135.0], [-110.0, 284.0, 134.0], [-300.0, 180.0, 90.0]])
 
 

@@ -77,6 +77,7 @@ def missed_px(found: Found, board: Board, H: Array = TILTED) -> Array:
     return found.pixels_px - apply_homography(H, board.points_mm[found.ids, :2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("board", [CHESS, CHARUCO, CIRCLES], ids=lambda board: board.kind)
 @pytest.mark.parametrize("inverted", [False, True], ids=["dark on bright", "bright on dark"])
 def test_every_board_is_found_to_a_twentieth_of_a_pixel(board: Board, inverted: bool) -> None:

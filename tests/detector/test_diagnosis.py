@@ -82,6 +82,7 @@ def test_half_a_pixel(pair: Pair, by_px: tuple[float, float], names: list[str]) 
     assert found(pair, {"left": views["left"], "right": shifted(views["right"], by_px)}) == names
 
 
+@pytest.mark.slow
 def test_swapped_cameras(pair: Pair) -> None:
     views = seen(thesis_rig(), 42)
     other_way: Views = {"left": views["right"], "right": views["left"]}
@@ -90,6 +91,7 @@ def test_swapped_cameras(pair: Pair) -> None:
     assert finding.name == "swapped cameras"
 
 
+@pytest.mark.slow
 def test_a_bent_board_is_named_even_by_the_calibration_that_was_made_with_it() -> None:
     views = seen(thesis_rig(), 5, shape=bowl)
     assert found(calibrated(views), views)[0] == "bent board"
@@ -105,6 +107,7 @@ def world_of(scale: float, seed: int = 3) -> WorldFit:
     return world_fit(*pair, left, right, seen_mm, pair_covariance=None)
 
 
+@pytest.mark.slow
 def test_a_wrong_square_size_shows_against_the_arm() -> None:
     world = world_of(1.04)
     (finding,) = against_the_arm(world)

@@ -78,6 +78,7 @@ CUT = 'print("{\\"fra", end="", flush=True)\nsys.exit(1)'
 FLOOD = 'print("{}\\n" * 500, flush=True)'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "outcome", "told"),
     [

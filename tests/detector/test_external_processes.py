@@ -29,6 +29,7 @@ def look_for_a_minute(detector: ExternalDetector) -> None:
         detector.check()
 
 
+@pytest.mark.slow
 @linux
 def test_memory_is_watched_during_and_after_a_call(start: Start, rig: Calibration) -> None:
     hoard = "kept = bytearray(os.urandom(1)) * (200 << 20)\n"
@@ -168,6 +169,7 @@ def test_it_may_put_its_things_in_order(start: Start, rig: Calibration, tmp_path
     assert (tmp_path / "tidy").read_text(encoding="ascii") == "yes"
 
 
+@pytest.mark.slow
 def test_one_that_does_not_go_is_made_to(start: Start, rig: Calibration) -> None:
     detector = start(GOOD + "\ntime.sleep(600)")
     ask(detector, rig)

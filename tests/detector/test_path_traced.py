@@ -6,12 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from detector.calibration import load_calibration
 from detector.registry import create
 from tests.detector.conftest import recorded
 
 
+@pytest.mark.slow
 def test_every_frame_is_answered(path_traced: Path) -> None:
     calibration, detector = load_calibration(path_traced / "calibration.toml"), create("thesis")
     folders = sorted((path_traced / "frames").iterdir())

@@ -77,6 +77,7 @@ def literal_merge_columns(x: list[int], reach: int) -> list[int]:
     return x
 
 
+@pytest.mark.slow
 @given(columns_of_points, st.integers(0, 6), st.booleans())
 @settings(max_examples=300)
 def test_merging_columns_is_the_double_loop(columns: list[int], reach: int, in_order: bool) -> None:

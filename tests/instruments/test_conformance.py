@@ -34,6 +34,8 @@ from instruments.world.plant import Plant
 from tests.instruments.camera.small_world import GalleryWorld
 from tests.instruments.microscribe.rigs import Hand
 
+pytestmark = pytest.mark.slow
+
 
 class Instrument(Protocol):
     """One instrument: its driver, not opened yet, and its emulator on a link that can be cut."""

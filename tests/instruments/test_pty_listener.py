@@ -170,6 +170,7 @@ def test_closing_ends_the_thread_and_the_terminal(echo: Echo, clock: RealClock) 
     listener.close()  # once more is no error
 
 
+@pytest.mark.slow
 def test_bytes_that_no_host_reads_are_lost_as_on_a_port(echo: Echo, clock: RealClock) -> None:
     listener = PtyListener(echo, clock, lock=threading.RLock(), name="echo")
     port = serial.Serial(listener.url, 115200, timeout=0.5)

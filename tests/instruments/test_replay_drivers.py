@@ -164,6 +164,7 @@ def test_a_replay_can_be_captured_and_is_the_capture(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["arm", "bath"])
 def test_a_session_in_real_time_is_replayed_in_real_time(name: str, tmp_path: Path) -> None:
     def short(url: str, clock: Clock, tap: Tap | None) -> Found:
@@ -193,6 +194,7 @@ def failing(session: Session) -> Session:
     return tolerant
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", Fault, ids=str)
 def test_an_arm_with_a_fault_has_it_again(fault: Fault, tmp_path: Path) -> None:
     """Whether the driver finds its way or gives up, it does the same, byte for byte, and says the

@@ -111,6 +111,7 @@ DRAWINGS: dict[str, Draw] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0, 1, 2, 40])
 @pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
 def test_any_amount_of_data_makes_a_sound_and_stable_drawing(draw: Draw, size: int) -> None:
@@ -122,6 +123,7 @@ def test_any_amount_of_data_makes_a_sound_and_stable_drawing(draw: Draw, size: i
     assert "style=" not in svg
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
 def test_every_colour_is_one_that_the_style_sheet_turns_for_the_dark(draw: Draw) -> None:
     svg, sheet = draw(7), SHEET.read_text(encoding="utf-8")
@@ -344,6 +346,7 @@ def clouds(e: Floats, t: Floats) -> str:
     return figures.error_regions(groups, [("x", "y")] * 3, 5.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "draw",
     [
@@ -369,6 +372,7 @@ def test_a_hundred_thousand_points_weigh_no_more_than_a_few(
     assert len(many) < 150_000
 
 
+@pytest.mark.slow
 def test_a_plot_says_that_it_doesn_t_draw_all() -> None:
     errors = np.abs(np.random.default_rng(1).normal(0, 2, 5000))
     assert "400 of 5000 drawn, the worst among them" in figures.error_scatter(errors, errors, 5.0)

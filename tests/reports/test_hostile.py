@@ -120,6 +120,7 @@ def test_every_text_field_was_tried() -> None:
     assert [name for name in missed if not name.startswith("SvgFacts")] == []
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.text(st.characters(exclude_categories=[]), max_size=40))
 def test_any_text_leaves_the_structure_alone(text: str) -> None:

@@ -16,6 +16,8 @@ from tests.chromium import Seen, window
 from tests.reports.markup import Document, read
 from tests.reports.sample import sample_page
 
+pytestmark = pytest.mark.slow
+
 REPEATS = 8
 COUNT = 6 * REPEATS
 

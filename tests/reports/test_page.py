@@ -73,6 +73,7 @@ def test_a_banner_claims_no_more_than_its_rows(verdict: str) -> None:
     assert Page("p", "", honest, (section(part),)).banner.verdict == "not met"
 
 
+@pytest.mark.slow
 def test_ids_stand_for_one_thing() -> None:
     trial = TrialPart("trial-001", "Trial 1", "", "")
     with pytest.raises(PageError, match=r"'one'.*stand for two things"):

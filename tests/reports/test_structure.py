@@ -20,6 +20,8 @@ from reports.trust import PageError
 from tests.reports.markup import Document, read
 from tests.reports.sample import sample_page
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def sample(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, Path]:

@@ -22,6 +22,8 @@ from tests.chromium import browser_page, chromium
 from tests.reports.markup import read
 from tests.reports.sample import sample_page
 
+pytestmark = pytest.mark.slow
+
 A4_PT = (210 / 25.4 * 72, 297 / 25.4 * 72)
 LINK = b"/A <</S /URI\n/URI (file:///runs/2026%20one/report/trials.csv)>>"
 INFO = (

@@ -98,6 +98,7 @@ def test_a_third_point_on_the_wrong_side_turns_the_frame_over_and_is_told() -> N
     assert not frame_of(WORLD).hangs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", [(0.0, 0.0, 0.0), (150.0, 80.0, 0.0), (-190.0, 240.0, 135.0)])
 def test_the_registration_uncertainty_is_the_spread_over_many_frames(target: Triple) -> None:
     """Against a simulation that knows nothing of derivatives."""
@@ -111,6 +112,7 @@ def test_the_registration_uncertainty_is_the_spread_over_many_frames(target: Tri
     assert frame_of(exact).u_registration_mm(target, 0.23) == pytest.approx(spread, rel=0.05)
 
 
+@pytest.mark.slow
 def test_frames_put_in_are_found_within_the_arms_noise() -> None:
     """Over seeds and places: at the teats, the frame that was touched is off by no more than its
     own uncertainty says.

@@ -86,6 +86,7 @@ def test_shapes_that_are_no_test_are_refused(tips: np.ndarray, axes: np.ndarray)
         LocationTest("near", tips, axes)
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=1, max_size=9))
 @settings(max_examples=60, deadline=None)
 def test_the_least_sphere_is_that_of_an_optimiser(points: list[tuple[float, float, float]]) -> None:
@@ -130,6 +131,7 @@ def verified(accuracy_mm: float, seed: int) -> Found:
     )
 
 
+@pytest.mark.slow
 def test_verification_finds_what_accuracy_was_put_in() -> None:
     """The location error grows with the accuracy that is put in; what is left at 0 is the rounding
     of counts and the hand's tremor.
@@ -152,6 +154,7 @@ def test_verification_finds_what_accuracy_was_put_in() -> None:
     assert not any(one.verified for one in by_accuracy[2.0]), "a bad one is not"
 
 
+@pytest.mark.slow
 def test_what_is_asked_for_is_what_was_planned() -> None:
     with emulated() as (arm, trying):
         person = Follower(trying)
@@ -170,6 +173,7 @@ def test_what_is_asked_for_is_what_was_planned() -> None:
     assert np.abs(np.triu(directions @ directions.T, 1)).max() < 0.75, "no two lie alike"
 
 
+@pytest.mark.slow
 def test_a_bar_of_another_length_than_was_said_is_found_out() -> None:
     with emulated(length_mm=302.0) as (arm, trying):
         found = verify(arm, Follower(trying), Plan(1, 5, 300.0, 2), MADE)

@@ -37,6 +37,8 @@ from tests.bench.calibrate.board_pictures import (
 )
 from tests.bench.commands import Said
 
+pytestmark = pytest.mark.slow
+
 WANTED = "or a table with --pairs"
 
 

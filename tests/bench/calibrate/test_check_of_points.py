@@ -16,6 +16,8 @@ from tests.bench.calibrate.board_pictures import LEFT, RIGHT, RIGHT_FROM_LEFT
 from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
 from tests.bench.commands import Said
 
+pytestmark = pytest.mark.slow
+
 NOISE = {"pixel_sd_px": 0.1, "touch_sd_mm": 0.25}
 WHOLE = Part(
     left=LEFT, right=RIGHT, right_from_left=RIGHT_FROM_LEFT, world_from_right=WORLD_FROM_RIGHT

@@ -47,6 +47,7 @@ def test_a_sound_one_accuses_nobody(lab: Path) -> None:
     assert "Nothing: no fault left a mark" in named(lab / "cameras.page" / "index.html")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "put_in", "seen"),
     [
@@ -77,6 +78,7 @@ def test_a_calibration_that_went_wrong(
     assert re.search(seen, faults), faults
 
 
+@pytest.mark.slow
 def test_swapped_cameras(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, other in (("left", "right"), ("right", "left")):
         shutil.copytree(lab / "day1" / other, lab / "swapped" / name)
@@ -86,6 +88,7 @@ def test_swapped_cameras(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert seen in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_bent_board(lab: Path) -> None:
     write_pairs(lab / "bent", 12, bend_mm=4.0)
     assert calibrate_cameras(lab, lab / "bent.toml", frames="bent") == 1
@@ -95,6 +98,7 @@ def test_a_bent_board(lab: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_wrong_square_size_against_the_arm(lab: Path, in_lab: Said) -> None:
     (lab / "wrong.toml").write_text(BOARD_TOML.replace("40.0", "39.0"), encoding="utf-8")
     code = calibrate_cameras(lab, lab / "short.toml", board="wrong.toml")

@@ -76,6 +76,7 @@ class Room:
         return gather(self.look, self, SMALL, wanted, folder, self.told.append)
 
 
+@pytest.mark.slow
 def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Path) -> None:
     room = Room(empty=(3,))
     kept = room.gather(tmp_path)
@@ -97,6 +98,7 @@ def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Pa
     )
 
 
+@pytest.mark.slow
 def test_the_picture_is_green_where_it_is_covered(tmp_path: Path) -> None:
     Room(enough_at=3).gather(tmp_path)
     drawn = np.asarray(cv2.imread(str(tmp_path / GUIDE))).astype(int)
@@ -112,6 +114,7 @@ def test_the_picture_is_green_where_it_is_covered(tmp_path: Path) -> None:
     assert min(redder) > drawn[5 + high : 60 + high, :, 1].mean(), "the row below, where it was not"
 
 
+@pytest.mark.slow
 def test_who_has_had_enough_is_told_what_is_missing(tmp_path: Path) -> None:
     room = Room(enough_at=5)
     assert room.gather(tmp_path) == 4
@@ -120,6 +123,7 @@ def test_who_has_had_enough_is_told_what_is_missing(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_without_a_camera_to_guide_so_many_views_are_taken(tmp_path: Path) -> None:
     room = Room()
     assert room.gather(tmp_path, ViewsRequest(("left",), (), most=3)) == 3

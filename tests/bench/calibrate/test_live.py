@@ -17,6 +17,8 @@ from detector.geometry import Motion
 from tests.bench.calibrate.small_rig import small_calibration, write_rig
 from tests.bench.commands import Said, teatbench, words
 
+pytestmark = pytest.mark.slow
+
 BOARD, HEATED = "chessboard-9x6-40", "heated-circles-7x5-18"
 
 

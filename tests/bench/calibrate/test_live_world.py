@@ -82,6 +82,7 @@ def expected() -> Array:
     return np.vstack([points, points])
 
 
+@pytest.mark.slow
 def test_nine_points_at_each_of_two_positions_the_ball_allowed_for(tmp_path: Path) -> None:
     lab = Lab()
     np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
@@ -94,6 +95,7 @@ def test_nine_points_at_each_of_two_positions_the_ball_allowed_for(tmp_path: Pat
     )
 
 
+@pytest.mark.slow
 def test_another_point_is_asked_for_again(tmp_path: Path) -> None:
     lab = Lab(wrong={5: 3})
     np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
@@ -115,6 +117,7 @@ def test_a_point_that_is_never_touched_well_ends_it(tmp_path: Path) -> None:
     assert not (tmp_path / "points.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_board_that_is_not_seen_is_asked_for_again_with_the_reason(tmp_path: Path) -> None:
     lab = Lab(hidden_looks=2)
     lab.points(tmp_path)

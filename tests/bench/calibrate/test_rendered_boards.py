@@ -29,6 +29,8 @@ from instruments.world.phantom import Phantom
 from instruments.world.scene import Renderer
 from instruments.world.state import SceneState
 
+pytestmark = pytest.mark.slow
+
 SEEDS, VIEWS, FULL_VIEWS = 20, 8, 24
 BOARD = Board("chessboard", 9, 6, 40.0)
 DEPTHS_MM = (500.0, 1200.0)

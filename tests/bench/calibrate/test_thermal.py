@@ -24,6 +24,8 @@ from tests.bench.calibrate.board_pictures import (
 )
 from tests.bench.commands import Said
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -72,6 +72,7 @@ def wait_for_packets(trying: TryingArm, n: int = 10) -> None:
 # At a terminal
 
 
+@pytest.mark.slow
 def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
     out = tmp_path / "arm-frame.toml"
     with arm(f"frame {OWN} --out {{}} --check 100,100,0", out) as terminal:
@@ -91,6 +92,7 @@ def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
     assert list(frame.residuals_mm) == ["check 1", "check 2"]
 
 
+@pytest.mark.slow
 def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
     out = tmp_path / "arm-verification.toml"
     plan = "--distances 1 --touches 5 --length-mm 250 --directions 2"
@@ -115,6 +117,7 @@ def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
     assert re.search(rf"Articulated location error {found.location_mm:.2f} mm", terminal.text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("command", "prompts"), [("frame", 0), ("frame", 3), ("verify", 2)])
 def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> None:
     out = tmp_path / "arm.toml"
@@ -128,6 +131,7 @@ def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> 
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_what_is_not_understood_is_asked_again(tmp_path: Path) -> None:
     with arm(f"read {OWN}") as terminal:
         answer(terminal, HOMING, "yes")
@@ -135,6 +139,7 @@ def test_what_is_not_understood_is_asked_again(tmp_path: Path) -> None:
     assert "tip 54.20, -51.84, 212.20 mm in the arm's frame" in terminal.text
 
 
+@pytest.mark.slow
 def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
     """Both hands are on the arm: nothing is typed but the answer on homing, which asks for Enter
     alone.
@@ -153,6 +158,7 @@ def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
     assert np.allclose(load_frame(out).world_from_arm.T, PLACED.T, atol=1.0)
 
 
+@pytest.mark.slow
 def test_a_bad_arm_is_not_verified(tmp_path: Path) -> None:
     out = tmp_path / "verification.toml"
     command = "verify --out {} --homed --distances 1 --touches 5"
@@ -168,6 +174,7 @@ def test_a_bad_arm_is_not_verified(tmp_path: Path) -> None:
     assert "passed = false" in out.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [[], ["--residual-limit-mm", "10"]])
 def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path, limit: list[str]) -> None:
     out = tmp_path / "frame.toml"
@@ -186,6 +193,7 @@ def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path, limit: 
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
     """Nobody moves the arm: it says why that is no frame, and an abort ends it."""
     with in_hand("frame --out none.toml --homed") as (_, terminal):
@@ -196,6 +204,7 @@ def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
         assert terminal.code() == 3
 
 
+@pytest.mark.slow
 def test_watch_shows_tip_pedals_and_rate_live() -> None:
     with in_hand("watch --homed --seconds 3") as (trying, terminal):
         terminal.expect("left up, right up")
@@ -214,6 +223,7 @@ def test_watch_shows_tip_pedals_and_rate_live() -> None:
     assert max(rates) > 50.0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
 def test_ctrl_c_is_how_watching_ends() -> None:
     with started(words("arm watch --port emulator: --homed")) as child:
@@ -225,6 +235,7 @@ def test_ctrl_c_is_how_watching_ends() -> None:
     assert "Traceback" not in output
 
 
+@pytest.mark.slow
 def test_home_asks_for_the_peg_first() -> None:
     with in_hand("home") as (_, terminal):
         answer_all(terminal, "Put the arm's stylus on its peg and let go of it.")
@@ -247,6 +258,7 @@ def test_read_gives_one_json_object(said: Said) -> None:
     assert line["serial_number"] == "40937"
 
 
+@pytest.mark.slow
 def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, said: Said) -> None:
     out = tmp_path / "frame.toml"
     with arm(f"frame {OWN} --out {{}} --homed --plane-checks 0", out) as terminal:
@@ -261,6 +273,7 @@ def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, said:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
 def test_it_reads_the_arm_of_a_bench_that_only_emulates(capsys: pytest.CaptureFixture[str]) -> None:
     with started(["emulate"]) as child:
@@ -275,6 +288,7 @@ def test_it_reads_the_arm_of_a_bench_that_only_emulates(capsys: pytest.CaptureFi
     assert "packets/s" in seen[1]
 
 
+@pytest.mark.slow
 def test_writing_over_has_to_be_asked_for(tmp_path: Path) -> None:
     out = tmp_path / "frame.toml"
     out.write_text("old", encoding="utf-8")

@@ -91,6 +91,7 @@ def test_standby_stops_a_bath_with_an_alarm_and_a_broken_sensor(
     assert "in standby; no temperature" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_watch_prints_a_line_a_second_without_a_terminal(bath: Served, said: Said) -> None:
     bath.plant.run(33.0)
     lines = said(0, "bath watch {} --seconds 2.5", bath.at).out.strip().split("\n")
@@ -114,6 +115,7 @@ class ExpectedScene(io.StringIO):
         return count
 
 
+@pytest.mark.slow
 def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
     bath.plant.run(33.0)
     shown = ExpectedScene()

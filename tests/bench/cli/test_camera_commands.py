@@ -45,6 +45,7 @@ def test_list_of_a_rig(said: Said) -> None:
     assert "kelvin_per_count=0.04" in lines[2]
 
 
+@pytest.mark.slow
 def test_show_the_emulated_rig(said: Said) -> None:
     told = json.loads(said(0, "camera show --json").out)
     assert told["identity"]["left"] == "emulated 1360 x 1024"
@@ -53,6 +54,7 @@ def test_show_the_emulated_rig(said: Said) -> None:
     assert told["faults"] == []
 
 
+@pytest.mark.slow
 def test_show_tells_a_fault_and_exits_3(tmp_path: Path, said: Said) -> None:
     rig = with_emulation(
         tmp_path, 'faults = [{ instrument = "cameras", name = "saturated", camera = "right" }]'
@@ -62,6 +64,7 @@ def test_show_tells_a_fault_and_exits_3(tmp_path: Path, said: Said) -> None:
     assert "right camera: saturated: " in captured.err
 
 
+@pytest.mark.slow
 def test_show_streams(streams: list[str], capsys: Capture) -> None:
     assert teatbench("camera show {}", streams) in (
         0,
@@ -72,6 +75,7 @@ def test_show_streams(streams: list[str], capsys: Capture) -> None:
     assert "640 x 480" in out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
 def test_emulate_serves_its_cameras_too(said: Said) -> None:
     with started(["emulate"]) as child:
@@ -86,12 +90,14 @@ def test_emulate_serves_its_cameras_too(said: Said) -> None:
         assert child.returncode == 0
 
 
+@pytest.mark.slow
 def test_focus_of_one_stream(streams: list[str], said: Said) -> None:
     lines = said(0, "camera focus {} --seconds 0.5 --every 0.1", streams[0]).out.splitlines()
     assert lines[0].startswith("single  0.")
     assert lines[-1].startswith("focus_px = { single = 0.")
 
 
+@pytest.mark.slow
 def test_focus_sees_a_lens_go_out_of_focus(tmp_path: Path, said: Said) -> None:
     fault = '{ instrument = "cameras", name = "out of focus", camera = "right", at_s = 1.0 }'
     rig = with_emulation(tmp_path, f"faults = [{fault}]")
@@ -103,6 +109,7 @@ def test_focus_sees_a_lens_go_out_of_focus(tmp_path: Path, said: Said) -> None:
     assert best == pytest.approx(blurs[0], abs=0.06)
 
 
+@pytest.mark.slow
 def test_grab_is_a_recording_that_is_added_to(tmp_path: Path, said: Said) -> None:
     folder = tmp_path / "grabbed"
     assert teatbench("camera grab --out {} --count 2", folder) == 0
@@ -116,6 +123,7 @@ def test_grab_is_a_recording_that_is_added_to(tmp_path: Path, said: Said) -> Non
     assert "0002" in said(0, "detect {}", folder).out
 
 
+@pytest.mark.slow
 def test_grab_takes_again_what_has_a_fault(tmp_path: Path, said: Said) -> None:
     rig = with_emulation(
         tmp_path, 'faults = [{ instrument = "cameras", name = "half a frame", times = 1 }]'
@@ -125,6 +133,7 @@ def test_grab_takes_again_what_has_a_fault(tmp_path: Path, said: Said) -> None:
     assert Recording(tmp_path / "grabbed").load("0000").left[-1].any()
 
 
+@pytest.mark.slow
 def test_grab_streams_without_a_rig(streams: list[str], tmp_path: Path, said: Said) -> None:
     why = said(0, "camera grab {} --out {}", streams, tmp_path / "grabbed").err
     assert "put calibration.toml into the folder" in why
@@ -133,6 +142,7 @@ def test_grab_streams_without_a_rig(streams: list[str], tmp_path: Path, said: Sa
     assert frames.thermal is not None
 
 
+@pytest.mark.slow
 def test_a_gige_vision_camera(tmp_path: Path, said: Said) -> None:
     with gige_camera() as serial:
         expected = f"genicam:Aravis-Fake-{serial}  Aravis Fake {serial} GigEVision at {ADDRESS}"

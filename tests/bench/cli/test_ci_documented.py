@@ -45,6 +45,7 @@ def sh(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="the services' machines of the page are Linux")
 @pytest.mark.parametrize(("off_mm", "gate"), [(0.0, 4), (12.0, 1)])
 def test_the_script_tells_a_worse_detector_from_one_that_few_poses_cannot_judge(

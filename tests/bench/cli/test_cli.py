@@ -38,6 +38,7 @@ def damaged_recording(folder: Path) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -98,6 +99,7 @@ def test_a_recording_is_not_written_over(tmp_path: Path, said: Said) -> None:
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 def test_check_prints_every_instrument(said: Said) -> None:
     seen = said(0, "check").out
     for words in (
@@ -113,6 +115,7 @@ def test_check_prints_every_instrument(said: Said) -> None:
         assert words in seen, words
 
 
+@pytest.mark.slow
 def test_check_names_every_instrument_that_does_not_answer(tmp_path: Path, said: Said) -> None:
     text = (ROOT / "bench" / "rigs" / "lab.example.toml").read_text(encoding="utf-8")
     for real, dead in {
@@ -132,6 +135,7 @@ def test_check_names_every_instrument_that_does_not_answer(tmp_path: Path, said:
     assert "Traceback" not in seen
 
 
+@pytest.mark.slow
 def test_detect_prints_the_lines_of_the_format(shared_data: Path, said: Said) -> None:
     lines = [
         json.loads(line)
@@ -145,6 +149,7 @@ def test_detect_prints_the_lines_of_the_format(shared_data: Path, said: Said) ->
     assert any(line["teats"] for line in lines)
 
 
+@pytest.mark.slow
 def test_score_runs_over_frames_that_another_program_rendered(
     shared_data: Path, tmp_path: Path
 ) -> None:
@@ -161,6 +166,7 @@ def test_score_runs_over_frames_that_another_program_rendered(
     assert "RECORDED FRAMES" in (folder / "report" / "index.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
 def test_emulate_serves_drivers_of_another_process() -> None:
     with started(["emulate"]) as child:
@@ -179,6 +185,7 @@ def test_emulate_serves_drivers_of_another_process() -> None:
         assert child.returncode == 0, output
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_is_no_fault(tmp_path: Path) -> None:
     command = f'"{sys.executable}" -m bench.cli trials | true'
     done = subprocess.run(

@@ -30,6 +30,8 @@ from detector.protocol import Detection, Detector, Frames
 from tests.bench.commands import Said, teatbench
 from tests.bench.small_run import written_anew
 
+pytestmark = pytest.mark.slow
+
 SCENES = 3
 WIDER = "UPDATE scores SET score = replace(score, '\"limit_mm\": 5.0', '\"limit_mm\": 9.0')"
 

@@ -9,6 +9,8 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.emulation_model import EmulatedStage
 from bench.rig.loading import RIGS, find_rig, load_rig
@@ -17,6 +19,7 @@ from instruments.clock import RealClock
 from tests.bench.commands import Said
 
 
+@pytest.mark.slow
 def test_the_command_says_what_and_exits_with_2(tmp_path: Path, said: Said) -> None:
     text = find_script("repeatability").read_text(encoding="utf-8")
     text = text.replace("x_mm = 104.0, y_mm = 96.0", "x_mm = 160.0, y_mm = 96.0")
@@ -35,6 +38,7 @@ def test_the_command_says_what_and_exits_with_2(tmp_path: Path, said: Said) -> N
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 def test_a_clean_script_exits_with_0(short_script: Path, tmp_path: Path, said: Said) -> None:
     gone_through, first, time, room = said(
         0, "run {} --dry-run --out {}", short_script, tmp_path / "runs"
@@ -67,6 +71,7 @@ def one(folder: Path, pose: str = "") -> tuple[Path, Path]:
     return folder / "one.py", folder / "runs"
 
 
+@pytest.mark.slow
 def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
     tmp_path: Path, said: Said
 ) -> None:
@@ -76,6 +81,7 @@ def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
     assert "; the operator's by assumed times, see 'teatbench trials show'" in seen
 
 
+@pytest.mark.slow
 def test_what_a_run_is_refused_for_is_told_by_its_dry_run(tmp_path: Path, said: Said) -> None:
     rig = lab(tmp_path, NO_STAGE)
     (tmp_path / "lab.tripped.json").write_text(
@@ -90,6 +96,7 @@ def test_what_a_run_is_refused_for_is_told_by_its_dry_run(tmp_path: Path, said: 
     assert "needs a stage" in said(2, "run plane-map --dry-run --rig {}", rig).err
 
 
+@pytest.mark.slow
 def test_a_stage_is_not_asked_while_a_run_has_its_rig(tmp_path: Path, said: Said) -> None:
     """Opening its port resets most boards."""
     rig = lab(tmp_path, NO_STAGE)
@@ -107,6 +114,7 @@ def test_a_script_of_which_no_trial_is_within_the_travel(tmp_path: Path, said: S
     assert "not checked: the script as a whole: no trial is within the stage's travel" in seen
 
 
+@pytest.mark.slow
 def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(
     tmp_path: Path, said: Said
 ) -> None:

@@ -113,6 +113,7 @@ def check_cells(table: Path) -> None:
     ] == []
 
 
+@pytest.mark.slow
 def test_names_of_a_recording_and_words_of_a_detector(tmp_path: Path, said: Said) -> None:
     recording = write_recording(
         tmp_path
@@ -141,6 +142,7 @@ def test_names_of_a_recording_and_words_of_a_detector(tmp_path: Path, said: Said
         check_cells(table)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_a_script_and_a_rig_on_a_real_terminal(tmp_path: Path) -> None:
     script = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
@@ -170,6 +172,7 @@ def test_a_script_and_a_rig_on_a_real_terminal(tmp_path: Path) -> None:
     check_terminal(said)
 
 
+@pytest.mark.slow
 def test_words_on_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
     """A board that welcomes as Grbl does, and answers whatever it is asked with a version that
     would clear the screen.

@@ -71,6 +71,7 @@ def test_what_is_just_missed_is_not_rounded_away(said: Said) -> None:
     assert "1 pose without a failure shows 5.0 %" in said(0, "plan --trials 1").out
 
 
+@pytest.mark.slow
 def test_for_programs(said: Said) -> None:
     told = json.loads(
         said(0, "plan --trials 93 --rate 0.95 --true-rate 0.99 --sd-mm 1 --shift-mm 0.5 --json").out

@@ -20,6 +20,7 @@ from instruments.world.situations import SITUATIONS, situation
 from tests.bench.commands import Said, teatbench, words
 
 
+@pytest.mark.slow
 def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
     tmp_path: Path, said: Said
 ) -> None:
@@ -50,6 +51,7 @@ def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
     )
 
 
+@pytest.mark.slow
 def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
     rig = load_rig(find_rig(None))
     for folder, seeds in (("one", [5]), ("two", [4, 5])):
@@ -63,6 +65,7 @@ def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
         list(record(rig, ["dim_light"], [5], tmp_path / "one", seed=1))
 
 
+@pytest.mark.slow
 def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, said: Said) -> None:
     out = tmp_path / "sheet.png"
     assert str(out) in said(0, "scene sheet --situation ideal --seeds 2 --out {}", out).out
@@ -120,6 +123,7 @@ def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
         read_config(rig, Rig)
 
 
+@pytest.mark.slow
 def test_boards_are_found_in_their_pictures(tmp_path: Path, said: Said) -> None:
     """The shipped chessboard, drawn by the scene, is what OpenCV's finder sees; it is whole in both
     pictures.

@@ -57,6 +57,7 @@ def test_status_says_everything_with_units(stage: Served, said: Said) -> None:
     ] == list(told)
 
 
+@pytest.mark.slow
 def test_home_move_and_jog(stage: Served, said: Said) -> None:
     expected = "homed: X -1.000 mm, Y -1.000 mm, Z -1.000 mm, A -1.000 deg\n"
     assert said(0, "stage home {}", stage.at).out == expected
@@ -69,6 +70,7 @@ def test_home_move_and_jog(stage: Served, said: Said) -> None:
     )
 
 
+@pytest.mark.slow
 def test_beyond_the_travel_nothing_moves_at_all(stage: Served, said: Said) -> None:
     before = stage.emulator.position_mm()
     why = said(2, "stage move {} -20 5", stage.at).err
@@ -77,6 +79,7 @@ def test_beyond_the_travel_nothing_moves_at_all(stage: Served, said: Said) -> No
     assert "X = 1.000 mm is outside the travel" in said(2, "stage jog {} X2", stage.at).err
 
 
+@pytest.mark.slow
 def test_a_fault_ends_at_a_stand_with_what_to_do(stage: Served, said: Said) -> None:
     stage.emulator.inject(Fault.NO_SWITCH)
     assert "alarm 9: homing found no switch" in said(3, "stage home {}", stage.at).err

@@ -21,6 +21,7 @@ IN_TRIAL = "s REASON = skip this trial, r = repeat it from its set-up, "
 LAST_WORDS = "? = explain, a = abort the run): "
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [37, 80, 200])
 def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
     columns: int, tmp_path: Path
@@ -50,6 +51,7 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
     assert len(bars) == 1, "the bar is there once, at the end"
 
 
+@pytest.mark.slow
 def test_beside_a_refusal_there_is_no_bar(tmp_path: Path) -> None:
     with at_terminal(["score", str(tmp_path / "nosuch")]) as terminal:
         assert terminal.code() == 2

@@ -28,6 +28,8 @@ from tests.bench.commands import Said, teatbench, words
 from tests.bench.run.test_end_to_end import content, run_command, started
 from tests.conftest import ROOT
 
+pytestmark = pytest.mark.slow
+
 HEAD = (
     '{"format": "teatbench capture", "version": 1, "wall_time": "w", "teatbench": "0", "command":'
     ' "c", "machine": "m"}\n'

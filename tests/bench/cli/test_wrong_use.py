@@ -113,6 +113,7 @@ NO_ANSWER = {  # code 3
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "code", "message"),
     [
@@ -159,6 +160,7 @@ class Chatter(Silent):
         connection.send(b"error: expected command letter\r\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("device", "word"), [(Silent(), "switched on"), (Chatter(), "not")])
 def test_what_does_not_answer_as_an_arm_is_named(device: Silent, word: str, said: Said) -> None:
     clock = RealClock()

@@ -43,6 +43,7 @@ def kinds(rig: LoadedRig, loaded: LoadedScript) -> dict[str, str]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["six-situations", "plane-map", "repeatability", "random-udder"])
 def test_what_ships_is_clean(rig: LoadedRig, name: str) -> None:
     result = dry_run(rig, load_script(find_script(name)), TRAVEL)

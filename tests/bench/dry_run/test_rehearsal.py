@@ -50,6 +50,7 @@ def found(rehearsal: Rehearsal) -> list[tuple[str, str]]:
     return [(one.trial, one.kind) for one in rehearsal.findings]
 
 
+@pytest.mark.slow
 def test_it_takes_as_long_and_asks_as_often_as_the_run(tmp_path: Path, nothing_stays: Path) -> None:
     slow = SCRIPT.replace("window_s = 2.0", "window_s = 20.0")
     more = {"stage": STAGE, "check_point": CHECK_POINT, "emulation": "prompt_s = 3.0"}
@@ -83,6 +84,7 @@ def test_a_gate_that_never_opens_and_an_interlock_are_met(tmp_path: Path) -> Non
     assert "33.005" in tripped.findings[0].text
 
 
+@pytest.mark.slow
 def test_what_the_arm_does_not_reach_is_told_by_the_trial_and_the_others_are_gone_through(
     tmp_path: Path,
 ) -> None:
@@ -101,6 +103,7 @@ def test_a_check_point_out_of_reach_ends_it(tmp_path: Path) -> None:
     assert reach.text == "the arm doesn't reach the check point at [-190, 900, 15] mm"
 
 
+@pytest.mark.slow
 def test_what_the_run_gets_over_is_told_and_is_no_finding(tmp_path: Path) -> None:
     faults = 'faults = [{ instrument = "stage", name = "disconnect", amount = 0.2 }]'
     rehearsal = rehearse(*loaded(tmp_path, stage=STAGE, emulation=faults), ())
@@ -110,6 +113,7 @@ def test_what_the_run_gets_over_is_told_and_is_no_finding(tmp_path: Path) -> Non
     assert rehearsal.spent["waiting for instruments"] > 0.0
 
 
+@pytest.mark.slow
 def test_frames_that_fail_the_rigs_checks_and_a_detector_that_fails(tmp_path: Path) -> None:
     rig, script = loaded(tmp_path)
     checks = rig.rig.cameras.checks.model_copy(update={"black_dn": 250})
@@ -132,6 +136,7 @@ class Failing:
         raise DetectionFailure("no licence")
 
 
+@pytest.mark.slow
 def test_answers_that_are_left_over_are_met_and_one_that_skips_is_told(tmp_path: Path) -> None:
     answers = tmp_path / "answers.toml"
     answers.write_text(ANSWERS.format("skip the teat came off"), encoding="utf-8")

@@ -81,6 +81,7 @@ def test_a_travel_that_nobody_knows_is_far_enough(lab: LoadedRig, tmp_path: Path
     assert (stage.dialect, set(stage.settings)) == ("grblHAL", {130, 131, 133})
 
 
+@pytest.mark.slow
 def test_the_arm_stands_where_the_frame_says_under_its_own_number(
     lab: LoadedRig, tmp_path: Path
 ) -> None:
@@ -101,6 +102,7 @@ def test_the_arm_stands_where_the_frame_says_under_its_own_number(
     assert gone.trials == 3, "touched where they are, through the frame"
 
 
+@pytest.mark.slow
 def test_a_registration_of_a_turned_stage_holds_on_the_twin(lab: LoadedRig, tmp_path: Path) -> None:
     turned = Motion.from_vectors((0.0, 0.0, 0.02), (30.0, 500.0, 135.0))
     places = [(x, y, 0.0) for x in (-250.0, -50.0) for y in (-230.0, -40.0)]
@@ -114,6 +116,7 @@ def test_a_registration_of_a_turned_stage_holds_on_the_twin(lab: LoadedRig, tmp_
     assert rehearsal.trials == 3
 
 
+@pytest.mark.slow
 def test_a_person_takes_the_time_that_persons_took(lab: LoadedRig, tmp_path: Path) -> None:
     poses = script(tmp_path, SCRIPT.replace(", z_mm = 6.0, yaw_deg = 4.0", ""))
     usual = rehearse(lab, poses, ())
@@ -131,6 +134,7 @@ def test_a_person_takes_the_time_that_persons_took(lab: LoadedRig, tmp_path: Pat
     assert usual.prompts == slower.prompts == 1 + 3 + touches
 
 
+@pytest.mark.slow
 def test_a_person_leans_the_stylus_where_an_emulated_operator_would_not_get_to(
     lab: LoadedRig, tmp_path: Path
 ) -> None:
@@ -140,6 +144,7 @@ def test_a_person_leans_the_stylus_where_an_emulated_operator_would_not_get_to(
     assert {(one.trial, one.kind) for one in upright.findings} == {("place-1", "reach")}
 
 
+@pytest.mark.slow
 def test_a_registration_beyond_the_travel_is_met_before_the_trials(
     lab: LoadedRig, tmp_path: Path
 ) -> None:

@@ -199,6 +199,7 @@ def reading(run: Path, whole: Path, out: Path) -> dict[str, list[str]]:
     }
 
 
+@pytest.mark.slow
 def test_what_is_whole_is_taken_by_every_command(
     run: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -212,6 +213,7 @@ def test_what_is_whole_is_taken_by_every_command(
     assert not list(tmp_path.rglob(DAMAGED))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", DAMAGES)
 def test_a_damaged_run_is_refused_or_told_to_be_damaged(
     run: Path, whole: Path, tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
@@ -268,6 +270,7 @@ def assert_told(out: Path, *reports: Path) -> None:
             assert all(NOT_AS_WRITTEN in row for row in rows)
 
 
+@pytest.mark.slow
 def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, said: Said) -> None:
     class Stopping(Silent):
         def trial(self, done: int, total: int, name: str) -> None:
@@ -289,6 +292,7 @@ def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, 
     said(1, "store check {}", run)
 
 
+@pytest.mark.slow
 def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(
     run: Path, said: Said
 ) -> None:
@@ -308,6 +312,7 @@ def test_a_report_of_a_record_that_was_cut_off_does_not_make_it_whole(
         assert json.loads((run / PRINTED).read_text(encoding="utf-8"))["chain"] == printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_bit_flipped_anywhere_in_the_database_changes_nothing_unseen(
     run: Path, tmp_path: Path, seed: int, capsys: pytest.CaptureFixture[str]

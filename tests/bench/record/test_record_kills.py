@@ -146,6 +146,7 @@ def look(folder: Path, done: int) -> int:
     return len(numbers)
 
 
+@pytest.mark.slow
 def test_a_run_killed_at_200_random_moments_always_opens_and_loses_and_invents_nothing(
     tmp_path: Path,
 ) -> None:

@@ -104,6 +104,7 @@ def test_an_old_run_is_checked_and_exported_but_not_gone_on_with(
         Store(run)
 
 
+@pytest.mark.slow
 def test_a_run_of_schema_3_is_whole_reported_and_exported(tmp_path: Path, said: Said) -> None:
     run = kept(tmp_path)
     detections = [row for trial in read_run(run).trials for row in trial.detections]

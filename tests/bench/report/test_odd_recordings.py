@@ -21,6 +21,8 @@ from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import record
 from tests.bench.commands import Said
 
+pytestmark = pytest.mark.slow
+
 Picture = NDArray[Any]
 
 

@@ -23,6 +23,8 @@ from tests.axe import violations
 from tests.chromium import Scheme, browser_page, chromium
 from tests.reports.markup import Document, read
 
+pytestmark = pytest.mark.slow
+
 HOSTILE = "<img src=x onerror=alert(1)></td></table><script>alert(2)</script>\"'&"
 DECIDED = (0, 1, 4)
 

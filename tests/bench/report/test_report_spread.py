@@ -91,6 +91,7 @@ def test_each_teat_counts_its_poses_once(two_teats: RunRecord) -> None:
     assert (last.teat, last.pose, last.found, last.worst_mm) == ("2", "map-11", 0, None)
 
 
+@pytest.mark.slow
 def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: RunRecord) -> None:
     parts = spread(two_teats)
     drawn = told(parts, Figure, "Errors with their 95 % ellipsoids")
@@ -109,6 +110,7 @@ def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: 
     assert rows[4][4] == "not measured"
 
 
+@pytest.mark.slow
 def test_too_many_teats_are_one_cloud(two_teats: RunRecord) -> None:
     ends = ENDS[0] + 40.0 * np.arange(7)[:, None]
     many = [trial(k, f"p{k}", 1, ends, ends + 0.1) for k in range(1, 7)]

@@ -41,6 +41,8 @@ from reports.page import Cell, Section, Table
 from tests.bench.results.test_error_rows import record, trial
 from tests.conftest import SHARED
 
+pytestmark = pytest.mark.slow
+
 MIDDLE = np.array([-185.0, 235.0, 136.0])
 
 

@@ -286,6 +286,7 @@ def test_its_failures_are_what_they_are(
     assert answer.stderr == "cheese is low"
 
 
+@pytest.mark.slow
 def test_what_the_processor_gave_is_measured_beside_the_time(calibration: Calibration) -> None:
     def wait() -> Detection:
         threading.Event().wait(0.5)

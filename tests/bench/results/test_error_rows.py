@@ -177,6 +177,7 @@ def set_ups(folder: Path, poses: int = 40, repeats: int = 6, touches: int = 3) -
     return record(folder, made)
 
 
+@pytest.mark.slow
 def test_the_gage_study_finds_touch_and_set_up(tmp_path: Path) -> None:
     found = truth_gage([set_ups(tmp_path)])
     assert found.studies is not None

@@ -30,6 +30,8 @@ from tests.bench.small_recording import ENDS_MM, write_recording
 from tests.bench.small_run import written_anew
 from tests.conftest import ROOT
 
+pytestmark = pytest.mark.slow
+
 PROGRAM = f"""
 import json, sys
 print(json.dumps({{"ready": True}}), flush=True)

@@ -48,6 +48,7 @@ from tests.conftest import ROOT
 LIMIT = Limit(0.01, 0.03, 0.2, None)
 
 
+@pytest.mark.slow
 def test_what_is_found_false_and_missing_is_counted_against_the_truth() -> None:
     ends = situation("ideal", 0).phantom.ends_mm
     right = Knowing([*ends[:3], ends[0] + [0.0, 300.0, 0.0]], error_mm=0.5)
@@ -68,6 +69,7 @@ def test_what_is_found_false_and_missing_is_counted_against_the_truth() -> None:
     assert none.limit.share is None
 
 
+@pytest.mark.slow
 def test_a_thermal_quantity_has_the_share_that_can_be_nominated_beside_it() -> None:
     quantity = replace(QUANTITIES["netd"], values=(0.05, 400.0))
     low, high = measure(Bench(load_rig(find_rig(None)), [Knowing([])], [1], 1), quantity)
@@ -77,6 +79,7 @@ def test_a_thermal_quantity_has_the_share_that_can_be_nominated_beside_it() -> N
     assert high.limit.share == pytest.approx(0.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_same_figures_and_numbers_each_time(
     tmp_path: Path, said: Said
 ) -> None:

@@ -137,6 +137,7 @@ def test_the_limit_is_the_disparitys_noise_times_z_squared_over_f_b(
     )
 
 
+@pytest.mark.slow
 def test_limits_grow_with_noise_and_shrink_with_contrast(
     renderer: Renderer, state: SceneState
 ) -> None:
@@ -167,6 +168,7 @@ def test_quantiles_are_those_of_a_shifted_normal_distribution() -> None:
     assert shifted[0] == pytest.approx(5.0, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_thermal_picture_shows_teats_until_noise_drowns_what_all_their_pixels_hold(
     state: SceneState,
 ) -> None:

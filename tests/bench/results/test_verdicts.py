@@ -145,6 +145,7 @@ def test_a_rate_of_times_counts_poses(tmp_path: Path) -> None:
         assert {d.verdict for d in judgement.decisions if d.unit == "s"} == {verdict}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cpu_s", "load", "why"),
     [

@@ -196,6 +196,7 @@ tables = st.dictionaries(
 )
 
 
+@pytest.mark.slow
 @given(tables, st.lists(tables, max_size=3), tables)
 def test_toml_reads_what_was_written(
     top: dict[str, Any], rows: list[dict[str, Any]], inner: dict[str, Any]

@@ -87,6 +87,7 @@ def true_c(twin: EmulatedRig) -> float:
     return twin.world.plant.pv_c
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "more", "profile", "error", "words"), ON_THE_WIRE)
 def test_what_the_driver_says(
     tmp_path: Path,
@@ -141,6 +142,7 @@ def test_a_controller_that_carries_on_after_its_reset_is_found_again(tmp_path: P
         assert reading.temp_c == pytest.approx(33.0, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", [EUROTHERM, WATLOW])
 def test_a_sensor_break_is_an_alarm_where_the_last_value_stays(
     tmp_path: Path, profile: str
@@ -150,6 +152,7 @@ def test_a_sensor_break_is_an_alarm_where_the_last_value_stays(
         assert "sensor" in told or "open" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", [JULABO, EUROTHERM, WATLOW, OMEGA])
 def test_a_stuck_heater_shows_in_the_temperature_alone(tmp_path: Path, profile: str) -> None:
     with running(tmp_path, profile, "stuck heater", for_s=1000.0) as (twin, bath):
@@ -164,6 +167,7 @@ def test_a_stuck_heater_shows_in_the_temperature_alone(tmp_path: Path, profile: 
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", [JULABO, EUROTHERM, WATLOW, OMEGA])
 def test_a_dead_heater_cools_whatever_the_output(tmp_path: Path, profile: str) -> None:
     with running(tmp_path, profile, "dead heater", for_s=3000.0) as (twin, bath):
@@ -185,6 +189,7 @@ def test_a_stopped_pump_shows_at_the_external_sensor(tmp_path: Path) -> None:
         assert after.running
 
 
+@pytest.mark.slow
 def test_a_low_level_is_the_circulators_alarm_and_cuts_every_heater(tmp_path: Path) -> None:
     with running(tmp_path, JULABO, "low level") as (twin, bath):
         twin.world.clock.sleep(1.0)

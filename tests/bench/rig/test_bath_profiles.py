@@ -31,6 +31,7 @@ def rig_of(folder: Path, profile: str, more: str = "", *, relay: bool = False) -
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", profile_names())
 def test_check_works_with_every_profile(
     tmp_path: Path, profile: str, capsys: pytest.CaptureFixture[str]
@@ -42,6 +43,7 @@ def test_check_works_with_every_profile(
     assert f"family: {load_rig(tmp_path / 'rig.toml').profile.family}" in of_the_bath
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", profile_names())
 def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
     clock = VirtualClock()
@@ -67,6 +69,7 @@ def test_every_profile_warms_the_teats(tmp_path: Path, profile: str) -> None:
         assert not twin.world.plant.running
 
 
+@pytest.mark.slow
 def test_a_serial_bath_may_be_on_a_pseudo_terminal(tmp_path: Path) -> None:
     pytest.importorskip("termios", reason="needs pseudo-terminals: Linux and macOS have them")
     clock, rig = RealClock(), load_rig(rig_of(tmp_path, "eurotherm-3200"))
@@ -79,6 +82,7 @@ def test_a_serial_bath_may_be_on_a_pseudo_terminal(tmp_path: Path) -> None:
     clock.close()
 
 
+@pytest.mark.slow
 def test_a_fault_that_the_bath_can_not_have_is_refused(tmp_path: Path) -> None:
     path = rig_of(
         tmp_path,

@@ -36,6 +36,7 @@ def run(rig: Path, folder: Path, code: set[int], *, window_s: float = 60.0) -> R
     return read_run(made)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["eurotherm-3200", "omega-cn7"])
 def test_a_run_whose_pump_is_a_relays(profile: str, tmp_path: Path) -> None:
     record = run(rig_of(tmp_path, profile, relay=True), tmp_path, {0, 1, 4})
@@ -46,6 +47,7 @@ def test_a_run_whose_pump_is_a_relays(profile: str, tmp_path: Path) -> None:
     assert float(record.bath[:, 1].max()) == pytest.approx(33.0, abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["power cut", "silence"])
 def test_a_relay_that_fails_ends_the_heat(fault: str, tmp_path: Path) -> None:
     rig = rig_of(tmp_path, "eurotherm-3200", FAULT.format(name=fault, at_s=200.0), relay=True)
@@ -56,6 +58,7 @@ def test_a_relay_that_fails_ends_the_heat(fault: str, tmp_path: Path) -> None:
     assert any("heater is in standby" in done for done in trip["done"])
 
 
+@pytest.mark.slow
 def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path: Path) -> None:
     """After a short power cut the relay answers again, and says that it is off."""
     wish = FAULT.format(name="power cut", at_s=200.2) + "for_s = 0.5\n"
@@ -67,6 +70,7 @@ def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path
     assert 200.0 <= trip["t_s"] <= 203.0
 
 
+@pytest.mark.slow
 def test_a_pump_that_is_not_fitted_is_told_and_not_pretended(tmp_path: Path) -> None:
     path = rig_of(tmp_path, "eurotherm-3200")
     record = run(path, tmp_path, {0, 1, 3, 4})
@@ -82,6 +86,7 @@ def test_a_pump_that_is_not_fitted_is_told_and_not_pretended(tmp_path: Path) -> 
         assert float(plant.teat_c.max()) == 20.0
 
 
+@pytest.mark.slow
 def test_the_relay_listens_on_a_port_of_its_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -222,6 +222,7 @@ def clock() -> Iterator[RealClock]:
         yield real
 
 
+@pytest.mark.slow
 def test_streams_and_a_radiometric_camera_of_one_rig_file(tmp_path: Path, clock: RealClock) -> None:
     need_aravis()
     with closing(StreamServer(EmulatedCameras(GalleryWorld(clock=clock)), clock)) as server:
@@ -240,6 +241,7 @@ def test_streams_and_a_radiometric_camera_of_one_rig_file(tmp_path: Path, clock:
     assert 250.0 <= coldest < warmest <= 250.0 + 0.002 * 65535
 
 
+@pytest.mark.slow
 def test_lost_packets_are_taken_again_and_counted(clock: RealClock) -> None:
     """About one frame in six of the left camera comes with holes; every set that is given out is
     whole.

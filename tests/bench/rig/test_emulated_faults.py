@@ -193,6 +193,7 @@ def test_an_arm_file_with_faults_is_shown_in_its_places(tmp_path: Path) -> None:
         load_rig(with_emulation(tmp_path, 'arm_unit = "none.toml"'))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them"
 )
@@ -227,6 +228,7 @@ def test_pseudo_terminals_where_there_are_none(
     assert why in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{"paced": True}, {"pty": True}])
 def test_neither_goes_with_virtual_time(tmp_path: Path, options: dict[str, bool]) -> None:
     with pytest.raises(ValueError, match="under virtual time"):

@@ -116,6 +116,7 @@ def test_the_world_moves_as_fast_as_the_stage(tmp_path: Path) -> None:
         assert world.scene().velocity_mm_s == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "amount", "error", "sentence"),
     [

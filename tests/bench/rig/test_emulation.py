@@ -22,6 +22,8 @@ from instruments.microscribe.driver import MicroScribe
 from instruments.operators.operator import Arrangement, Release, Touch
 from instruments.stage.driver import Stage
 
+pytestmark = pytest.mark.slow
+
 IDEAL = Arrangement("ideal", shipped_phantom("table-5-1"), (), "")
 
 

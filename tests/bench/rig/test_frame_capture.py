@@ -38,6 +38,7 @@ class Bench:
         self.taker.take()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_that_passes_is_cured_by_another_try_and_counted(fault: FrameFault) -> None:
     bench = Bench()
@@ -50,6 +51,7 @@ def test_each_fault_that_passes_is_cured_by_another_try_and_counted(fault: Frame
     assert bench.events[0][1].endswith("Taken again; 3 tries are left.")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_that_stays_is_refused_with_a_sentence(fault: FrameFault) -> None:
     bench = Bench()
@@ -120,6 +122,7 @@ def record_of(folder: Path) -> tuple[list[str], dict[str, int], int]:
     return events, run.facts.get("camera faults", {}), len(run.trials)
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(
     tmp_path: Path, short_script: Path
 ) -> None:
@@ -136,6 +139,7 @@ def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(
     assert trials == 6
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(900)  # a busy machine draws its report for minutes
 def test_a_run_ends_safely_when_a_fault_stays(tmp_path: Path, short_script: Path) -> None:
     rig = with_emulation(

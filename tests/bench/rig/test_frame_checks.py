@@ -38,6 +38,7 @@ def checks(**changed: Any) -> FrameChecks:
     return FrameChecks(rig.checks.model_copy(update=changed), rig.max_skew_s, calibration())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SITUATIONS)
 def test_no_false_alarm_in_any_situation(name: str) -> None:
     cameras, looks = EmulatedCameras(SmallWorld(situation(name))), checks()
@@ -45,6 +46,7 @@ def test_no_false_alarm_in_any_situation(name: str) -> None:
         assert looks.notice(cameras.capture()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed"),
     [("dim_light", 2), ("low_contrast", 1), ("hot_body_at_base", 1), ("anywhere", 1)],
@@ -64,6 +66,7 @@ def dimmed(picture: NDArray[np.uint8], light: float, rng: np.random.Generator) -
     ).astype(np.uint8)
 
 
+@pytest.mark.slow
 def test_no_false_alarm_in_the_dim() -> None:
     frames, rng = EmulatedCameras(GalleryWorld()).capture(), np.random.default_rng(3)
     looks = checks()
@@ -73,6 +76,7 @@ def test_no_false_alarm_in_the_dim() -> None:
         assert looks.notice(dim) == []
 
 
+@pytest.mark.slow
 def test_no_false_alarm_in_what_a_path_tracer_rendered(shared_data: Path) -> None:
     """Frames of all eleven situations from a program that shares no code with the bench; each of
     them swapped is noticed.

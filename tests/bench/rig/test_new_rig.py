@@ -21,6 +21,8 @@ from tests.bench.calibrate.small_rig import small_calibration, write_rig
 from tests.bench.real_rig import SCRIPT, real_rig, record_one
 from tests.bench.run.test_end_to_end import started
 
+pytestmark = pytest.mark.slow
+
 Capture = pytest.CaptureFixture[str]
 posix = pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
 

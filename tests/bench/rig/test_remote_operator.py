@@ -33,6 +33,8 @@ from instruments.operators.remote import OperatorPort, RemoteOperator
 from instruments.world.boards import Pattern
 from instruments.world.situations import SITUATIONS, situation
 
+pytestmark = pytest.mark.slow
+
 CHECK_POINT_MM = (-190.0, 120.0, 15.0)
 
 

@@ -32,6 +32,8 @@ from tests.bench.calibrate.arm_rig import Follower, emulated
 from tests.bench.commands import Said, teatbench
 from tests.bench.operated_runs import texts
 
+pytestmark = pytest.mark.slow
+
 PLACED = Motion.from_vectors((0.015, -0.01, 0.4), (-40.0, -60.0, 9.0))
 REQUIREMENT = "arm verified before and after"
 

@@ -36,6 +36,7 @@ def answer(terminal: Terminal, words: str, line: str = ENTER) -> str:
     return said
 
 
+@pytest.mark.slow
 def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
     with started(tmp_path, touches=2, check_point=CHECK_POINT) as terminal:
         answer(terminal, "Put the arm's stylus on its peg", "what?")
@@ -71,6 +72,7 @@ def safe(told: str, tmp_path: Path) -> None:
     assert any("bath" in text for text in texts(record, "safe"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "told", "prompt"),
     [
@@ -92,6 +94,7 @@ def test_an_abort_ends_the_run_in_safe(key: str, told: str, prompt: str, tmp_pat
     safe(told, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_terminal_that_closes_ends_the_run_in_safe(tmp_path: Path) -> None:
     with started(tmp_path) as terminal:
         terminal.expect(ABORT_KEY)
@@ -99,6 +102,7 @@ def test_a_terminal_that_closes_ends_the_run_in_safe(tmp_path: Path) -> None:
     safe("", tmp_path)
 
 
+@pytest.mark.slow
 def test_a_trip_ends_a_prompt_without_enter_and_reminders_come_before(tmp_path: Path) -> None:
     fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "low level"\nat_s = 3.0'
     with started(tmp_path, operator_more="remind_s = 0.5", emulation=fault) as terminal:

@@ -27,6 +27,8 @@ from bench.safety.stability import State
 from tests.bench.commands import Said, teatbench
 from tests.conftest import ROOT
 
+pytestmark = pytest.mark.slow
+
 
 @dataclass(frozen=True)
 class Done:

@@ -40,6 +40,7 @@ def heated_run(folder: Path, *more: str) -> tuple[LoadedRig, LoadedScript]:
     return load_rig(rig_file), load_script(folder / "script.toml")
 
 
+@pytest.mark.slow
 def test_a_run_teaches_how_long_the_next_takes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -59,6 +60,7 @@ def test_a_run_teaches_how_long_the_next_takes(
     assert read_learnt(folder, rig) == pytest.approx(learnt)
 
 
+@pytest.mark.slow
 def test_an_emulated_run_takes_what_was_told_and_tells_what_is_left_all_the_while(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,6 +25,8 @@ if sys.platform == "win32":
 
 from tests.bench.marked_bench import CLOSED_CODE, MARK, MarkedBench, marked_bench, serve
 
+pytestmark = pytest.mark.slow
+
 AT_ONCE = 2  # an arm in real time that waits for a busy processor counts as lost
 # standby takes milliseconds; the rest is the arm's and the links' ending, on a machine that is busy
 BOUND_S = 15.0

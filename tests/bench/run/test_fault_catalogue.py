@@ -38,6 +38,7 @@ def rows() -> dict[tuple[str, str], list[str]]:
     return {(one[0], one[1]): one[2:] for one in cells}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("instrument", "name", "state"), ALL if os.environ.get("TEATBENCH_CATALOGUE") == "all" else SOME
 )

@@ -31,6 +31,7 @@ def page_of(record: RunRecord) -> str:
     return (record.folder / "report" / "index.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_skipped_trial_leaves_the_counts_and_is_told_with_its_reason(tmp_path: Path) -> None:
     why = "the teat came off"
     code, record = answered(tmp_path, f"{WILLING}touch (trial 2 of 3, teat 3): skip {why}\n")
@@ -45,6 +46,7 @@ def test_a_skipped_trial_leaves_the_counts_and_is_told_with_its_reason(tmp_path:
     assert "on 2 frame sets of 2 poses" in page
 
 
+@pytest.mark.slow
 def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
     answers = "otherwise homing: go\notherwise set up: skip no phantom here\n"
     code, record = answered(tmp_path, answers)
@@ -52,6 +54,7 @@ def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
     assert "All 3 trials were left out, so nothing was scored" in page_of(record)
 
 
+@pytest.mark.slow
 def test_a_trial_may_be_done_again_from_its_set_up(tmp_path: Path) -> None:
     answers = WILLING + "touch (trial 2 of 3, teat 3): repeat\nset up (trial 2 of 3): repeat\n"
     code, record = answered(tmp_path, answers, stage=STAGE)
@@ -60,6 +63,7 @@ def test_a_trial_may_be_done_again_from_its_set_up(tmp_path: Path) -> None:
     assert len(texts(record, "repeated")) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("answers", "words"),
     [
@@ -81,12 +85,14 @@ def test_a_script_that_does_not_fit_the_run_faults_it(
     assert words in texts(record, "fault")[0]
 
 
+@pytest.mark.slow
 def test_an_answer_may_abort_the_run(tmp_path: Path) -> None:
     code, record = answered(tmp_path, f"{WILLING}set up (trial 2 of 3): abort\n")
     assert (code, record.ending, len(record.trials)) == (3, "aborted", 1)
     assert texts(record, "aborted") == ["the operator aborted the run"]
 
 
+@pytest.mark.slow
 def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path) -> None:
     """Under virtual time the wall's passes by a second or two."""
     code, record = run([*files(tmp_path, emulation="prompt_s = 1.0"), "--realtime"], tmp_path)
@@ -98,6 +104,7 @@ def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path)
     assert wall_s == pytest.approx(bench_s, abs=2.0)
 
 
+@pytest.mark.slow
 def test_an_interlock_ends_a_prompt_of_the_emulated_operator(tmp_path: Path) -> None:
     fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "silence"\nat_s = 100.0'
     code, record = run(files(tmp_path, emulation=f"prompt_s = 600.0\n{fault}"), tmp_path)
@@ -128,6 +135,7 @@ def touched_ends(record: RunRecord) -> np.ndarray:
     return np.array(rows)
 
 
+@pytest.mark.slow
 def test_without_a_stage_the_emulated_operator_puts_the_plate_where_the_script_says(
     tmp_path: Path,
 ) -> None:
@@ -137,6 +145,7 @@ def test_without_a_stage_the_emulated_operator_puts_the_plate_where_the_script_s
     assert exact_ends(record) == pytest.approx(WANTED, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_placement_errors_come_out_in_the_truth_and_not_as_errors_of_it(tmp_path: Path) -> None:
     emulation = "placement_error_mm = 2.0\nplacement_error_deg = 1.0\nhand_error_mm = 0.05"
     code, record = run(files(tmp_path, emulation=emulation), tmp_path)
@@ -148,6 +157,7 @@ def test_placement_errors_come_out_in_the_truth_and_not_as_errors_of_it(tmp_path
     assert len(set(np.round((found - WANTED)[:, 0, 0], 6))) == 3
 
 
+@pytest.mark.slow
 def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -166,6 +176,7 @@ def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
     assert record.folder.joinpath("answers.txt").read_text(encoding="utf-8") == answers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", ["wrong teat", "forgotten teat"])
 def test_a_mistake_of_the_hand_is_noticed_and_does_not_get_into_the_truth(
     mistake: str, tmp_path: Path

@@ -64,6 +64,7 @@ class FullDisk:
         patch.setattr(Store, "frames", counted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", FULL, ids=["frames", "database"])
 @pytest.mark.parametrize("for_good", [False, True], ids=["once", "for good"])
 def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
@@ -129,6 +130,7 @@ class Tampering(Silent):
             self._what(only_run(self._folder, "runs"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     sys.platform == "win32", reason="Windows neither deletes nor moves what is open"
 )
@@ -156,6 +158,7 @@ def test_a_folder_that_is_gone_is_noticed_in_the_trial_in_which_it_went(
         assert not list((tmp_path / "runs").glob("*/frames")), "the folder isn't made anew"
 
 
+@pytest.mark.slow
 def test_a_folder_that_is_gone_is_told_by_the_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
 ) -> None:
@@ -184,6 +187,7 @@ def test_a_folder_that_may_not_be_written_is_told_before_anything_is_opened(
     assert "a run can't be kept in" in said(2, "{}", files(tmp_path)).err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_s", [-3600.0, 86400.0])
 def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
     by_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -204,6 +208,7 @@ def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
     assert times == sorted(times), "the bench's own time goes on"
 
 
+@pytest.mark.slow
 def test_a_busy_computer_is_no_clock_that_is_set(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -225,6 +230,7 @@ def test_a_busy_computer_is_no_clock_that_is_set(
     assert texts(run, "clock") == []
 
 
+@pytest.mark.slow
 def test_events_as_lines_and_each_is_json(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     assert teatbench("{} --events {}", files(tmp_path), path) in (0, 1, 4)

@@ -43,6 +43,7 @@ def faulty(folder: Path, emulation: str) -> tuple[int, RunRecord]:
     return run(files(folder, stage=STAGE, emulation=emulation), folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("instrument", "name", "at_s", "for_s"),
     [
@@ -92,6 +93,7 @@ def given(words: str, folder: Path, emulation: str) -> RunRecord:
     return run_of(folder)
 
 
+@pytest.mark.slow
 def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path: Path) -> None:
     """The stage comes back without its place: no trial may move it before it has homed."""
     record = given("skip it is gone", tmp_path, fault("stage", "silent", 55.0, 60.0))
@@ -109,6 +111,7 @@ def test_an_abort_is_heard_while_preparing_waits_for_an_instrument(tmp_path: Pat
     assert texts(record, EVENT) == ["preparing", "paused", "safing", "aborted"]
 
 
+@pytest.mark.slow
 def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Path) -> None:
     """What comes behind the last trial is done again like a trial is."""
 
@@ -127,6 +130,7 @@ def test_an_arm_that_drops_out_in_its_last_check_is_waited_for_too(tmp_path: Pat
     assert "arm check after" in record.facts
 
 
+@pytest.mark.slow
 def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -159,6 +163,7 @@ def test_a_stage_that_an_interlock_has_braked_does_not_home_when_it_is_back(
     assert homings == [False], "once, to prepare"
 
 
+@pytest.mark.slow
 def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,6 +193,7 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
     assert moved == [True, False]
 
 
+@pytest.mark.slow
 def test_one_that_stays_away_ends_the_run_after_the_rigs_patience(tmp_path: Path) -> None:
     lost = fault("arm", "power loss", 60.0)
     code, record = faulty(tmp_path, f"{lost}[limits]\naway_s = 90.0")
@@ -198,6 +204,7 @@ def test_one_that_stays_away_ends_the_run_after_the_rigs_patience(tmp_path: Path
     assert texts(record, EVENT)[-2:] == ["safing", "faulted"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("raised", "kind"),
     [
@@ -228,6 +235,7 @@ def test_one_that_fails_again_each_time_it_is_back_ends_the_run_after_the_tables
     )
 
 
+@pytest.mark.slow
 def test_a_rig_without_patience_ends_at_once(tmp_path: Path) -> None:
     lost = fault("arm", "power loss", 60.0, 40.0)
     code, record = faulty(tmp_path, f"{lost}[limits]\naway_s = 0")
@@ -261,6 +269,7 @@ def test_what_a_fault_is_and_whose() -> None:
 NARROW = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean_k = 0.03")
 
 
+@pytest.mark.slow
 def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) -> None:
     dead = fault("bath", "dead heater", 855.0, 105.0).replace("prompt_s = 5.0", "prompt_s = 120.0")
     code, record = run(files(tmp_path, script=NARROW, emulation=dead), tmp_path)
@@ -279,6 +288,7 @@ def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) 
     assert max(latency.seconds) < 60.0 <= late.head["ended_s"] - late.head["started_s"]
 
 
+@pytest.mark.slow
 def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -51,6 +51,7 @@ def run_with(person: Person, folder: Path) -> RunRecord:
     return run_of(folder)
 
 
+@pytest.mark.slow
 def test_a_pause_lasts_until_somebody_says_to_go_on(tmp_path: Path) -> None:
     person = Person("place-2", ["p", *[""] * 30, "go on"])
     run = run_with(person, tmp_path)
@@ -62,6 +63,7 @@ def test_a_pause_lasts_until_somebody_says_to_go_on(tmp_path: Path) -> None:
     assert any("teatbench control" in text for text in person.warned)
 
 
+@pytest.mark.slow
 def test_while_it_is_paused_the_line_says_so_and_a_trial_that_is_not_there_cannot_be_skipped(
     tmp_path: Path,
 ) -> None:
@@ -77,6 +79,7 @@ def test_while_it_is_paused_the_line_says_so_and_a_trial_that_is_not_there_canno
     ]
 
 
+@pytest.mark.slow
 def test_a_trial_is_repeated_whole_and_another_skipped_each_with_its_reason(tmp_path: Path) -> None:
     lines = ["", "repeat the plate was touched", *[""] * 5, "skip it leaks"]
     run = run_with(Person("place-2", lines), tmp_path)
@@ -97,6 +100,7 @@ def test_an_abort_is_heard_before_the_first_trial_too(tmp_path: Path) -> None:
     assert texts(run, EVENT) == ["preparing", "safing", "aborted"]
 
 
+@pytest.mark.slow
 def test_an_abort_goes_to_safe(tmp_path: Path) -> None:
     run = run_with(Person("place-2", ["abort"]), tmp_path)
     assert run.ending == "aborted"
@@ -139,6 +143,7 @@ def test_words() -> None:
     assert [read_wish(words) for words in ("P", "go", "s  a  b", "a")] == meant
 
 
+@pytest.mark.slow
 def test_words_that_mean_nothing_are_told_and_change_nothing(tmp_path: Path, said: Said) -> None:
     told: list[str] = []
     lines = ["hallo", "skip"]
@@ -158,6 +163,7 @@ TERMINAL = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 @TERMINAL
 def test_a_run_that_waits_at_a_prompt_hears_what_another_terminal_says(
     tmp_path: Path, said: Said

@@ -47,6 +47,8 @@ from tests.bench.killed_runs import (
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, texts
 from tests.conftest import ROOT
 
+pytestmark = pytest.mark.slow
+
 if sys.platform == "win32":
     pytest.skip("forks benches, and kills them", allow_module_level=True)
 

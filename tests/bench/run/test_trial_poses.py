@@ -90,6 +90,7 @@ def turned(points_mm: np.ndarray, deg: float) -> np.ndarray:
     return np.asarray((points_mm - pivot) @ turn + pivot)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", ["XY", "XYZA", ""], ids=["two axes", "four axes", "by hand"])
 def test_the_phantom_stands_where_the_script_says(tmp_path: Path, axes: str) -> None:
     """A stage of two axes leaves height and turn to the operator; without one every pose is a
@@ -109,6 +110,7 @@ def test_the_phantom_stands_where_the_script_says(tmp_path: Path, axes: str) -> 
     assert kept["poses"][1] == pose
 
 
+@pytest.mark.slow
 def test_a_pose_is_reached_from_the_sides_that_are_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

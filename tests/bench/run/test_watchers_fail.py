@@ -57,6 +57,7 @@ class Gone(Silent):
             raise self._error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "error",
     [SystemExit(1), BrokenPipeError(), RuntimeError("a bug in the plot")],
@@ -107,6 +108,7 @@ def test_the_line_has_trial_state_bath_time_left_and_the_last_error() -> None:
     assert shown[2] == f"{shown[1]}; last error: {('left: late. ' * 20)[:60]}"
 
 
+@pytest.mark.slow
 def test_the_line_follows_the_bath_while_one_thing_takes_long(tmp_path: Path) -> None:
     files(tmp_path, emulation="prompt_s = 10.0")
     screen = Shown()
@@ -129,6 +131,7 @@ def test_a_line_that_cannot_be_made_is_no_trouble_of_the_baths() -> None:
         progress.state("capturing")
 
 
+@pytest.mark.slow
 def test_screen_and_lines_may_fail_both(tmp_path: Path) -> None:
     files(tmp_path)
     with FileIO(tmp_path / "e", "a") as closed:
@@ -157,6 +160,7 @@ def test_what_is_asked_amid_a_question_is_not_swallowed() -> None:
         raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="closes a pipe as a POSIX shell does")
 def test_a_reader_of_the_output_that_has_gone_ends_no_run(tmp_path: Path) -> None:
     """`teatbench run | head -1`."""
@@ -193,6 +197,7 @@ def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
     assert trip in [event["text"] for event in run_of(tmp_path).events]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="kills a process as POSIX does")
 def test_the_run_keeps_its_events_and_a_killed_one_goes_on_with_their_numbers(
     tmp_path: Path,

@@ -173,6 +173,7 @@ class WatchedBath(RuleBasedStateMachine):
             self.twin.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", profile_names())
 def test_any_order(name: str, tmp_path: Path) -> None:
     machine = type("Machine", (WatchedBath,), {"rig": loaded(tmp_path, name)})

@@ -157,6 +157,7 @@ def test_a_mistake_of_ours_is_not_swallowed_and_makes_safe() -> None:
     assert [when for when, _ in w.acts] == [6.0]
 
 
+@pytest.mark.slow
 def test_with_the_real_clock_a_trip_acts_while_the_main_thread_is_blocked() -> None:
     clock, acted = RealClock(), threading.Event()
     threads: list[threading.Thread] = []

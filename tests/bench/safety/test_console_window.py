@@ -99,6 +99,7 @@ def test_ctrl_c_and_ctrl_break_are_left_to_python() -> None:
     assert told == []
 
 
+@pytest.mark.slow
 def test_a_bath_that_does_not_answer_takes_no_longer_than_windows_grants(
     hot: HotBath, bath: Bath
 ) -> None:

@@ -145,6 +145,7 @@ def test_a_closed_console_makes_safe_on_its_own_thread_and_in_bounded_time(
     ended.set()
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize(
     ("signals", "why"),
@@ -168,6 +169,7 @@ def test_requests_that_come_at_once_are_one(tmp_path: Path) -> None:
     assert lived_through(["SIGTERM", "SIGHUP", "SIGINT"], tmp_path / "log", 0.0)[:3] == SAFE
 
 
+@pytest.mark.slow
 @posix
 def test_a_storm_of_signals_from_the_end_of_the_work_on_cuts_nothing_off(tmp_path: Path) -> None:
     """The moment between work and safe is the one that a plain `finally` loses."""
@@ -202,6 +204,7 @@ def lived_through(signals: list[str], log: Path, gap_s: float) -> list[str]:
     return [*lines, next(word for word in known if word in why)]
 
 
+@pytest.mark.slow
 @posix
 def test_a_request_never_leaves_a_lock_held(monkeypatch: pytest.MonkeyPatch) -> None:
     """Raised while Python's own code takes a lock, it would be held for ever, and whoever wants it

@@ -138,6 +138,7 @@ def test_every_driver_declares_its_safe_state_and_gets_there() -> None:
         assert devices.bath.read().running is False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["silence", "busy", "wrong length", "late answer", "manual mode"])
 def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) -> None:
     """The bath is never reached or never obeys; stage and arm are made safe all the same, within
@@ -159,6 +160,7 @@ def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) 
         assert any("bath could not be made safe" in text for text in told)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "raised",
     [ValueError("a bug"), MemoryError(), KeyboardInterrupt(), SystemExit(1)],
@@ -186,6 +188,7 @@ def test_each_step_to_safe_is_tried_whatever_the_others_raise(
             assert (devices.bath.read().running is False) is (name != "bath")
 
 
+@pytest.mark.slow
 def test_a_trip_switches_the_heater_off_whatever_braking_the_stage_raises(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

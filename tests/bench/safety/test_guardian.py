@@ -28,6 +28,8 @@ if sys.platform == "win32":
 
 from tests.bench.marked_bench import MARK, marked_bench
 
+pytestmark = pytest.mark.slow
+
 SEEN_LATE_S = 5.0  # so much later than it was said a busy machine may show us that it hangs
 
 

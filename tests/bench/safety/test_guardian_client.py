@@ -41,6 +41,7 @@ def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
     assert hot.record()["cause"] == "gave up"
 
 
+@pytest.mark.slow
 def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) -> None:
     pulse = Heartbeat()
     pulse.sign("detecting", 0.5)
@@ -54,6 +55,7 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) ->
     assert told["why"] == "the main thread hangs: detecting took more than 0.5 s"
 
 
+@pytest.mark.slow
 def test_a_long_wait_that_was_announced_is_no_hang(hot: HotBath) -> None:
     pulse = Heartbeat()
     pulse.sign("waiting for the operator", 1e9)
@@ -73,6 +75,7 @@ def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
         line.done()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
 def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotBath) -> None:
     with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
@@ -92,6 +95,7 @@ def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotB
     assert hot.plant.running
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the process's state from /proc")
 def test_the_guardian_has_the_priority_and_the_memory_that_the_system_grants(hot: HotBath) -> None:
     with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
@@ -140,6 +144,7 @@ def test_a_mistake_in_one_try_does_not_end_the_guardian(
     assert (hot.record()["standby"], hot.record()["tries"]) == (True, 2)
 
 
+@pytest.mark.slow
 def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(
     hot: HotBath,
 ) -> None:
@@ -216,6 +221,7 @@ def test_a_bench_that_dies_is_noticed_while_its_end_of_the_pipe_is_still_open(ho
     assert (hot.record()["cause"], hot.record()["why"]) == ("died", "the system is ending it")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 def test_a_hung_bench_that_keeps_the_port_is_ended(hot: HotBath) -> None:
     """The port takes nobody until the bench that holds it is gone, as a serial port does."""

@@ -35,6 +35,8 @@ if sys.platform == "win32":
 
 from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 
+pytestmark = pytest.mark.slow
+
 AT_ONCE = 3  # an arm in real time that waits for a busy processor counts as lost
 PROMPT = "a = abort the run): "
 CHECK, TOUCH = r"(\d) of (\d)\] Arm check", r"ouch the end of teat (\d+).* of (\d+)"

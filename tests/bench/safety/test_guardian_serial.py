@@ -42,6 +42,8 @@ if sys.platform == "win32":
 
 from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 
+pytestmark = pytest.mark.slow
+
 RTU_FAMILY = "eurotherm-2400"
 # of the pump; how much later than it happens a busy machine may show us something
 OVERRUN_S, SEEN_LATE_S = 5.0, 4.0

@@ -90,6 +90,7 @@ def test_a_clock_tells_who_looks_and_how_long_he_sleeps() -> None:
     assert heard == [0.0, 0.01]
 
 
+@pytest.mark.slow
 def test_a_link_that_waits_for_an_answer_shows_life_every_second() -> None:
     clock, heard = RealClock(), list[float]()
     with socket.create_server(("127.0.0.1", 0)) as server:

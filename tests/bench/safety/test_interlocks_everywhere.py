@@ -27,6 +27,8 @@ if sys.platform == "win32":
 
 from tests.bench.marked_bench import MARK, MarkedBench, marked_bench
 
+pytestmark = pytest.mark.slow
+
 LASTS_S = 4.0  # each step goes on at least so long before anything happens
 # a look a second, seen on a machine that is busy; one that the step stops comes LASTS_S late
 GAP_S = 3.5

@@ -46,6 +46,7 @@ def long_script(short_script: Path) -> str:
     return text.replace("window_s = 60.0", "window_s = 3000.0")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "at_s", "rule", "within_s"),
     [
@@ -102,6 +103,7 @@ at_s = 30.0
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "rule"),
     [("stuck heater", "over-temperature"), ("silence", "communications lost")],
@@ -119,6 +121,7 @@ def test_a_run_trips_at_the_limits_of_its_rig_file(
         assert 20.0 <= run.facts["trip"]["t_s"] - last[0] <= 20.0 + SILENT_LOOK_S
 
 
+@pytest.mark.slow
 def test_a_detection_may_take_what_the_rig_file_allows(tmp_path: Path) -> None:
     limit = "\n[limits]\ndetection_timeout_s = 1e-6"
     assert main(files(tmp_path, emulation=limit)) == 0
@@ -130,6 +133,7 @@ def test_a_detection_may_take_what_the_rig_file_allows(tmp_path: Path) -> None:
 SILENT_LOOK_S = 8.0  # a look at a bath that does not answer takes up to seven seconds
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a symbolic link")
 def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowledged(
@@ -179,6 +183,7 @@ def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowl
         assert "nothing is latched" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(
     short_script: Path, tmp_path: Path
 ) -> None:
@@ -196,6 +201,7 @@ def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(
     assert run.events[-1]["t_s"] - trip["t_s"] >= 60.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_s", [640.0, 700.0, 800.0])
 def test_a_bath_that_freezes_near_its_set_point_is_never_stable(
     at_s: float, long_script: str, tmp_path: Path
@@ -214,6 +220,7 @@ def test_a_bath_that_freezes_near_its_set_point_is_never_stable(
     assert "stable" not in states
 
 
+@pytest.mark.slow
 def test_the_report_has_temperatures_stability_and_the_teats_surface_at_every_capture(
     short_script: Path, tmp_path: Path
 ) -> None:

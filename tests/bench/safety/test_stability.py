@@ -216,6 +216,7 @@ STEPS = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(STEPS, st.sampled_from([2.0, 10.0, 60.0]), st.sampled_from([0.0, 1e6]))
 def test_the_running_figures_are_those_of_numpy(

@@ -87,6 +87,7 @@ def test_the_same_answers_are_shown_to_be_no_worse_by_72_poses(n: int, verdict: 
         assert told.endswith("(margin 0.25 mm): 72 poses with such changes show less")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [8, 20, 60])
 def test_a_gate_is_hardly_ever_green_where_some_poses_got_worse_by_more_than_the_margin(
     n: int,

@@ -113,6 +113,7 @@ class TestCameras:
         with pytest.raises(LimitError, match=said):
             refuse_other_cameras(made("2026-11-01", left="21876544", right="21876543").record, SEEN)
 
+    @pytest.mark.slow
     def test_in_a_run_it_is_an_instruments_fault(
         self, tmp_path: Path, short_script: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:

@@ -162,6 +162,7 @@ def test_a_point_that_no_camera_sees_is_refused(calibration: Calibration) -> Non
         offset_errors(calibration, np.array([2000.0, 300.0, 135.0]), 1.0, 0.0, 8)
 
 
+@pytest.mark.slow
 def test_the_command_reports_and_reports_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -154,6 +154,7 @@ def test_shuffling_moves_trials_and_changes_none() -> None:
     assert mixed != planned(**table, shuffled=True, seed=2)
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_poses_share_one_phantom() -> None:
     trials = planned(draw={"count": 100_000, "x_mm": (-10.0, 10.0)})
     assert len({id(one.phantom) for one in trials}) == 1

@@ -61,6 +61,7 @@ def test_numbers_of_numpy_are_numbers(tmp_path: Path) -> None:
     assert places(script) == [(0, 0), (0, -3), (10, 0), (0, -3)]
 
 
+@pytest.mark.slow
 def test_a_run_keeps_the_file_and_what_it_gave(tmp_path: Path) -> None:
     arguments = files(tmp_path)
     path = written(tmp_path, PYTHON.replace("range(2)", "range(1)"))
@@ -74,6 +75,7 @@ def test_a_run_keeps_the_file_and_what_it_gave(tmp_path: Path) -> None:
     assert load_script(run.folder / "script.toml").planned == load_script(path).planned
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "words"),
     [

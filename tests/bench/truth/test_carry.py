@@ -86,10 +86,12 @@ def off_by(scale: float) -> Draw:
     return draw
 
 
+@pytest.mark.slow
 def test_the_stated_region_holds_the_truth_in_95_of_100_poses() -> None:
     assert 0.93 <= coverage(as_stated) <= 0.97
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.0, 1e-3, 2.5e-3, 5e-3])
 def test_it_does_so_for_one_stage_too_better_or_ten_times_worse_than_stated(scale: float) -> None:
     # more than stated is a pity, less is a lie

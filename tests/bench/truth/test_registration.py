@@ -74,6 +74,7 @@ def test_a_perfect_stage_is_fitted_rigidly_and_nothing_is_said_against_it() -> N
     assert np.linalg.det(found.world_from_stage.R) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_residuals_are_what_the_formula_expects() -> None:
     fre = []
     for seed in range(150):

@@ -36,6 +36,8 @@ from tests.bench.commands import Said, teatbench
 from tests.bench.run.test_attempts import PLANNED, Context, attempts
 from tests.bench.truth.touches import axes_turned, registered, stage_of
 
+pytestmark = pytest.mark.slow
+
 HEAD = """title = "Carry"
 detectors = ["thesis"]
 visible_within_mm = 5.0

@@ -67,6 +67,7 @@ def test_teats_of_any_lean_and_shape_are_found(
         assert np.linalg.eigvalsh(covariance(teat)).min() > 0
 
 
+@pytest.mark.slow
 def test_covariances_are_honest(find: Find, udder: list[Body]) -> None:
     """Normalised squared errors within chi-square's bounds (Bar-Shalom, section 5.4)."""
     rng = np.random.default_rng(5)
@@ -87,6 +88,7 @@ def test_covariances_are_honest(find: Find, udder: list[Body]) -> None:
     assert max(normalised) < chi2.ppf(1 - 0.01 / n, 3)
 
 
+@pytest.mark.slow
 def test_calibration_uncertainty_is_added(
     draw_scene: Draw, udder: list[Body], rig: Calibration
 ) -> None:

@@ -23,6 +23,8 @@ from detector.fused.detector import FusedDetector
 from detector.protocol import Detection
 from instruments.world.situations import SITUATIONS, situation
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 SEEDS = (100, 101)
 

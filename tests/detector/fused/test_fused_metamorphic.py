@@ -75,6 +75,7 @@ def test_a_mirrored_scene_mirrors_answers(frames: Any, plain: Detection, rig: Ca
     assert np.abs(places(found)[::-1] * [-1, 1, 1] - places(plain)).max() < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("gain", "offset"), [(0.5, 0.0), (0.8, 40.0), (1.2, 10.0)])
 def test_brightness_and_gain_hardly_move_the_ends(
     frames: Any, plain: Detection, rig: Calibration, gain: float, offset: float

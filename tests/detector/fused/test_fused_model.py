@@ -50,6 +50,7 @@ def surface(
     return np.concatenate([*cap, teat[:3] + teat[5] * ring + 90.0 * axis])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(TEATS)))
 def test_outlines_lie_on_the_hull_of_the_projected_surface(rig: Calibration, number: int) -> None:
     motion = rig.right_from_left.inverse()

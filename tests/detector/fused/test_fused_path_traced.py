@@ -17,6 +17,8 @@ from detector.calibration import load_calibration
 from detector.fused.detector import FusedDetector
 from tests.detector.conftest import recorded
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 

@@ -250,6 +250,7 @@ class BathInAnyOrder(RuleBasedStateMachine):
                 self.relay_listener.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", profile_names())
 def test_any_order(name: str) -> None:
     machine = type("Machine", (BathInAnyOrder,), {"profile": name})

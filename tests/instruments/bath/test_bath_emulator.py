@@ -214,6 +214,7 @@ SAID = bytes.fromhex(
 # fmt: on
 
 
+@pytest.mark.slow
 @given(cuts=st.lists(st.integers(0, len(STREAM))))
 def test_bytes_may_be_cut_anywhere(cuts: list[int]) -> None:
     edges = [0, *sorted(cuts), len(STREAM)]
@@ -225,6 +226,7 @@ def test_bytes_one_by_one_and_with_a_rest() -> None:
     assert answers_to(STREAM + STREAM[:5]) == SAID
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(pdu=st.binary(min_size=1, max_size=253))
 def test_any_request_gets_one_whole_answer(pdu: bytes) -> None:
@@ -235,6 +237,7 @@ def test_any_request_gets_one_whole_answer(pdu: bytes) -> None:
     assert answer[7] & 0x7F == pdu[0] & 0x7F
 
 
+@pytest.mark.slow
 @given(data=st.binary(max_size=600))
 def test_garbage_never_crashes_it(data: bytes) -> None:
     answers_to(data)

@@ -307,6 +307,7 @@ def test_a_controller_switched_to_manual_holds_its_output(
     assert controller.plant.power_percent == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["julabo-presto", *NO_PUMP])
 @settings(max_examples=60)
 @given(

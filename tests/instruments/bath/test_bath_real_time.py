@@ -34,6 +34,7 @@ def terminal(family: str) -> Iterator[tuple[PtyListener, Watched, RealClock]]:
             yield listener, emulator, clock
 
 
+@pytest.mark.slow
 @pty
 @pytest.mark.parametrize("family", ["eurotherm-3200", "watlow-pm-map1", "omega-cn7"])
 def test_a_serial_port_is_read_set_started_and_made_safe(family: str) -> None:
@@ -48,6 +49,7 @@ def test_a_serial_port_is_read_set_started_and_made_safe(family: str) -> None:
         bath.close()
 
 
+@pytest.mark.slow
 @pty
 def test_garbage_and_a_damaged_answer_on_a_serial_port() -> None:
     with terminal("omega-cn7") as (listener, emulator, clock):
@@ -62,6 +64,7 @@ def test_garbage_and_a_damaged_answer_on_a_serial_port() -> None:
         bath.close()
 
 
+@pytest.mark.slow
 @pty
 def test_an_adapter_that_is_unplugged_is_told_and_the_next_one_is_found() -> None:
     with terminal("eurotherm-2400") as (listener, emulator, clock):
@@ -130,6 +133,7 @@ def test_a_tap_is_told_of_a_link_that_breaks_and_of_the_next_one(stand: Stand) -
     assert len(sent) - len(stand.emulator.asked) in (0, 1)  # one may have met nobody
 
 
+@pytest.mark.slow
 @pty
 def test_a_setting_that_the_port_does_not_have_is_told() -> None:
     with (

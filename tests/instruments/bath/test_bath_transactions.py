@@ -84,6 +84,7 @@ steps = st.tuples(
 )
 
 
+@pytest.mark.slow
 @given(
     script=st.lists(steps, min_size=2, max_size=12),
     pauses=st.lists(st.floats(0.0, 3.0), min_size=12, max_size=12),

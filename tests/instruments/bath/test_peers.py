@@ -42,6 +42,8 @@ from tests.instruments.bath.peers import (
     real_time,
 )
 
+pytestmark = pytest.mark.slow
+
 UNIT = 17  # the examples' server id
 ANY_TCP = 255  # the unit that libmodbus addresses over TCP
 

@@ -21,6 +21,7 @@ from instruments.errors import DeviceError, LinkError, ProtocolError
 from tests.instruments.camera.small_world import SmallWorld
 
 
+@pytest.mark.slow
 def test_emulated_cameras_see_the_world_as_it_is() -> None:
     world = SmallWorld()
     cameras = EmulatedCameras(world)

@@ -70,6 +70,7 @@ def test_pixel_formats_of_the_camera_in_this_process(
     assert frame.pixels.max() > frame.pixels.min()
 
 
+@pytest.mark.slow
 def test_over_gige_vision_everything_that_is_asked_for_is_read_back(clock: RealClock) -> None:
     asked: dict[str, Any] = {
         "pixel_format": "Mono16",
@@ -94,11 +95,13 @@ def test_over_gige_vision_everything_that_is_asked_for_is_read_back(clock: RealC
         assert times == sorted(set(times)), "the camera's own stamps go on"
 
 
+@pytest.mark.slow
 def test_one_of_this_machine_is_found_by_its_name_too(clock: RealClock) -> None:
     with gige_camera() as serial, opened(f"Aravis-Fake-{serial}", clock) as camera:
         assert whole(camera).pixels.shape == (512, 512)
 
 
+@pytest.mark.slow
 def test_lost_packets_are_told_and_the_next_frame_is_whole(clock: RealClock) -> None:
     """One packet in a thousand is lost, and a frame has some 190: about one frame in six comes with
     holes.
@@ -112,6 +115,7 @@ def test_lost_packets_are_told_and_the_next_frame_is_whole(clock: RealClock) -> 
     assert min(seen["lost packets"], seen["whole"]) >= 3
 
 
+@pytest.mark.slow
 def test_one_that_is_open_already_is_told_as_such(clock: RealClock) -> None:
     with gige_camera(), opened(ADDRESS, clock) as camera:
         with pytest.raises(
@@ -121,6 +125,7 @@ def test_one_that_is_open_already_is_told_as_such(clock: RealClock) -> None:
         assert whole(camera).pixels.shape == (512, 512), "the first one goes on"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trigger", ["free", "software"])
 def test_one_that_lost_control_says_so_and_is_opened_again(
     clock: RealClock, trigger: Trigger
@@ -148,6 +153,7 @@ def outcome(camera: GenicamCamera) -> str:
     return "whole"
 
 
+@pytest.mark.slow
 def test_a_hardware_trigger_that_never_comes(clock: RealClock) -> None:
     with gige_camera():
         asked = Settings(trigger="hardware", trigger_source="Line0")
@@ -184,6 +190,7 @@ def test_settings_that_do_not_take(aravis: Any, clock: RealClock) -> None:
         assert "exposure asked 5000, is 20000" in camera.identity
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_not_there(aravis: Any, clock: RealClock) -> None:
     with pytest.raises(
         LinkError, match=r"left camera genicam:nobody: can't be opened: .*Cameras that answer: "

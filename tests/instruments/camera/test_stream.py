@@ -72,6 +72,7 @@ def cameras_of(server: StreamServer, clock: RealClock) -> CameraSet:
     return CameraSet(openers, {})
 
 
+@pytest.mark.slow
 def test_the_driver_gets_all_three_of_the_same_moment(
     served: StreamServer, clock: RealClock
 ) -> None:
@@ -88,6 +89,7 @@ def test_the_driver_gets_all_three_of_the_same_moment(
         assert frames.left.mean() == pytest.approx(frames.thermal.mean(), abs=1.5)
 
 
+@pytest.mark.slow
 def test_a_frame_is_fresh_however_long_nobody_asked(served: StreamServer, clock: RealClock) -> None:
     with closing(cameras_of(served, clock)) as cameras:
         for _ in range(2):
@@ -96,6 +98,7 @@ def test_a_frame_is_fresh_however_long_nobody_asked(served: StreamServer, clock:
             assert min(cameras.capture().exposed_s.values()) > asked_s
 
 
+@pytest.mark.slow
 def test_a_camera_that_falls_silent_and_a_server_that_goes(clock: RealClock) -> None:
     source = Counting(clock)
     with closing(StreamServer(source, clock, fps=20.0)) as server:
@@ -190,6 +193,7 @@ def test_no_stream_under_virtual_time() -> None:
         StreamServer(Counting(RealClock()), VirtualClock())
 
 
+@pytest.mark.slow
 def test_the_scene_itself_over_the_wire(clock: RealClock) -> None:
     """What the renderer draws, through JPEG, HTTP and FFmpeg; then left and right exchanged by a
     fault of the emulator's.

@@ -81,6 +81,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     assert bench.arm.eeprom_attempts == 0
 
 
+@pytest.mark.slow
 def test_a_touch_over_a_real_port(bench: Bench) -> None:
     driver = bench.signed_on()
     assert driver.identity == UNIT.names
@@ -108,6 +109,7 @@ def test_a_touch_over_a_real_port(bench: Bench) -> None:
     assert driver.damaged == 0
 
 
+@pytest.mark.slow
 def test_the_slowest_line_behind_the_slowest_adapter(bench: Bench) -> None:
     bench.plug_in(baud=9600, latency_s=0.016)
     driver = bench.signed_on(9600)
@@ -130,6 +132,7 @@ def test_an_adapter_of_one_millisecond_polls_as_the_sheet_says_at_best(bench: Be
     assert 20.0 < rate_hz <= 434.4, "a loaded machine is slower, the wire never faster"
 
 
+@pytest.mark.slow
 def test_a_session_that_was_left_at_another_rate_is_found_on_a_serial_port(bench: Bench) -> None:
     bench.arm.faults.inject(Fault.WRONG_BAUD, 1, amount=38400)
     driver = bench.signed_on()
@@ -160,6 +163,7 @@ def test_the_arm_changes_its_rate_with_the_host_and_takes_no_other(bench: Bench)
     link.close()
 
 
+@pytest.mark.slow
 def test_unplugged_and_plugged_in_again(bench: Bench) -> None:
     driver = bench.signed_on()
     driver.confirm_homed()

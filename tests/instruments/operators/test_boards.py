@@ -76,6 +76,7 @@ def test_a_script_says_enough_to_boards_only() -> None:
 
 
 class TestEmulatedHands:
+    @pytest.mark.slow
     def test_hold_the_board_where_both_cameras_see_all_of_it_another_way_each_time(self) -> None:
         here = world()
         boards = [BoardHands(here).held(replace(HELD, number=number)) for number in (1, 2, 3)]
@@ -89,6 +90,7 @@ class TestEmulatedHands:
         with pytest.raises(OperatorEnough, match=f"has shown the board {SHOWN} times"):
             hands(world()).ask(replace(HELD, number=SHOWN + 1))
 
+    @pytest.mark.slow
     def test_take_the_phantom_away_meanwhile_and_put_it_back(self) -> None:
         here = world()
         who = hands(here)
@@ -99,6 +101,7 @@ class TestEmulatedHands:
         assert here.scene().boards == ()
         assert len(here.scene().phantom.teats) == 4
 
+    @pytest.mark.slow
     def test_a_heated_board_is_warm_where_it_is_dark(self) -> None:
         board = BoardHands(world()).held(replace(HELD, heated=True))
         assert board.dark == 40.0

@@ -38,6 +38,7 @@ def turn_and_shift(of: World) -> tuple[float, float, float]:
     return float(x), float(y), yaw
 
 
+@pytest.mark.slow
 def test_placement_errors_have_the_spread_that_was_asked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -76,6 +77,7 @@ def test_without_errors_the_pose_is_the_one_asked_for() -> None:
     assert here.ends_mm() == pytest.approx(arrangement().phantom.moved(pose).ends_mm, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_chance_is_the_seed_s() -> None:
     def ends(seed: int) -> np.ndarray:
         here = world(seed)

@@ -26,6 +26,8 @@ from instruments.operators.operator import (
 from instruments.world.boards import Pattern
 from tests.instruments.operators.people import ANSWERERS, arrangement
 
+pytestmark = pytest.mark.slow
+
 
 class TrippedError(Exception):
     """What an interlock would raise."""

@@ -280,6 +280,7 @@ def test_without_hard_limits_the_switch_says_nothing(make_board: Make) -> None:
     assert board.emulator.position_mm()[0] == pytest.approx(0.0)
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.floats(-60, 60), min_size=1, max_size=30),
     st.floats(0, 2),

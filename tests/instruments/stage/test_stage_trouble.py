@@ -216,6 +216,7 @@ def test_a_board_that_sleeps_has_to_be_homed(bench: Bench) -> None:
     stage.move_to(-60, -60)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSIX only")
 @pytest.mark.parametrize("dialect", [CLASSIC, GRBL_HAL], ids=["grbl", "grblHAL"])
 def test_the_driver_works_on_a_pseudo_terminal(dialect: Dialect) -> None:

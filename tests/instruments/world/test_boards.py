@@ -38,6 +38,7 @@ def refined(picture: Image, corners_px: Floats, window: int = 4) -> Floats:
     return np.asarray(found.reshape(-1, 2), dtype=np.float64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("number", [0, 7, 13])
 def test_corners_lie_where_opencv_projects_them(which: str, number: int) -> None:
@@ -59,6 +60,7 @@ def test_corners_lie_where_opencv_projects_them(which: str, number: int) -> None
     assert np.abs((seen - expected[inside]).mean(axis=0)).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pattern", [CHESS, Pattern("charuco", 7, 5, 36.0, 10.0)])
 def test_every_pixel_has_its_exact_share_of_dark(pattern: Pattern) -> None:
     """Against 40 x 40 samples a pixel, whose rays `cv2.undistortPoints` gives."""
@@ -152,6 +154,7 @@ def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
         assert at == pytest.approx([u, v], abs=0.05)
 
 
+@pytest.mark.slow
 def test_light_is_shared_between_dark_and_light_by_area() -> None:
     """The mean over the pattern is that of half dark, half light: no light is lost at edges."""
     lit = renderer(vignetting=0.0, prnu=0.0, dsnu_e=0.0).left
@@ -222,6 +225,7 @@ def _place(edge: Image) -> float:
     return float(line @ np.arange(len(line)) / line.sum())
 
 
+@pytest.mark.slow
 def test_poses_spread_tilt_and_stay_in_view() -> None:
     boards = held(CHESS)
     assert len(boards) == 24

@@ -146,6 +146,7 @@ def test_nothing_seen_beside_the_outline() -> None:
     assert share[away < radius - 4.0].min() > 0.999
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("blur_px", [0.5, 0.9])
 def test_a_slanted_edge_has_the_declared_mtf(blur_px: float, turned: bool) -> None:
@@ -200,6 +201,7 @@ def test_the_kernel_has_its_variance_and_its_transfer(sigma: float) -> None:
     assert spectrum == pytest.approx(transfer(sigma, f), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_out_of_focus_widens_edges_as_the_thin_lens_says() -> None:
     """At twice the focused distance an edge spreads by the circle of confusion; in focus not."""
     focus = Focus(aperture_mm=8.0, distance_mm=1040.0)

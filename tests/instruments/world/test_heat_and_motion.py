@@ -109,6 +109,7 @@ def profile(state: SceneState) -> Image:
     return np.asarray(renderer().left.expected(state)[v - 5 : v + 6, u - 60 : u + 61].mean(axis=0))
 
 
+@pytest.mark.slow
 def test_a_moving_phantom_is_smeared_about_its_place_at_mid_exposure() -> None:
     """200 mm/s for 40 ms: 8 mm, some 9.6 px, evenly on both sides, with the same sum."""
     # In light that doesn't saturate: what is clipped has no smear to show.
@@ -141,6 +142,7 @@ def test_the_thermal_picture_trails_behind() -> None:
     assert (places[0] - places[1]) * pixel_mm == pytest.approx(6.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_longer_exposure_and_gain_brighten_and_saturate() -> None:
     eye = renderer(prnu=0.0, dsnu_e=0.0).left
     offset = OpticalSensor().offset_dn

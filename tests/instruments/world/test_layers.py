@@ -109,6 +109,7 @@ def scene(pose: PlatePose, **more: object) -> SceneState:
     )
 
 
+@pytest.mark.slow
 def test_a_kept_arm_looks_as_one_drawn_anew() -> None:
     kept = Renderer(renderer().cameras, camera_seed=7)
     for x in (0.0, 3.0, 7.5):

@@ -77,6 +77,7 @@ def test_three_dimensional_noise_returns_every_sigma() -> None:
         assert seen[name] == pytest.approx(sigma, rel=tolerance[name]), name
 
 
+@pytest.mark.slow
 def test_drift_grows_with_the_time_and_ends_at_a_flat_field_event() -> None:
     camera = thermal(Drift(level_k_per_min=0.5, pattern_k_per_min=0.1, every_s=300.0))
     assert not camera.drift_k(0.0).any()

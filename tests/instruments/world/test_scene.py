@@ -20,6 +20,7 @@ from tests.instruments.world.scenes import NOBODY, calibration_table, empty, ren
 from tests.situations import SITUATIONS, situation
 
 
+@pytest.mark.slow
 def test_the_nearer_thing_is_drawn_over_the_farther() -> None:
     white, black = Paint(albedo=1.0), Paint(albedo=0.0)
     near = SceneObject("near", (ball((-185.0, 100.0, 200.0), 10.0),), black, "ambient")
@@ -46,6 +47,7 @@ def test_same_state_and_seed_same_bytes() -> None:
         assert not np.array_equal(getattr(one, name), getattr(other, name))
 
 
+@pytest.mark.slow
 def test_what_was_drawn_before_leaves_no_trace() -> None:
     fresh = Renderer(renderer().cameras, camera_seed=7)
     for name in SITUATIONS:
@@ -90,6 +92,7 @@ def test_a_warm_phantom_stands_out_black_and_mirrored() -> None:
     assert np.median(frame.thermal_8bit) > 200
 
 
+@pytest.mark.slow
 def test_the_thermal_picture_follows_the_rig_file() -> None:
     table = calibration_table()
     table["cameras"]["thermal"]["mirrored"] = False

@@ -80,6 +80,7 @@ def test_every_end_is_within_all_three_images(name: str) -> None:
             ), (found.seed, camera.name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [name for name in NAMES if name not in ("overlapping", "missing_or_hidden")]
 )

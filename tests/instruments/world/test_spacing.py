@@ -48,6 +48,7 @@ def test_clearance_is_from_surface_to_surface() -> None:
 radius = st.floats(1, 60)
 
 
+@pytest.mark.slow
 @given(a=point, b=point, c=point, d=point, narrow=radius, wide=radius, other=radius)
 def test_a_tapered_solid_is_as_near_as_the_nearest_of_its_slices(
     a: np.ndarray,
