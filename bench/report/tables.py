@@ -133,7 +133,7 @@ def ends_mm(trials: Iterable[TrialRecord]) -> Floats:
 
 def covariance_of(row: Row) -> Floats | None:
     """The covariance (3, 3) of a row, mm^2; None where there is none or it is malformed."""
-    text = row["covariance_mm2"]
+    text = row.get("covariance_mm2")
     matrix = np.array(json.loads(text) if text else [], dtype=np.float64)
     return matrix if matrix.shape == (3, 3) and np.isfinite(matrix).all() else None
 

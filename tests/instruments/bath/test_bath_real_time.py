@@ -3,10 +3,12 @@ a tap sees of each link."""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 
 import pytest
@@ -32,6 +34,14 @@ def terminal(family: str) -> Iterator[tuple[PtyListener, Watched, RealClock]]:
         emulator = Watched(Plant(1), load_profile(family), clock, "rtu")
         with closing(PtyListener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
             yield listener, emulator, clock
+
+
+def until(so: Callable[[], bool]) -> None:
+    """Wait for what a thread of the listener does in real time."""
+    deadline_s = time.monotonic() + 60.0
+    while not so():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.001)
 
 
 @pytest.mark.slow
@@ -70,10 +80,15 @@ def test_an_adapter_that_is_unplugged_is_told_and_the_next_one_is_found() -> Non
     with terminal("eurotherm-2400") as (listener, emulator, clock):
         profile = load_profile("eurotherm-2400")
         bath = Bath(listener.url, profile, clock)
+        until(lambda: bool(emulator.hosts))
+        # as long as it is open, the name goes to no other program's terminal
+        kept = os.open(listener.url, os.O_RDWR | os.O_NOCTTY)
         emulator.pull_the_cable()
+        until(lambda: not emulator.hosts)
         with pytest.raises(LinkError, match=r"the port can't be opened in 6 tries: .*list_ports"):
             bath.read()
         bath.close()
+        os.close(kept)
         again = Bath(listener.url, profile, clock)  # it came back under another name
         assert again.read().temp_c == pytest.approx(20.0, abs=0.1)
         again.close()
