@@ -220,6 +220,12 @@ class Wire:
         """Wait until the emulator took all bytes. Raises TimeoutError as ``settle``."""
         self._wait_for(self._taken, patience_s)
 
+    def before_write(self) -> None:
+        """Forget bytes that were taken and never counted: an interrupt came between the two."""
+        if self._to_device < 0:
+            with self._lock:
+                self._to_device = max(0, self._to_device)
+
     def nothing_came(self) -> None:
         """Reset the count: an interrupt came between reading and counting."""
         with self._lock:

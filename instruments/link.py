@@ -88,6 +88,8 @@ class Link:
         """Send all of ``data``. Raises LinkError when the link is broken or closed."""
         self._refuse_closed()
         self._tap.sent(data)
+        if self._virtual:
+            self._virtual[1].before_write()
         try:
             self._port.write(data)
         except OSError as error:
