@@ -23,8 +23,11 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 CONSTRAINTS = ROOT / "constraints.txt"
 NEEDED = (3, 11)
-WORKERS = str(2 * (os.cpu_count() or 1))  # half of the tests in real time wait
-BY_FILE = ("--dist", "loadfile", "--no-loadscope-reorder")  # slow files first: tests/conftest.py
+PYTEST_OPTIONS = (
+    *("-n", str(2 * (os.cpu_count() or 1))),  # half of the tests in real time wait
+    *("--dist", "loadfile", "--no-loadscope-reorder"),  # slow files first: tests/conftest.py
+    *("--max-worker-restart", "0"),  # a test that killed its worker would kill the next one
+)
 # met, not met, inconclusive: a verdict on the detector, not a fault of the bench
 DID_ITS_WORK = (0, 1, 4)
 
@@ -66,7 +69,7 @@ def main(arguments: Sequence[str]) -> int:
         return fault
     if job == "test":
         return call(
-            [str(python()), "-m", "pytest", "--numprocesses", WORKERS, *BY_FILE, *rest],
+            [str(python()), "-m", "pytest", *PYTEST_OPTIONS, *rest],
             ROOT,
         )
     code = call([str(python()), "-m", "bench.cli", "run", *rest])

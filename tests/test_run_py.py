@@ -112,9 +112,8 @@ def test_a_second_call_installs_nothing(run_py: ModuleType, tmp_path: Path) -> N
     start = time.perf_counter()
     done = subprocess.run([sys.executable, str(tmp_path / "run.py"), "test", "-q"], check=False)
     assert done.returncode == 0
-    assert (
-        log.read_text(encoding="utf-8")
-        == f"-m pytest --numprocesses {run_py.WORKERS} --dist loadfile --no-loadscope-reorder -q\n"
+    assert log.read_text(encoding="utf-8") == " ".join(
+        ["-m", "pytest", *run_py.PYTEST_OPTIONS, "-q\n"]
     ), f"{time.perf_counter() - start:.2f} s"
 
 

@@ -11,35 +11,51 @@ import pytest
 
 from tests.conftest import ROOT
 
+pytestmark = pytest.mark.slow
 
-@pytest.mark.slow
+
+def run_tests(folder: Path, text: str, *options: str) -> str:
+    """What pytest prints of a file of tests under the project's own settings."""
+    (folder / "test_slow.py").write_text(text, encoding="utf-8")
+    settings = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(folder), "--timeout", "1"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *settings, *options, "-p", "no:cacheprovider", "."],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        check=False,
+        cwd=folder,
+    )
+    return done.stdout + done.stderr
+
+
 @pytest.mark.skipif(
     not hasattr(signal, "SIGALRM"),
     reason="pytest-timeout kills the process where there is no SIGALRM",
 )
 def test_a_timeout_costs_one_test(tmp_path: Path) -> None:
-    (tmp_path / "test_slow.py").write_text(
+    printed = run_tests(
+        tmp_path,
         "import time\n\ndef test_slow():\n    time.sleep(600)\n\ndef test_next():\n    pass\n",
-        encoding="utf-8",
     )
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-c",
-        str(ROOT / "pyproject.toml"),
-        "--rootdir",
-        str(tmp_path),
-        "--timeout",
-        "1",
-    ]
-    done = subprocess.run(
-        [*command, "-p", "no:cacheprovider", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        check=False,
-        cwd=tmp_path,
+    assert "1 failed, 1 passed" in printed, printed
+    assert "time.sleep(600)" in printed
+
+
+def test_a_test_that_no_exception_ends_is_named_and_ends_the_run(tmp_path: Path) -> None:
+    printed = run_tests(
+        tmp_path,
+        """
+import time
+
+def test_deaf():
+    while True:
+        try:
+            time.sleep(600)
+        except BaseException:
+            pass
+""",
+        *("-o", "faulthandler_timeout=3", "-n", "1", "--max-worker-restart", "0"),
     )
-    assert "1 failed, 1 passed" in done.stdout, done.stdout + done.stderr
-    assert "time.sleep(600)" in done.stdout
+    assert "crashed while running 'test_slow.py::test_deaf'" in printed, printed
+    assert "in test_deaf" in printed

@@ -4,11 +4,9 @@ come back, make safe twice, close twice, Ctrl-C.
 
 from __future__ import annotations
 
-import signal
 import threading
 from collections.abc import Iterator
 from functools import partial
-from types import FrameType
 from typing import Any, Protocol
 
 import pytest
@@ -32,6 +30,7 @@ from instruments.stage.driver import Stage
 from instruments.stage.emulator import StageEmulator
 from instruments.world.plant import Plant
 from tests.instruments.camera.small_world import GalleryWorld
+from tests.instruments.interrupts import interrupts
 from tests.instruments.microscribe.rigs import Hand
 
 pytestmark = pytest.mark.slow
@@ -261,20 +260,12 @@ class Cameras:
         self.driver.close()
 
     def read_interrupted(self) -> None:
-        if not hasattr(signal, "setitimer"):
-            pytest.skip("needs interval timers, which this system has none of")
-
-        def interrupt(_number: int, _frame: FrameType | None) -> None:
-            raise KeyboardInterrupt
-
-        before = signal.signal(signal.SIGALRM, interrupt)
         self.silent = True
-        signal.setitimer(signal.ITIMER_REAL, 0.2)
         try:
-            self.read()
+            with interrupts() as interrupt_in:
+                interrupt_in(0.2)
+                self.read()
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            signal.signal(signal.SIGALRM, before)
             self.silent = False
 
     def end(self) -> None:

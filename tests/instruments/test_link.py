@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from collections.abc import Iterator
-from types import FrameType
 
 import pytest
 
@@ -14,6 +12,7 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.listener import Connection, Listener
+from tests.instruments.interrupts import interrupts
 from tests.instruments.listening_in import Echo, Heard, linked
 
 Virtual = tuple[VirtualClock, Link]
@@ -217,34 +216,18 @@ def test_an_emulator_that_is_held_up_amid_sending_does_not_let_time_move(
 INTERRUPTS = 300
 
 
-@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs interval timers")
 def test_a_conversation_that_was_interrupted_anywhere_goes_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    armed = False
-
-    def alarm(_number: int, _frame: FrameType | None) -> None:
-        """Raises wherever the main thread is, while it is armed."""
-        nonlocal armed
-        if armed:
-            armed = False
-            raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGALRM, alarm)
     monkeypatch.setattr("instruments.link.COUNTED_S", 0.05)
-    try:
-        with linked(Echo(0.5), VirtualClock()) as (link, _):
-            for number in range(INTERRUPTS):
-                signal.setitimer(signal.ITIMER_REAL, 0.0005 + (number % 37) * 0.00003)
-                with pytest.raises(KeyboardInterrupt):  # noqa: PT012 - wherever it strikes
-                    armed = True
-                    while True:
-                        link.write(b"a\n")
-                        link.read_until(b"done\n", 5.0)
-            monkeypatch.undo()  # from here on nothing is cut: a starved emulator has its time
-            link.drain(2.0)
-            link.write(b"still there\n")
-            assert link.read_until(b"done\n", 5.0) == b"STILL THERE\ndone\n"
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+    with linked(Echo(0.5), VirtualClock()) as (link, _), interrupts() as interrupt_in:
+        for number in range(INTERRUPTS):
+            with pytest.raises(KeyboardInterrupt):  # noqa: PT012 - wherever it strikes
+                interrupt_in(0.0005 + (number % 37) * 0.00003)
+                while True:
+                    link.write(b"a\n")
+                    link.read_until(b"done\n", 5.0)
+        monkeypatch.undo()  # from here on nothing is cut: a starved emulator has its time
+        link.drain(2.0)
+        link.write(b"still there\n")
+        assert link.read_until(b"done\n", 5.0) == b"STILL THERE\ndone\n"
