@@ -72,9 +72,7 @@ DIRECTIONS = (
 
 
 class Person(Protocol):
-    """Who brings the tip where it is asked for. Its methods return once that is done, and raise
-    OperatorAbort.
-    """
+    """Who brings the tip where it is asked for. Methods return then, or raise OperatorAbort."""
 
     def ask(self, text: str) -> None: ...
     def touch(self, step: Step) -> None: ...
@@ -91,9 +89,7 @@ class ArmSession:
     trying: TryingArm | None
 
     def confirm_homing(self, *, homed: bool) -> None:
-        """Confirm homing: ``homed`` says so, else the person is asked. Raises ConfigError where
-        nobody is there, OperatorAbort.
-        """
+        """Confirm homing, or ask. Raises ConfigError without a terminal, OperatorAbort."""
         if not homed:
             if not sys.stdin.isatty():
                 raise ConfigError.plain(NO_TERMINAL)
@@ -119,9 +115,7 @@ class ArmSession:
 def open_arm(
     port: str, baud: Baud, answer_s: float, capture: Captures, *, length_mm: float | None = None
 ) -> Iterator[ArmSession]:
-    """The arm at ``port``, signed on; ``length_mm`` is that of an emulated arm's bar. Raises
-    ConfigError and as the driver does.
-    """
+    """The arm at ``port``, signed on; ``length_mm``: an emulated arm's bar. Raises ConfigError."""
     try:
         serial_url(port)
     except ValueError as error:
@@ -160,9 +154,7 @@ def limits_of(script: str | None) -> Limits:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What `verify` asks for: ``distances`` of divots (1 to 3), ``touches`` in each, a
-    ``length_mm`` (None: none) in ``directions``.
-    """
+    """Divots at 1 to 3 ``distances``, ``touches`` each, and a ``length_mm`` in ``directions``."""
 
     distances: int = 3
     touches: int = TOUCHES
@@ -173,11 +165,7 @@ class Plan:
 def touch_frame(
     arm: MicroScribe, person: Person, checks: Sequence[Triple | None], made: datetime
 ) -> TableFrame:
-    """A table frame from three touches and one for each of ``checks``: a known place, or None for
-    anywhere in the plane.
-
-    Raises as person and driver do.
-    """
+    """A frame from three touches and one for each of ``checks`` (None: anywhere in the plane)."""
 
     def touched(step: Step, name: str) -> TouchedPoint:
         reading = _read(arm, person, step)

@@ -28,10 +28,8 @@ PAPERS_MM: dict[str, tuple[float, float]] = {
 
 
 def board_pdf(board: Board, paper: str | None = None) -> bytes:
-    """The board on a landscape sheet, the smallest of `PAPERS_MM` that holds it where none is
-    named.
-
-    Raises ConfigError where it doesn't fit.
+    """The board on a landscape sheet, the smallest that holds it if none is named, as PDF. Raises
+    ConfigError.
     """
     written = io.BytesIO()
     board_figure(board, paper).savefig(
@@ -91,9 +89,7 @@ def _chessboard(axes: Axes, board: Board, left: float, top: float) -> None:
 
 
 def _charuco(axes: Axes, board: Board, left: float, top: float) -> None:
-    """Markers where OpenCV's own description has them, module by module as squares, so that edges
-    are exact.
-    """
+    """Markers where OpenCV has them, module by module as squares: edges are exact."""
     _chessboard(axes, board, left, top)
     dictionary = board.aruco.getDictionary()
     modules = dictionary.markerSize + 2

@@ -27,15 +27,16 @@ from detector.calibration import (
 from detector.calibration.bundle import POSE
 from detector.calibration.cameras import (
     Calibrated,
+    Coverage,
     Halves,
     TooFewViewsError,
     calibrate_camera,
+    coverage,
     join_cameras,
     pair_of,
     place_board,
     split_half,
 )
-from detector.calibration.coverage import Coverage, coverage
 from detector.calibration.diagnosis import (
     Finding,
     Remeasured,
@@ -64,9 +65,7 @@ class Lens:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CamerasResult:
-    """Everything found. ``halves`` and ``held_out`` are None where there were too few views for
-    them.
-    """
+    """Everything found. ``halves``, ``held_out`` are None where there were too few views."""
 
     views: BoardViews
     alone: Mapping[str, Calibrated]
@@ -99,10 +98,8 @@ class CamerasResult:
         )
 
     def good_to_mm(self, depths_mm: Array) -> Array:
-        """Expanded uncertainty (k = 2) (n,) of a point's place, along its worst direction, midway
-        before the pair at these distances.
-
-        The calibration's own, with pixels as noisy as the corners were.
+        """Expanded uncertainty (k = 2) (n,) mm along a point's worst direction, midway before the
+        pair at these distances, with pixels as noisy as the corners were.
         """
         axis = self.pair.right_from_left.T / 2.0
         points = np.array([[axis[0], axis[1], depth] for depth in np.asarray(depths_mm)])
@@ -178,9 +175,7 @@ def _findings(
 
 
 def check_pair(part: Part, views: BoardViews) -> tuple[Remeasured, tuple[Finding, ...]]:
-    """The board measured with the pair, and what that tells. Raises ConfigError without a pair, or
-    without a view of both.
-    """
+    """The board measured with the pair, and findings. Raises ConfigError without pair or view."""
     pair = pair_of_part(part)
     pair = replace(pair, world_from_right=Motion.identity())
     for camera, lens in (("left", pair.left), ("right", pair.right)):
@@ -215,9 +210,7 @@ class Delivered:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThermalResult:
-    """The thermal camera with its pose, and the homographies at ``plane_depth_mm``; how well all
-    holds.
-    """
+    """The thermal camera, its pose, and the homographies at ``plane_depth_mm``."""
 
     views: BoardViews
     camera: ThermalCamera
@@ -241,10 +234,8 @@ class ThermalResult:
 def calibrate_thermal(
     views: BoardViews, cameras: Part, delivered: Delivered, plane_depth_mm: float
 ) -> ThermalResult:
-    """The third camera against a pair that is calibrated. Thermal views are of un-mirrored
-    pictures. Raises BundleError (a sentence).
-
-    The left camera's lens is held as it is; it sees the board in the same poses.
+    """The third camera against a pair, whose left lens is held. Views are of un-mirrored pictures.
+    Raises BundleError (a sentence).
     """
     pair = pair_of_part(cameras)
     size = views.image_size["thermal"]
@@ -278,9 +269,7 @@ class PairsResult:
 
 
 def map_pairs(path: Path) -> PairsResult:
-    """Homographies from a table of point pairs (`PAIR_COLUMNS`, px; thermal un-mirrored). Raises
-    ConfigError that says where.
-    """
+    """From a table of point pairs (`PAIR_COLUMNS`, px; thermal un-mirrored). Raises ConfigError."""
     pairs = read_table(path, PAIR_COLUMNS)
     thermal = np.column_stack([pairs["thermal_x"], pairs["thermal_y"]])
     try:

@@ -28,9 +28,8 @@ SIDES = ("left", "right")
 
 
 def read_opencv(path: Path, image_size: tuple[int, int] | None = None) -> Part:
-    """OpenCV's YAML or XML with M1 D1 M2 D2 and, where they are there, R T. Raises ConfigError.
-
-    ``image_size`` (columns, rows) px where the file has none: OpenCV's own sample leaves it out.
+    """OpenCV's M1 D1 M2 D2 and, if there, R T. Raises ConfigError. ``image_size`` (columns, rows)
+    px is for files without one, as OpenCV's own sample.
     """
     if not path.is_file():
         raise ConfigError.plain(f"{path}: no such file")
@@ -101,9 +100,7 @@ def read_bouguet(path: Path) -> Part:
 
 
 def write_bouguet(part: Part, path: Path) -> None:
-    """A .mat file with the names that Bouguet's toolbox loads. Raises ConfigError without a stereo
-    motion.
-    """
+    """A .mat file as Bouguet's toolbox loads it. Raises ConfigError without a stereo motion."""
     left, right, motion = _pair(part)
     if motion is None:
         raise ConfigError.plain(
@@ -123,16 +120,12 @@ def write_bouguet(part: Part, path: Path) -> None:
 
 
 def read_ros(left: Path, right: Path | None = None) -> Part:
-    """ROS camera_info of the left and, where given, the right camera; the motion between them is
-    not in it. Raises ConfigError.
-    """
+    """camera_info of the left and, if given, the right camera; no motion. Raises ConfigError."""
     return Part(left=_ros_camera(left), right=_ros_camera(right) if right else None)
 
 
 def write_ros(part: Part, path: Path, camera: str) -> None:
-    """The camera_info of one camera, unrectified: R is the identity, P its own matrix. Raises
-    ConfigError for a camera that isn't there.
-    """
+    """The camera_info of one camera, unrectified. Raises ConfigError if it isn't there."""
     lens = {
         "left": part.left,
         "right": part.right,

@@ -37,9 +37,7 @@ LEAN_RAD = np.radians(38.0)
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One touch that is asked for. ``what`` names the place, ``number`` (from 0) which of several;
-    ``world_mm`` where it is known.
-    """
+    """One touch: the place ``what``, which of several, and ``world_mm`` where known."""
 
     what: str
     number: int
@@ -48,9 +46,7 @@ class Step:
 
 
 class TryingArm:
-    """An emulated arm on a loopback port, at ``url``, and the hand that holds its tip, at first on
-    the peg; to be used with ``with``.
-    """
+    """An emulated arm at ``url``, and the hand that holds its tip, at first on the peg."""
 
     def __init__(
         self,

@@ -51,9 +51,7 @@ class FrameError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class TouchedPoint:
-    """One touch: ``arm_mm`` in the arm's frame, ``spread_mm`` of its reading. ``world_mm`` where
-    its place is known; a check point without it lies in the plane z = 0.
-    """
+    """One touch and its reading's spread. Without ``world_mm``, a check point lies in z = 0."""
 
     name: str
     arm_mm: Triple
@@ -63,9 +61,7 @@ class TouchedPoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableFrame:
-    """``world_from_arm`` of one arm at one place. The first three ``points`` define it, the others
-    check it.
-    """
+    """``world_from_arm`` of one arm; the first three ``points`` define it, the others check it."""
 
     made: datetime
     serial_number: str
@@ -76,9 +72,7 @@ class TableFrame:
     def from_touches(
         cls, made: datetime, serial_number: str, points: Sequence[TouchedPoint]
     ) -> TableFrame:
-        """The frame of at least three touches, in the order of `DEFINING`, then check points.
-        Raises FrameError.
-        """
+        """From at least three touches, as `DEFINING`, then check points. Raises FrameError."""
         if len(points) < len(DEFINING):
             raise FrameError(
                 f"a table frame needs three touches (origin, on x, in the plane), not {len(points)}"
@@ -95,9 +89,7 @@ class TableFrame:
 
     @property
     def residuals_mm(self) -> dict[str, float]:
-        """By check point: the distance from where it should be, or from the plane where only that
-        is known.
-        """
+        """Distance of each check point from its known place, or from the plane z = 0."""
         return {point.name: self._off_mm(point) for point in self.points[3:]}
 
     @property
@@ -107,9 +99,7 @@ class TableFrame:
 
     @property
     def hangs(self) -> bool:
-        """Whether the arm's own z axis points down in this frame: it hangs, or the third touch was
-        on the wrong side.
-        """
+        """Whether the arm's z axis points down: it hangs, or the third touch was wrong."""
         return bool(self.world_from_arm.R[2, 2] < 0.0)
 
     def u_registration_mm(self, world_mm: ArrayLike, u_mm: float) -> float:
@@ -137,9 +127,7 @@ class TableFrame:
 
 
 def world_from_arm(touched_mm: ArrayLike) -> Motion:
-    """The motion for touches (3, 3) mm, rows origin, on x, in the plane. Raises FrameError where
-    they are near or in a line.
-    """
+    """From touches (3, 3) mm: origin, on x, in the plane. Raises FrameError if in a line."""
     touched = np.asarray(touched_mm, dtype=np.float64)
     if touched.shape != (3, 3) or not np.isfinite(touched).all():
         raise FrameError(
@@ -173,9 +161,7 @@ LEAST_SWING_DEG = 30.0  # with less, the joints hardly moved, and the test could
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocationTest:
-    """Readings of one divot: ``tips_mm`` (n, 3), ``axes`` (n, 3) unit, from the tip up the stylus.
-    Raises ValueError for fewer than two.
-    """
+    """Readings of one divot: ``tips_mm``, unit ``axes`` (n, 3), n >= 2, else ValueError."""
 
     where: str
     tips_mm: Floats
@@ -220,9 +206,7 @@ class LocationTest:
 
     @property
     def sphere_mm(self) -> float:
-        """Diameter of the least sphere that holds all readings: the form in which ISO 10360-12
-        states it.
-        """
+        """Diameter of the least sphere round all readings (ISO 10360-12)."""
         return least_sphere_mm(self.tips_mm)
 
     @property
@@ -280,16 +264,12 @@ class Verification:
 
     @property
     def length_two_rms_mm(self) -> float | None:
-        """2 sqrt(sum(e^2) / n), as ASME B89.4.22 states the volumetric performance; None where none
-        was measured.
-        """
+        """2 sqrt(sum(e^2) / n), volumetric performance of ASME B89.4.22; None without lengths."""
         errors = [test.error_mm for test in self.lengths]
         return 2.0 * float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
     def faults(self, limits: Limits) -> tuple[str, ...]:
-        """A sentence for each limit that the arm breaks, and for each thing that was not shown.
-        Empty: verified.
-        """
+        """A sentence for each broken limit and each gap. Empty: verified."""
         return (*self.broken(limits), *self.gaps(limits))
 
     def broken(self, limits: Limits) -> tuple[str, ...]:
@@ -304,9 +284,7 @@ class Verification:
         return tuple(found)
 
     def gaps(self, limits: Limits) -> tuple[str, ...]:
-        """A sentence for each thing that was not shown: too few touches, too little swing, no
-        length.
-        """
+        """A sentence for each thing not shown: too few touches, too little swing, no length."""
         found = [gap for test in self.locations for gap in gaps_of(test, LEAST_TOUCHES)]
         if limits.length_mm is not None and not self.lengths:
             found.append("no calibrated length was measured")
@@ -366,11 +344,8 @@ def gaps_of(test: LocationTest, least: int) -> list[str]:
 
 
 def least_sphere_mm(points_mm: Floats) -> float:
-    """Diameter of the least sphere round points (n, 3); 0 for a single one.
-
-    The least sphere touches two, three or four of them: the largest of the least spheres of all
-    such sets is it, since each set's is no larger than that of the whole. Meant for the few dozen
-    readings of a test.
+    """Diameter of the least sphere round points (n, 3), 0 for one: the largest of the least spheres
+    of all sets of two, three and four of them. For a few dozen points.
     """
     return max(
         (
@@ -383,9 +358,7 @@ def least_sphere_mm(points_mm: Floats) -> float:
 
 
 def _sphere_of(few: Floats) -> float:
-    """Diameter of the sphere through all points (k, 3) with its centre in their plane; 0 where that
-    isn't their least one.
-    """
+    """Diameter of the sphere through points (k, 3), centred in their plane; 0 if not the least."""
     sides = few[1:] - few[0]
     weights, *_ = np.linalg.lstsq(2.0 * sides @ sides.T, np.sum(sides**2, axis=1), rcond=None)
     if (weights < 0.0).any() or weights.sum() > 1.0:
@@ -483,9 +456,7 @@ def _frame_table(frame: TableFrame) -> dict[str, Any]:
 
 
 def load_frame(path: Path, *, serial_number: str | None = None) -> TableFrame:
-    """The frame at ``path``, of the arm ``serial_number`` where given. Raises ConfigError with all
-    faults, each in its place.
-    """
+    """The frame at ``path``, of the arm ``serial_number`` if given. ConfigError."""
     file = _read(
         path, _FrameFile, serial_number, "Make the frame anew with this arm: 'teatbench arm frame'"
     )
@@ -527,9 +498,7 @@ def _verification_table(found: Verification, limits: Limits) -> dict[str, Any]:
 
 
 def load_verification(path: Path, *, serial_number: str | None = None) -> Verification:
-    """The verification at ``path``, of the arm ``serial_number`` where given. Raises ConfigError
-    with all faults, each in its place.
-    """
+    """The verification at ``path``, of the arm ``serial_number`` if given. ConfigError."""
     file = _read(path, _VerificationFile, serial_number, "Verify this arm: 'teatbench arm verify'")
     uneven = [
         (("location", i, "axes"), "must have a row for each of tips_mm", False)
@@ -547,9 +516,7 @@ def load_verification(path: Path, *, serial_number: str | None = None) -> Verifi
 
 
 def write_file(path: Path, text: str) -> None:
-    """Write ``text`` so that it is there whole or not at all. Raises ConfigError where the folder
-    can't be written.
-    """
+    """Write ``text`` whole or not at all. Raises ConfigError."""
     try:
         write_synced(path, text.encode("utf-8"))
     except OSError as error:

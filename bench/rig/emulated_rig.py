@@ -1,6 +1,4 @@
-"""Stands up an emulated rig in this process: one world, and an emulator for each instrument, on a
-loopback port or a pty.
-"""
+"""Stands up an emulated rig: one world, an emulator for each instrument, on ports or ptys."""
 
 from __future__ import annotations
 
@@ -11,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import located, read_text
-from bench.rig.emulation_model import EmulatedFault, EmulatedStage, make_renderer
 from bench.rig.loading import LoadedRig
-from bench.rig.model import Stage
+from bench.rig.model import EmulatedFault, EmulatedStage, Stage, make_renderer
 from detector.geometry import Motion
 from instruments.bath.emulator import BathEmulator, Framing, RelayEmulator
 from instruments.bath.profile import Profile, RelayProfile
@@ -51,12 +48,9 @@ class PlacedHand:
 
 
 class EmulatedRig:
-    """The emulators of ``rig``; ``urls`` says where each listens. To be closed, or used with
-    ``with``.
-
-    With ``pty``, what has a serial port is on a pseudo-terminal; with ``paced``, it speaks at the
-    rig's rate in real time. Raises OSError for an address that can't be had, ValueError for either
-    under virtual time, and ConfigError for a fault that the bath can't have there.
+    """The emulators of ``rig``. ``pty``: serial ports are pseudo-terminals; ``paced``: real baud.
+    Raises OSError for an address, ValueError for either under virtual time, ConfigError for a
+    fault.
     """
 
     def __init__(
@@ -133,9 +127,7 @@ class EmulatedRig:
 
     @property
     def urls(self) -> dict[str, str]:
-        """What a driver opens, by instrument. One on a pseudo-terminal moves when the instrument
-        itself hangs up.
-        """
+        """What a driver opens, by instrument; a pseudo-terminal's changes after a hang-up."""
         urls = {name: listener.url for name, listener in self._listeners.items()}
         for name, device in (("bath", self.bath), ("pump", self.pump)):
             if device and name in urls:
@@ -156,9 +148,7 @@ class EmulatedRig:
         self.close()
 
     def _stage(self, said: Stage, errors: EmulatedStage) -> StageEmulator:
-        """A stage that carries the world's phantom; at its reference place the phantom stands as
-        its layout says.
-        """
+        """A stage that carries the phantom; at its reference place it stands as laid out."""
         axes = 4 if "A" in said.axes else 3
         dialect = GRBL_HAL if errors.dialect == "grblHAL" else CLASSIC
         play_mm = (*errors.backlash_mm, errors.backlash_deg)[:axes]
@@ -184,9 +174,7 @@ class EmulatedRig:
         return stage
 
     def _listen(self, name: str, device: Device, serial_baud: int | None) -> None:
-        """``serial_baud`` is the rate of the instrument's serial port; None where it has none, but
-        a network.
-        """
+        """``serial_baud`` of the instrument's serial port; None for a network."""
         clock, lock, baud = self._clock, self.world.lock, serial_baud if self._paced else None
         if self._pty and serial_baud is not None:
             self._listeners[name] = PtyListener(device, clock, lock=lock, name=name, baud=baud)
@@ -196,9 +184,7 @@ class EmulatedRig:
             )
 
     def _plan(self, fault: EmulatedFault) -> None:
-        """Have a fault come at its time, and go where it is said when; one that is there from the
-        start comes at once.
-        """
+        """Put a fault in at its time and take it out at its end."""
         break_it, mend_it = self._actions(fault)
         if fault.at_s:
             self._later(fault.at_s, break_it)
@@ -208,9 +194,7 @@ class EmulatedRig:
             self._later(fault.at_s + fault.for_s, mend_it)
 
     def _actions(self, fault: EmulatedFault) -> tuple[Callable[[], None], Callable[[], None]]:
-        """What breaks something and what mends it. Raises ValueError for what a bath of this
-        profile, or its relay, can't have on this port.
-        """
+        """What puts a fault in, and out. Raises ValueError for a fault that can't be."""
         name, amount, stage = fault.name, fault.amount, self.stage
         times = FOREVER if fault.times is None else fault.times
         if fault.instrument == "cameras":

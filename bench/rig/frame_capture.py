@@ -35,9 +35,7 @@ Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """How well the pictures fit as they are and exchanged: correlation of their edges at the best
-    disparity, 0 to 1.
-    """
+    """Correlation of the edges at the best disparity, as they are and exchanged, 0 to 1."""
 
     as_is: float
     exchanged: float
@@ -49,10 +47,8 @@ class Order:
 
 
 class StereoOrder:
-    """Whether the left and the right picture have changed places, by the calibration: rectified
-    both ways, as they are and exchanged, they fit with one at a disparity that a thing in front of
-    the cameras can have. Whole rows of edges are compared, not single features: that works on
-    smooth teats, in dim light and in noise. Pictures are of the calibration's size.
+    """Whether left and right are exchanged, by the calibration: rectified both ways, rows of edges
+    fit with one at a disparity in front of the cameras. Pictures of the calibration's size.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -79,9 +75,7 @@ class StereoOrder:
         return Order(self._fit(left, right), self._fit(right, left))
 
     def _fit(self, left: Grey, right: Grey) -> float:
-        """Correlation (normalised, summed over all rows) of the pictures' edges at the best
-        disparity of a thing in front.
-        """
+        """Normalised correlation of the edges, over all rows, at the best disparity in front."""
         edges = [
             self._edges(picture, maps)
             for picture, maps in zip((left, right), self._maps, strict=True)
@@ -148,10 +142,8 @@ class FrameProblem:
 
 
 class FrameChecks:
-    """The looks of one rig, with the set that was seen last. Without a calibration neither size nor
-    order is looked at.
-
-    ``flat`` False where nothing warm need stand before the thermal camera.
+    """The checks of one rig, with the last set. Without a calibration neither size nor order is
+    checked; ``flat`` False where nothing warm need be seen.
     """
 
     def __init__(
@@ -308,10 +300,8 @@ HINTS: Mapping[FrameFault, str] = {
 
 
 class FrameTaker:
-    """``wait`` lets time pass between tries, ``tell`` writes an event down (its kind and text).
-
-    A recording is not asked twice: its next frame is another trial's. ``checks`` are the table's
-    where none are given.
+    """``wait`` lets time pass between tries, ``tell`` records an event (kind, text). A recording is
+    read once: its next frame is another trial's.
     """
 
     def __init__(
@@ -337,8 +327,8 @@ class FrameTaker:
         self.counts: Counter[str] = Counter()
 
     def take(self) -> FrameSet:
-        """A frame set without a fault. Raises DeviceError after the last try, and what the cameras
-        raise when they are gone.
+        """A frame set without a fault. Raises DeviceError after the last try, and as the cameras
+        do.
         """
         for left in range(self._retries, -1, -1):
             frames, noticed = self._try()
@@ -352,9 +342,7 @@ class FrameTaker:
         raise _refused(noticed, self._retries + 1)
 
     def look(self) -> None:
-        """See whether the cameras give a usable frame set now, which is not kept; a recording is
-        not asked. Raises as ``take``.
-        """
+        """Check that the cameras give a usable set now, but not a recording. Raises as ``take``."""
         if self._recorded:
             return
         frames, noticed = self._try()

@@ -1,17 +1,18 @@
-"""The rig file: which instruments, at which addresses, with which calibration and limits. An
-emulated rig and a real one have the same keys; what differs are the URLs.
-"""
+"""Finds and loads the rig file, with the files that it names, and boards' descriptions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import Field, model_validator
 
 from bench.config import (
     ConfigError,
     KeyPath,
+    Section,
     did_you_mean,
     located,
     read_calibration,
@@ -23,6 +24,7 @@ from bench.rig.model import Rig
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import EMULATED, SCRIPT
 from detector.calibration import Calibration
+from detector.calibration.boards import Board
 from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_profile, load_relay
 from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
 
@@ -34,10 +36,7 @@ TO_COPY = RIGS / "lab.example.toml"
 
 @dataclass(frozen=True, slots=True)
 class LoadedRig:
-    """A rig file as read: where it is, its text, what it says, and the calibration that it names.
-
-    ``made_calibration`` is None on a new rig, whose calibration has still to be made.
-    """
+    """A rig file as read. ``made_calibration`` is None where it has still to be made."""
 
     path: Path
     text: str
@@ -83,9 +82,7 @@ class LoadedRig:
 
     @property
     def arm_files(self) -> dict[str, str]:
-        """The text of each file about the arm that the rig names, by its name; for the run's
-        folder.
-        """
+        """The text of each file about the arm, by its name."""
         return self._texts(self.rig.arm.frame, self.rig.arm.verification)
 
     def _texts(self, *names: str) -> dict[str, str]:
@@ -93,18 +90,14 @@ class LoadedRig:
 
 
 def find_rig(name: str | None) -> Path:
-    """The file of a shipped rig by name, or of any rig by path; the emulated one for None. Raises
-    ConfigError.
-    """
+    """A shipped rig by name, or any by path; None: the emulated one. Raises ConfigError."""
     if name == TO_COPY.stem:
         return TO_COPY
     return find_shipped(name or "emulated", RIGS, "rig", exclude=NO_RIGS)
 
 
 def find_shipped(name: str, folder: Path, kind: str, exclude: tuple[str, ...] = ()) -> Path:
-    """``name`` as a path, or as the name of a file in ``folder``. Raises ConfigError that lists
-    what ships.
-    """
+    """``name`` as a path, or of a file in ``folder``. Raises ConfigError."""
     if name.endswith(".toml") or Path(name).is_file():
         return Path(name)
     known = [stem for stem in shipped(folder) if stem not in exclude]
@@ -122,10 +115,7 @@ def shipped(folder: Path) -> list[str]:
 
 
 def load_rig(path: Path) -> LoadedRig:
-    """The rig file at ``path`` with its calibration, where there is one. An emulated rig needs one.
-
-    Raises ConfigError with all faults of the first wrong file.
-    """
+    """The rig file at ``path`` with its calibration. Raises ConfigError with all faults."""
     rig = read_config(path, Rig)
     text, folder = read_text(path), path.parent
 
@@ -211,3 +201,49 @@ def _loaded(load: Callable[[], T]) -> T:
             for key, message in error.faults
         ]
         raise located(Path(error.path), read_text(Path(error.path)), faults) from error
+
+
+BOARDS = Path(__file__).parents[1] / "boards"
+
+
+class BoardFile(Section):
+    """``columns`` and ``rows`` count inner corners or circles; ``pitch_mm`` as measured, with its
+    standard uncertainty ``pitch_u_mm``.
+    """
+
+    kind: Literal["chessboard", "charuco", "circles"]
+    columns: Annotated[int, Field(ge=3, le=100)]
+    rows: Annotated[int, Field(ge=3, le=100)]
+    pitch_mm: Annotated[float, Field(ge=0.1, le=1000)]
+    marker_mm: Annotated[float, Field(gt=0)] | None = None
+    dictionary: str | None = None
+    circle_mm: Annotated[float, Field(gt=0)] | None = None
+    pitch_u_mm: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+    @model_validator(mode="after")
+    def _whole(self) -> BoardFile:
+        self.board  # noqa: B018 - raises what is wrong with the parts together
+        return self
+
+    @property
+    def board(self) -> Board:
+        """The board itself."""
+        return Board(
+            self.kind,
+            self.columns,
+            self.rows,
+            self.pitch_mm,
+            self.marker_mm,
+            self.dictionary,
+            self.circle_mm,
+        )
+
+
+def find_board_file(name: str) -> Path:
+    """The file of a shipped board by name, or of any board by path. Raises ConfigError."""
+    return find_shipped(name, BOARDS, "board")
+
+
+def load_board(path: Path) -> BoardFile:
+    """The board described at ``path``. Raises ConfigError with all its faults."""
+    return read_config(path, BoardFile)

@@ -1,6 +1,5 @@
-"""Scenes without instruments: members of the situation families drawn by the emulated cameras, as a
-contact sheet or as a recording. A recording's truth is exact: where each end is, and whether every
-camera can see it.
+"""Members of the situation families drawn by the emulated cameras, as a contact sheet or as a
+recording with exact truth.
 """
 
 from __future__ import annotations
@@ -16,9 +15,8 @@ import numpy as np
 
 from bench.config import ConfigError, read_text
 from bench.files import write_synced
-from bench.rig.board import BoardFile, load_board
-from bench.rig.emulation_model import make_renderer
-from bench.rig.loading import LoadedRig
+from bench.rig.loading import BoardFile, LoadedRig, load_board
+from bench.rig.model import make_renderer
 from detector.calibration.boards import DICTIONARIES
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import RecordingError, RecordingWriter, TruthRow
@@ -56,9 +54,7 @@ def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
 
 
 def warm(found: Situation) -> SceneState:
-    """A situation with its bath settled, at temperatures that vary from member to member as from
-    day to day.
-    """
+    """A situation with its bath settled; temperatures vary between members as between days."""
     rng = np.random.Generator(np.random.PCG64([found.seed, *found.name.encode(), *b"warmth"]))
     constants = PlantConstants()
     water_c, ambient_c = float(rng.uniform(32.5, 33.5)), float(rng.uniform(17.0, 24.0))
@@ -77,9 +73,7 @@ def warm(found: Situation) -> SceneState:
 def write_sheet(
     rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], path: Path, seed: int
 ) -> None:
-    """One PNG with a row for each family and each of ``seeds``. Raises ConfigError where it can't
-    be written.
-    """
+    """One PNG, a row for each family and seed. Raises ConfigError."""
     states = {
         f"{name} {one}": warm(situation(name, one)) for name in chosen(names) for one in seeds
     }
@@ -95,11 +89,8 @@ def write_sheet(
 def record(
     rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], folder: Path, seed: int
 ) -> Iterator[str]:
-    """Add a frame for each family and seed to a recording; yields each frame's name once it is
-    written.
-
-    Raises ConfigError where the folder can't be written, RecordingError for a frame that is there
-    already.
+    """Add a frame for each family and seed to a recording; yields each frame's name. Raises
+    ConfigError for the folder, RecordingError for a frame that is there already.
     """
     families = chosen(names)
     renderer = rig_renderer(rig, seed)
@@ -139,12 +130,8 @@ def record_boards(
     *,
     warmer_k: float = 0.0,
 ) -> Iterator[str]:
-    """Pictures of a calibration board in ``poses`` poses that ``cameras`` see whole: a recording
-    without truth, for `teatbench calibrate`.
-
-    What is dark on the board is ``warmer_k`` warmer than the room. Yields each frame's name once it
-    is written. Raises ConfigError for a board that is wrong or too large, or a folder that can't be
-    written.
+    """A recording, without truth, of a board in ``poses`` poses that ``cameras`` see whole; yields
+    each frame's name. What is dark is ``warmer_k`` warmer than the room. Raises ConfigError.
     """
     pattern = printed(load_board(board))
     renderer = rig_renderer(rig, seed)

@@ -46,9 +46,7 @@ class Rig:
 
 @dataclass(frozen=True, slots=True)
 class Freedom:
-    """What may move. ``lens``: each camera's free parameters (of `LENS`); ``aspect``: fx / fy is
-    fixed; ``motions``: cameras may move against each other.
-    """
+    """What may move: each camera's ``lens`` parameters, motions; ``aspect``: fx / fy is fixed."""
 
     lens: Mapping[str, frozenset[str]]
     aspect: frozenset[str] = frozenset()
@@ -61,11 +59,9 @@ class BundleError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjusted:
-    """The fit: rig, reference_from_board of each pose, and quality.
-
-    ``names`` of free parameters, as ("left", "fx") and ("right", "om1"); their ``covariance`` (k,
-    k) in px, rad and mm, poses integrated out, scaled by ``sigma_px`` squared. ``residuals_px`` of
-    a sighting: seen minus predicted (n, 2).
+    """The fit; poses are reference_from_board. ``covariance`` (k, k) px, rad, mm of ``names`` such
+    as ("left", "fx"), poses integrated out. ``residuals_px`` (n, 2) by sighting: seen minus
+    predicted.
     """
 
     rig: Rig
@@ -165,9 +161,7 @@ SINGULAR = 1e-14  # of the largest eigenvalue: less is rounding
 def adjust(
     start: Rig, poses: Sequence[Motion], sightings: Sequence[Sighting], freedom: Freedom
 ) -> Adjusted:
-    """The least-squares fit from ``start`` and ``poses`` (reference_from_board), with equal,
-    independent noise of all corners. Raises BundleError.
-    """
+    """The least-squares fit, with equal, independent noise of all corners. Raises BundleError."""
     layout = _Layout.of(start, len(poses), freedom)
     rows = sum(2 * len(s.board_mm) for s in sightings)
     if rows <= layout.size:

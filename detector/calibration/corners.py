@@ -83,10 +83,8 @@ class ViewRefusedError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """The board in one picture: ``ids`` (n,) of its points, ``pixels_px`` (n, 2).
-
-    ``edges_px``: 10 to 90 % of the rise along rows and columns, None where not measurable.
-    ``window_px``: half the sub-pixel window's side.
+    """``ids`` (n,) at ``pixels_px`` (n, 2); ``edges_px``: 10 to 90 % of the rise along rows and
+    columns, None if not measurable; ``window_px``: half the sub-pixel window's side.
     """
 
     ids: NDArray[np.intp]
@@ -102,9 +100,7 @@ class Found:
 def find_board(
     image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel(), inverted: bool | None = None
 ) -> Found:
-    """The board in an 8-bit picture. ``inverted``: bright for dark, as a heated board may look;
-    None tries both. Raises ViewRefusedError.
-    """
+    """The board in an 8-bit picture; ``inverted``: bright for dark. Raises ViewRefusedError."""
     if image.ndim != 2 or image.dtype != np.uint8:
         raise ValueError(
             f"find_board wants an 8-bit grey picture, not {image.dtype} of shape {image.shape}"
@@ -123,9 +119,7 @@ def find_board(
 
 
 def order_alike(first: Found, second: Found, board: Board) -> Found:
-    """``second`` counted from the same end as ``first``, for boards that read the same turned; the
-    cameras differ by less than a right angle.
-    """
+    """``second`` counted from ``first``'s end; the cameras differ by less than a right angle."""
     if not board.reads_the_same_turned:
         return second
     ways = []
@@ -179,10 +173,8 @@ def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
 
 
 def _circles(image: Gray, board: Board, _: SubPixel) -> Found | None:
-    """Dark circles: OpenCV's finder with our dark blobs, as its own blob detector wants 8 px and
-    more.
-
-    Dark is below one threshold or, where that finds no board (shade), below its surroundings.
+    """Dark blobs in OpenCV's grid finder (its own detector needs 8 px), by one threshold or by
+    their surroundings.
     """
     for dark in _darknesses(image):
         pixels = _grid_of_blobs(image, dark, board)

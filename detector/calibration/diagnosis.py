@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from detector.calibration.boards import Board
-from detector.calibration.rigid import cross_matrix
+from detector.calibration.rigid import WorldFit, cross_matrix
 from detector.calibration.values import Pair
-from detector.calibration.world import WorldFit
 from detector.geometry import Array, Motion, homogeneous
 
 Ids = NDArray[np.intp]
@@ -36,11 +35,9 @@ class PairView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """One view measured again; mm and px; ``scale``: measured over printed lengths.
-
-    ``off_plane_mm`` (n,): height over the fitted plane, towards the cameras. ``epipolar_px`` (n,):
-    signed distance from the epipolar line in the right picture, positive downwards. ``spacing_mm``
-    (m,): neighbours' distances less the pitch.
+    """One view, mm and px. ``scale``: over printed lengths; ``off_plane_mm`` (n,): towards the
+    cameras; ``epipolar_px`` (n,): positive downwards; ``spacing_mm`` (m,): neighbours' less the
+    pitch.
     """
 
     name: str
@@ -116,10 +113,8 @@ def _measured(pair: Pair, board: Board, view: PairView) -> Measured:
 
 
 def epipolar_px(pair: Pair, view: PairView) -> Array:
-    """Signed distances (n,) px of right pixels from their epipolar lines, positive downwards.
-
-    In the undistorted picture at the right camera's focal length. Hartley and Zisserman, 2nd ed.,
-    section 9.6.
+    """Signed distances (n,) px of right pixels from epipolar lines, positive downwards,
+    undistorted, at the right focal length. Hartley and Zisserman, 2nd ed., section 9.6.
     """
     a = homogeneous(pair.left.normalize(view.left_px))
     b = homogeneous(pair.right.normalize(view.right_px))
@@ -266,9 +261,7 @@ def _rows(again: Remeasured) -> list[Finding]:
 
 
 def bent(again: Remeasured) -> list[Finding]:
-    """Whether the board's middle stands off its rim. What the calibration's lenses took up is
-    missing, so what is left is real.
-    """
+    """Whether the middle stands off the rim, beyond what the calibration's lenses took up."""
     bend, least = again.bend[0], BEND_MATTERS * float(np.hypot(*again.board.size_mm))
     said = (
         f"the board's middle stands {abs(bend):.2f} mm {'before' if bend > 0 else 'behind'} its"

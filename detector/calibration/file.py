@@ -43,9 +43,7 @@ THERMAL_KEYS = ("image_size", "sensor_size", "mirrored", "polarity")
 
 
 def dump_calibration(calibration: Calibration | Part, heading: str = "") -> str:
-    """The file's text, whole or a part; each line of `heading` becomes a comment. Numbers have 10
-    significant digits, a covariance 12, to keep its sign.
-    """
+    """The file's text; ``heading`` becomes comments. 10 significant digits, a covariance 12."""
     part = calibration if isinstance(calibration, Part) else calibration.part
     lines = [f"# {line}".rstrip() for line in heading.splitlines()]
     for name, block in _blocks(part).items():

@@ -63,9 +63,8 @@ THERMAL = ThermalCamera(THERMAL_IMAGE_SIZE, THERMAL_SENSOR_SIZE, True, "hot_is_b
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThermalFit:
-    """A pinhole thermal camera midway between the optical ones, and the depth of the printed
-    homographies' plane. residual_px (2, n, 2): left and right, each grid pixel; rms_px: of their
-    lengths.
+    """A pinhole thermal camera midway between the optical ones; residual_px (2, n, 2): left and
+    right.
     """
 
     lens: Camera
@@ -155,11 +154,8 @@ def thesis_rig() -> Calibration:
 
 
 def thesis_published() -> Calibration:
-    """What the thesis printed: lenses, stereo, homographies, uncertainties (a third of the
-    toolbox's).
-
-    Correlations are not printed, so none are here. The world is `fit_world`; the thermal camera has
-    homographies only.
+    """What the thesis printed, with a third of the toolbox's uncertainties; no correlations. The
+    world is `fit_world`; the thermal camera has homographies only.
     """
     sds: dict[tuple[str, str], float] = {}
     for name, (fc, cc, k1, k2) in PRINTED_UNCERTAINTY.items():

@@ -14,7 +14,7 @@ from detector.calibration import Calibration, load_calibration
 from detector.calibration.boards import Board
 from detector.calibration.cameras import View
 from detector.calibration.diagnosis import PairView
-from detector.calibration.world import fit_world
+from detector.calibration.rigid import fit_world
 from detector.geometry import Array, Camera, Motion
 
 BOARD = Board("chessboard", 9, 6, 40.0)

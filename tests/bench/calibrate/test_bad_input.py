@@ -22,8 +22,7 @@ from bench.calibrate.exchange import (
     write_ros,
 )
 from bench.config import ConfigError
-from bench.rig.board import BOARDS, load_board
-from bench.rig.loading import RIGS
+from bench.rig.loading import BOARDS, RIGS, load_board
 from detector.calibration import load_calibration
 from detector.calibration.corners import find_board
 from detector.calibration.thesis_rig import thesis_published

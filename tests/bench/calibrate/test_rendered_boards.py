@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from bench.calibrate.capture import pattern_of
+from bench.calibrate.views import pattern_of
 from bench.rig.loading import RIGS
 from detector.calibration.boards import Board
 from detector.calibration.bundle import LENS, POSE

@@ -13,8 +13,8 @@ from bench.cli.main import main
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, read_run
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.emulation_model import fault_names
 from bench.rig.loading import load_rig
+from bench.rig.model import fault_names
 from instruments.bath.emulator import RELAY_FAULTS
 from instruments.clock import RealClock, VirtualClock
 from tests.bench.real_rig import SCRIPT

@@ -15,8 +15,8 @@ import pytest
 from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.emulation_model import fault_names
 from bench.rig.loading import load_rig
+from bench.rig.model import fault_names
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import InstrumentError, LinkError
 from instruments.link import Link
