@@ -42,19 +42,26 @@ def read_opencv(path: Path, image_size: tuple[int, int] | None = None) -> Part:
             f"{path}: OpenCV can't read it as YAML or XML; does it begin with %YAML:1.0?"
         )
     names = ("M1", "D1", "M2", "D2", "R", "T", "image_size")
-    M1, D1, M2, D2, R, T, size = found = [storage.getNode(name).mat() for name in names]
+    found = {name: storage.getNode(name).mat() for name in names}
     storage.release()
-    if missing := [name for name, value in zip(names[:4], found, strict=False) if value is None]:
+    if missing := [name for name in names[:4] if found[name] is None]:
         raise ConfigError.plain(
             f"{path}: lacks {', '.join(missing)}; wanted: the stereo pair's M1 D1 M2 D2, and R T"
         )
+    M1, D1, M2, D2, R, T, size = found.values()
     if image_size is None:
-        if np.size(size) != 2 or size is None:
+        if size is None or np.size(size) != 2:
             raise ConfigError.plain(
                 f"{path}: lacks image_size; say it with --image-size COLUMNSxROWS"
             )
-        image_size = int(np.ravel(size)[0]), int(np.ravel(size)[1])
-    motion = None if R is None or T is None else _motion(R, T, path)
+        columns, rows = np.ravel(size).astype(int).tolist()
+        image_size = columns, rows
+    try:
+        motion = (
+            None if R is None or T is None else Motion(R.astype(float), T.ravel().astype(float))
+        )
+    except ValueError as error:
+        raise ConfigError.plain(f"{path}: R and T are no motion: {error}") from error
     left, right = _camera(M1, D1, image_size, path), _camera(M2, D2, image_size, path)
     return Part(left=left, right=right, right_from_left=motion)
 
@@ -189,13 +196,6 @@ def _camera(K: Any, kc: Any, size: tuple[int, int], path: Path) -> Camera:
     return Camera(size, (fx, fy), (u, v), skew / fx, (k1, k2, p1, p2, k3))
 
 
-def _motion(R: Any, T: Any, path: Path) -> Motion:
-    try:
-        return Motion(np.asarray(R, dtype=np.float64), np.ravel(np.asarray(T, dtype=np.float64)))
-    except ValueError as error:
-        raise ConfigError.plain(f"{path}: R and T are no motion: {error}") from error
-
-
 def _pair(part: Part) -> tuple[Camera, Camera, Motion | None]:
     if part.left is None or part.right is None:
         raise ConfigError.plain(
@@ -205,7 +205,6 @@ def _pair(part: Part) -> tuple[Camera, Camera, Motion | None]:
 
 
 def _matrix(camera: Camera) -> Array:
-    fx, fy = camera.fc
-    return np.array(
-        [[fx, fx * camera.alpha_c, camera.cc[0]], [0.0, fy, camera.cc[1]], [0.0, 0.0, 1.0]]
-    )
+    K = camera.matrix
+    K[0, 1] = camera.fc[0] * camera.alpha_c
+    return K

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import cv2
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from bench.files import png_bytes, write_synced
-from detector.calibration.boards import DICTIONARIES, Board
+from bench.rig.loading import drawn
+from detector.calibration.boards import Board
 from detector.calibration.cameras import (
     COLUMNS,
     LEAST_CORNERS,
@@ -109,13 +111,12 @@ def _in_folder(place: Path) -> list[tuple[str, str, Path]]:
 
 
 def _pictures(folder: Path) -> list[Path]:
-    """Empty where it is no folder."""
     return sorted(path for path in folder.glob("*") if path.suffix.lower() in ENDINGS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refused:
-    """A picture that was left out, and why."""
+    """A picture that was left out."""
 
     camera: str
     view: str
@@ -270,26 +271,17 @@ def gather(
 
 def free_folder(out: Path) -> Path:
     """A folder beside ``out`` that isn't there yet: pictures are never overwritten."""
-    first = out.with_suffix(".pictures")
-    return next(
-        place
-        for n in range(1, 10_000)
-        if not (place := first if n == 1 else first.with_name(f"{first.name}-{n}")).exists()
-    )
+    place = first = out.with_suffix(".pictures")
+    for n in count(2):
+        if not place.exists():
+            break
+        place = first.with_name(f"{first.name}-{n}")
+    return place
 
 
 def pattern_of(board: Board) -> Pattern:
-    """The board as the operator's side describes it: squares where the finder counts points."""
-    more = 0 if board.kind == "circles" else 1
-    return Pattern(
-        board.kind,
-        board.columns + more,
-        board.rows + more,
-        board.pitch_mm,
-        0.5 * board.pitch_mm,
-        DICTIONARIES[board.dictionary] if board.dictionary else Pattern().dictionary,
-        board.marker_mm or board.circle_mm or 0.0,
-    )
+    """The board as the operator's side describes it."""
+    return drawn(board, 0.5)
 
 
 def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
@@ -299,16 +291,11 @@ def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
 
 def _instruction(wanted: ViewsRequest, missing: tuple[str, ...]) -> str:
     who = f"{' and '.join(wanted.cameras)} see{'s' if len(wanted.cameras) == 1 else ''}"
-    board = "heated board" if wanted.heated else "board"
+    hold = f"Hold the {'heated ' * wanted.heated}board still where {who} all of it"
     if not missing:
-        return (
-            f"Hold the {board} still where {who} all of it, another way each time: {wanted.most}"
-            " views."
-        )
+        return f"{hold}, another way each time: {wanted.most} views."
     more = f"; and {len(missing) - TOLD} more" if len(missing) > TOLD else ""
-    return (
-        f"Hold the {board} still where {who} all of it. Missing: {'; '.join(missing[:TOLD])}{more}."
-    )
+    return f"{hold}. Missing: {'; '.join(missing[:TOLD])}{more}."
 
 
 class Guide:
@@ -360,8 +347,14 @@ class Guide:
         size = (round(picture.shape[1] * scale), HEIGHT_PX)
         small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
         image = np.asarray(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
-        if camera in self._guided:
-            _mark_cells(image, self._coverage(camera).corners)
+        corners = self._coverage(camera).corners
+        for row, column in np.ndindex(ROWS, COLUMNS) if camera in self._guided else ():
+            ends = np.array([[row, column], [row + 1, column + 1]]) * image.shape[:2]
+            (top, left), (bottom, right) = ends // (ROWS, COLUMNS)
+            cell = image[top:bottom, left:right]
+            colour = COVERED if corners[row, column] >= LEAST_CORNERS else MISSING
+            cell[:] = np.rint((1.0 - TINT) * cell + TINT * np.array(colour)).astype(np.uint8)
+            cv2.rectangle(image, (left, top), (right - 1, bottom - 1), colour, 1)
         if found is not None:
             for x, y in found.pixels_px * scale:
                 cv2.circle(image, (round(x), round(y)), 3, CORNER, 1, cv2.LINE_AA)
@@ -372,15 +365,3 @@ class Guide:
                 image, text, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, width, cv2.LINE_AA
             )
         return image
-
-
-def _mark_cells(image: NDArray[np.uint8], corners: NDArray[np.float64]) -> None:
-    """Tint the cells of a BGR picture; ``corners`` (ROWS, COLUMNS) counts points in each."""
-    high, wide = image.shape[:2]
-    for row, column in np.ndindex(ROWS, COLUMNS):
-        top, left = row * high // ROWS, column * wide // COLUMNS
-        cell = image[top : (row + 1) * high // ROWS, left : (column + 1) * wide // COLUMNS]
-        colour = COVERED if corners[row, column] >= LEAST_CORNERS else MISSING
-        cell[:] = np.rint((1.0 - TINT) * cell + TINT * np.array(colour)).astype(np.uint8)
-        right, bottom = left + cell.shape[1] - 1, top + cell.shape[0] - 1
-        cv2.rectangle(image, (left, top), (right, bottom), colour, 1)

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from bench.calibrate.merge import pair_of_part
@@ -23,7 +22,7 @@ from bench.files import write_synced
 from bench.truth.arm_tip import TipReader
 from detector.calibration import Part, Record
 from detector.calibration.boards import Board
-from detector.calibration.corners import Found, ViewRefusedError, find_board, order_alike
+from detector.calibration.corners import ViewRefusedError, find_board, order_alike
 from detector.calibration.diagnosis import Finding, against_the_arm
 from detector.calibration.rigid import WorldFit, fit_world
 from detector.calibration.values import covariance_of_points
@@ -166,40 +165,31 @@ def check_points(
     noise += touch_sd_mm**2 * np.eye(3)
     own = covariance_of_points(pair, part.covariance, points.touched_mm, 0.0)
     again = PointsAgain(missed, np.sqrt(np.trace(noise + own, axis1=1, axis2=2)))
-    return again, (*_moved(missed, noise, own), *_scattered(missed, noise, own))
-
-
-def _moved(missed: Array, noise: Array, own: Array) -> list[Finding]:
-    """All off the same way: the calibration's error is common, noise averages out."""
-    mean = missed.mean(axis=0)
-    covariance = own.mean(axis=0) + noise.mean(axis=0) / len(missed)
-    if np.linalg.norm(mean) < MOVED_MATTERS_MM or mean @ np.linalg.solve(
-        covariance, mean
-    ) < chi2.ppf(1.0 - SIGNIFICANT, 3):
-        return []
-    x, y, z = mean
-    sentence = (
-        f"points are measured {np.linalg.norm(mean):.1f} mm off on the mean ({x:+.1f}, {y:+.1f},"
-        f" {z:+.1f} mm): the cameras, the arm or the table have moved against each other since"
-    )
-    return [Finding("moved cameras", sentence)]
-
-
-def _scattered(missed: Array, noise: Array, own: Array) -> list[Finding]:
-    """Whether they are off in different ways by more than noise and calibration allow."""
-    free = len(missed) - 1
-    if not free:
-        return []
-    left_over = float(np.sum((missed - missed.mean(axis=0)) ** 2)) / free
-    expected = float(np.trace(noise + own, axis1=1, axis2=2).mean())
-    limit = max(SCATTER_MATTERS**2, chi2.ppf(1.0 - SIGNIFICANT, 3 * free) / (3 * free))
-    if left_over < limit * expected:
-        return []
-    sentence = (
-        f"points scatter by {np.sqrt(left_over):.1f} mm, where {np.sqrt(expected):.1f} mm is to be"
-        " expected: a lens or one of the cameras has moved, or points were mistaken for each other"
-    )
-    return [Finding("scattered points", sentence)]
+    findings = []
+    # all off the same way: the calibration's error is common, noise averages out
+    mean, count = missed.mean(axis=0), len(missed)
+    off_mm, covariance = float(np.linalg.norm(mean)), own.mean(axis=0) + noise.mean(axis=0) / count
+    distance = float(mean @ np.linalg.solve(covariance, mean))
+    if off_mm >= MOVED_MATTERS_MM and distance >= chi2.ppf(1.0 - SIGNIFICANT, 3):
+        x, y, z = mean
+        sentence = (
+            f"points are measured {off_mm:.1f} mm off on the mean ({x:+.1f}, {y:+.1f}, {z:+.1f}"
+            " mm): the cameras, the arm or the table have moved against each other since"
+        )
+        findings.append(Finding("moved cameras", sentence))
+    # off in different ways, by more than noise and calibration allow
+    if free := count - 1:
+        left_over = float(np.sum((missed - mean) ** 2)) / free
+        expected = float(np.mean(again.expected_mm**2))
+        limit = max(SCATTER_MATTERS**2, chi2.ppf(1.0 - SIGNIFICANT, 3 * free) / (3 * free))
+        if left_over >= limit * expected:
+            sentence = (
+                f"points scatter by {np.sqrt(left_over):.1f} mm, where {np.sqrt(expected):.1f} mm"
+                " is to be expected: a lens or one of the cameras has moved, or points were"
+                " mistaken for each other"
+            )
+            findings.append(Finding("scattered points", sentence))
+    return again, tuple(findings)
 
 
 POSITIONS = 2
@@ -210,19 +200,6 @@ MISTAKEN = 0.25
 WHERE = ("high and near", "lower and farther, tilted another way")
 POINTS_FILE = "points.csv"
 COLOUR = (0, 200, 255)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """A fixed board as both cameras saw it; ``corners`` are the nine points to be touched."""
-
-    left: Found
-    right: Found
-    corners: tuple[int, ...]
-
-    def pixels(self) -> tuple[Array, Array]:
-        """The nine points in both pictures, (9, 2) each."""
-        return _pixels(self.left, self.corners), _pixels(self.right, self.corners)
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +217,15 @@ def gather_points(asking: Asking, board: Board, folder: Path) -> TouchedPoints:
     """All points; numbered pictures and the points' table are kept in ``folder``. Raises
     OperatorAbort, DeviceError where a board or a point fails too often, and as cameras and arm do.
     """
-    parts = [_at_position(asking, board, position, folder) for position in range(1, POSITIONS + 1)]
+    parts = []
+    for position in range(1, POSITIONS + 1):
+        seen = _fixed(asking, board, position, folder)
+        readings: list[Reading] = []
+        for at in range(len(nine(board))):
+            readings.append(_touched(asking, board, at, readings))
+        asking.operator.ask(Release())
+        centres, axes = [one.tip_mm for one in readings], [one.axis for one in readings]
+        parts.append((*seen, under_ball(centres, axes, asking.tip_radius_mm)))
     points = TouchedPoints(*(np.vstack(columns) for columns in zip(*parts, strict=True)))
     rows = np.hstack([points.left_px, points.right_px, points.touched_mm])
     table = io.BytesIO()
@@ -255,24 +240,8 @@ def nine(board: Board) -> tuple[int, ...]:
     return tuple(row * board.columns + column for row in rows for column in columns)
 
 
-def _at_position(
-    asking: Asking, board: Board, position: int, folder: Path
-) -> tuple[Array, Array, Array]:
-    seen = _fixed(asking, board, position, folder)
-    readings: list[Reading] = []
-    for at in range(len(seen.corners)):
-        readings.append(_touched(asking, board, seen, at, readings))
-    asking.operator.ask(Release())
-    points = under_ball(
-        [reading.tip_mm for reading in readings],
-        [reading.axis for reading in readings],
-        asking.tip_radius_mm,
-    )
-    return (*seen.pixels(), points)
-
-
-def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> Seen:
-    """The board fixed at a place where both cameras see all of it."""
+def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> tuple[Array, Array]:
+    """The board fixed where both cameras see all of it: the nine points' pixels, (9, 2) each."""
     again = ""
     for _ in range(TRIES):
         where = WHERE[(position - 1) % len(WHERE)]
@@ -284,31 +253,30 @@ def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> Seen:
         asking.operator.ask(BoardAsked(pattern_of(board), text, position, fixed=True))
         pictures = asking.look()
         try:
-            seen = _looked(pictures, board)
+            pixels = _looked(pictures, board)
         except ViewRefusedError as why:
             asking.tell(f"position {position}: refused: {why}")
             again = f"Not found ({why}) "
             continue
-        for camera, found in (("left", seen.left), ("right", seen.right)):
+        for camera, points in zip(("left", "right"), pixels, strict=True):
             write_picture(folder / camera / f"position-{position}.png", pictures[camera])
-            write_picture(
-                folder / f"position-{position}-{camera}-numbered.png",
-                _numbered(pictures[camera], found, seen.corners),
-            )
+            image = np.asarray(cv2.cvtColor(pictures[camera], cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+            for number, (x, y) in enumerate(np.rint(points).astype(int).tolist(), 1):
+                cv2.circle(image, (x, y), 8, COLOUR, 2, cv2.LINE_AA)
+                font = cv2.FONT_HERSHEY_SIMPLEX
+                cv2.putText(image, str(number), (x + 10, y - 8), font, 0.8, COLOUR, 2, cv2.LINE_AA)
+            write_picture(folder / f"position-{position}-{camera}-numbered.png", image)
         asking.tell(
             f"position {position}: found; the points to touch are numbered in"
             f" {folder / f'position-{position}-left-numbered.png'}"
         )
-        return seen
+        return pixels
     what = f"the board was not found at position {position}, {TRIES} times"
-    raise DeviceError(
-        "cameras",
-        what,
-        hint="See the pictures: is it sharp, lit, and the board that the file describes?",
-    )
+    hint = "See the pictures: is it sharp, lit, and the board that the file describes?"
+    raise DeviceError("cameras", what, hint=hint)
 
 
-def _looked(pictures: Mapping[str, Grey], board: Board) -> Seen:
+def _looked(pictures: Mapping[str, Grey], board: Board) -> tuple[Array, Array]:
     left, right = (find_board(pictures[camera], board) for camera in ("left", "right"))
     right, corners = order_alike(left, right, board), nine(board)
     for camera, found in (("left", left), ("right", right)):
@@ -317,49 +285,40 @@ def _looked(pictures: Mapping[str, Grey], board: Board) -> Seen:
                 f"the {camera} camera does not see point {', '.join(hidden)} of the nine: show all"
                 " of the board"
             )
-    return Seen(left, right, corners)
-
-
-def _touched(asking: Asking, board: Board, seen: Seen, at: int, before: list[Reading]) -> Reading:
-    """One point, read; again where the arm moved or its distances fit another point."""
-    which = f"{ROWS[at // 3]} {COLUMNS[at % 3]}"
-    text = (
-        f"Touch point {at + 1} of {len(seen.corners)}, the {which} one, with the tip and hold it"
-        " still."
+    in_left, in_right = (
+        [np.flatnonzero(found.ids == corner)[0] for corner in corners] for found in (left, right)
     )
-    again = ""
+    return left.pixels_px[in_left], right.pixels_px[in_right]
+
+
+def _touched(asking: Asking, board: Board, at: int, before: list[Reading]) -> Reading:
+    """One point, read; again where the arm moved or its distances fit another point."""
+    which, corners, again = f"{ROWS[at // 3]} {COLUMNS[at % 3]}", nine(board), ""
+    text = (
+        f"Touch point {at + 1} of {len(corners)}, the {which} one, with the tip and hold it still."
+    )
     for _ in range(TRIES):
-        asking.operator.ask(BoardTouch(seen.corners[at], text, again))
+        asking.operator.ask(BoardTouch(corners[at], text, again))
         try:
             reading = asking.tip.read()
         except ArmMovesError as moves:
             again = f"{moves} Touch it once more."
             continue
-        again = _mistaken(board, seen.corners, at, reading, before)
-        if not again:
+        printed, wrong = board.points_mm[list(corners)], ""
+        for earlier, known in enumerate(before):
+            apart_mm = float(np.linalg.norm(printed[at] - printed[earlier]))
+            touched_mm = float(np.linalg.norm(reading.tip_mm - known.tip_mm))
+            if abs(touched_mm - apart_mm) > MISTAKEN * board.pitch_mm and not wrong:
+                wrong = (
+                    f"That lies {touched_mm:.1f} mm from point {earlier + 1}, where the print has"
+                    f" {apart_mm:.1f} mm: another point, or the board has moved. Once more."
+                )
+        if not wrong:
             return reading
+        again = wrong
         asking.tell(again)
-    raise DeviceError(
-        "arm",
-        f"point {at + 1} of the board was not touched well, {TRIES} times; the last one: {again}",
-    )
-
-
-def _mistaken(
-    board: Board, corners: tuple[int, ...], at: int, reading: Reading, before: list[Reading]
-) -> str:
-    """Why a touch isn't of the point asked for: a distance that the print doesn't have."""
-    for earlier, known in enumerate(before):
-        printed = float(
-            np.linalg.norm(board.points_mm[corners[at]] - board.points_mm[corners[earlier]])
-        )
-        touched = float(np.linalg.norm(reading.tip_mm - known.tip_mm))
-        if abs(touched - printed) > MISTAKEN * board.pitch_mm:
-            return (
-                f"That lies {touched:.1f} mm from point {earlier + 1}, where the print has"
-                f" {printed:.1f} mm: another point, or the board has moved. Once more."
-            )
-    return ""
+    what = f"point {at + 1} of the board was not touched well, {TRIES} times; the last one: {again}"
+    raise DeviceError("arm", what)
 
 
 def under_ball(centres_mm: list[Array], axes: list[Array], radius_mm: float) -> Array:
@@ -368,17 +327,3 @@ def under_ball(centres_mm: list[Array], axes: list[Array], radius_mm: float) -> 
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
     side = 1.0 if float(np.mean(axes, axis=0) @ normal) > 0 else -1.0
     return np.asarray(points - radius_mm * side * normal)
-
-
-def _numbered(picture: Grey, found: Found, corners: tuple[int, ...]) -> NDArray[np.uint8]:
-    image = np.asarray(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
-    for number, (x, y) in enumerate(np.rint(_pixels(found, corners)).astype(int).tolist(), 1):
-        cv2.circle(image, (x, y), 8, COLOUR, 2, cv2.LINE_AA)
-        font = cv2.FONT_HERSHEY_SIMPLEX
-        cv2.putText(image, str(number), (x + 10, y - 8), font, 0.8, COLOUR, 2, cv2.LINE_AA)
-    return image
-
-
-def _pixels(found: Found, corners: tuple[int, ...]) -> Array:
-    """The points named ``corners`` in a picture, (n, 2)."""
-    return found.pixels_px[[int(np.flatnonzero(found.ids == corner)[0]) for corner in corners]]

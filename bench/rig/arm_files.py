@@ -20,7 +20,7 @@ it was changed by hand. A file of another arm is refused too.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from itertools import combinations
 from math import sqrt
@@ -29,14 +29,18 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AwareDatetime, Field
+from pydantic import AwareDatetime, Field, PlainSerializer, PlainValidator, TypeAdapter
 
 from bench.config import ConfigError, KeyPath, Section, located, read_config, read_text
 from bench.files import write_synced
 from bench.toml import toml_text
 from detector.geometry import Motion
 
-Floats = NDArray[np.float64]
+Floats = Annotated[
+    NDArray[np.float64],
+    PlainValidator(lambda rows: np.array(rows, dtype=np.float64)),
+    PlainSerializer(np.ndarray.tolist),
+]
 Triple = tuple[float, float, float]
 
 DEFINING = ("origin", "x axis", "plane")
@@ -46,7 +50,7 @@ _STEP_MM = 1e-3
 
 
 class FrameError(ValueError):
-    """The touches give no frame. The sentence says which of them, and what to do."""
+    """The touches give no frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,17 +84,18 @@ class TableFrame:
         names = [point.name for point in points]
         if len(set(names)) < len(names):
             raise FrameError(f"two touches have the same name: {', '.join(names)}")
-        return cls(
-            made,
-            serial_number,
-            tuple(points),
-            world_from_arm([point.arm_mm for point in points[:3]]),
-        )
+        motion = world_from_arm([point.arm_mm for point in points[:3]])
+        return cls(made, serial_number, tuple(points), motion)
 
     @property
     def residuals_mm(self) -> dict[str, float]:
         """Distance of each check point from its known place, or from the plane z = 0."""
-        return {point.name: self._off_mm(point) for point in self.points[3:]}
+        off = {}
+        for point in self.points[3:]:
+            found = self.world_from_arm.apply(point.arm_mm)
+            known = (*found[:2], 0.0) if point.world_mm is None else point.world_mm
+            off[point.name] = float(np.linalg.norm(found - np.array(known)))
+        return off
 
     @property
     def residual_mm(self) -> float | None:
@@ -117,14 +122,6 @@ class TableFrame:
             squares += float(np.sum(np.square((ends[0] - ends[1]) / (2.0 * _STEP_MM))))
         return u_mm * sqrt(squares / 3.0)
 
-    def _off_mm(self, point: TouchedPoint) -> float:
-        found = self.world_from_arm.apply(point.arm_mm)
-        return (
-            abs(float(found[2]))
-            if point.world_mm is None
-            else float(np.linalg.norm(found - np.array(point.world_mm)))
-        )
-
 
 def world_from_arm(touched_mm: ArrayLike) -> Motion:
     """From touches (3, 3) mm: origin, on x, in the plane. Raises FrameError if in a line."""
@@ -134,24 +131,22 @@ def world_from_arm(touched_mm: ArrayLike) -> Motion:
             f"a table frame is made of three points in space, not of {touched.tolist()}"
         )
     origin, on_x, in_plane = touched
-    _apart(float(np.linalg.norm(on_x - origin)), "the touch on the x axis is {} from the origin")
-    x = (on_x - origin) / np.linalg.norm(on_x - origin)
-    across = (in_plane - origin) - ((in_plane - origin) @ x) * x
-    _apart(
-        float(np.linalg.norm(across)),
+
+    def direction(way: Floats, sentence: str) -> Floats:
+        if (distance_mm := float(np.linalg.norm(way))) < APART_MM:
+            raise FrameError(
+                f"{sentence.format(f'{distance_mm:.1f} mm')}; {APART_MM:g} mm are needed. Touch a"
+                " point further away"
+            )
+        return way / distance_mm
+
+    x = direction(on_x - origin, "the touch on the x axis is {} from the origin")
+    y = direction(
+        (in_plane - origin) - ((in_plane - origin) @ x) * x,
         "the third touch is {} from the x axis, so the three are nearly in a line",
     )
-    y = across / np.linalg.norm(across)
     R = np.stack([x, y, np.cross(x, y)])
     return Motion(R, -R @ origin)
-
-
-def _apart(distance_mm: float, sentence: str) -> None:
-    if distance_mm < APART_MM:
-        raise FrameError(
-            f"{sentence.format(f'{distance_mm:.1f} mm')}; {APART_MM:g} mm are needed. Touch a point"
-            " further away"
-        )
 
 
 LEAST_TOUCHES = 5  # the orientations of ISO 10360-12
@@ -181,7 +176,6 @@ class LocationTest:
 
     @property
     def n(self) -> int:
-        """How many readings."""
         return len(self.tips_mm)
 
     @property
@@ -273,7 +267,6 @@ class Verification:
         return (*self.broken(limits), *self.gaps(limits))
 
     def broken(self, limits: Limits) -> tuple[str, ...]:
-        """A sentence for each limit that the arm breaks."""
         found = [fault for test in self.locations for fault in broken_by(test, limits.location_mm)]
         worst = max(self.lengths, key=lambda test: abs(test.error_mm), default=None)
         if worst and limits.length_mm is not None and abs(worst.error_mm) > limits.length_mm:
@@ -291,43 +284,24 @@ class Verification:
         return tuple(found)
 
 
+_VERIFICATION = TypeAdapter(Verification)
+
+
 def as_dict(verification: Verification) -> dict[str, Any]:
     """Plain numbers and text: what was touched, from which all figures follow."""
-    return {
-        "made": verification.made.isoformat(),
-        "serial_number": verification.serial_number,
-        "locations": [_touched(test) for test in verification.locations],
-        "lengths": [_touched(test) for test in verification.lengths],
-    }
-
-
-def _touched(test: LocationTest | LengthTest) -> dict[str, Any]:
-    values = {field.name: getattr(test, field.name) for field in fields(test)}
-    return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}
+    touched: dict[str, Any] = _VERIFICATION.dump_python(verification)
+    return {**touched, "made": verification.made.isoformat()}
 
 
 def from_dict(table: Mapping[str, Any]) -> Verification:
     """The inverse of `as_dict`."""
-    return Verification(
-        datetime.fromisoformat(table["made"]),
-        table["serial_number"],
-        tuple(
-            LocationTest(t["where"], np.array(t["tips_mm"]), np.array(t["axes"]))
-            for t in table["locations"]
-        ),
-        tuple(
-            LengthTest(t["where"], np.array(t["a_mm"]), np.array(t["b_mm"]), t["calibrated_mm"])
-            for t in table["lengths"]
-        ),
-    )
+    return _VERIFICATION.validate_python(table)
 
 
 def broken_by(test: LocationTest, limit_mm: float) -> list[str]:
     """What speaks against the arm at one divot."""
-    if test.largest_mm <= limit_mm:
-        return []
     said = f"{test.where}: readings of one point lie up to {test.largest_mm:.2f} mm from their mean"
-    return [f"{said}, limit {limit_mm:g} mm"]
+    return [f"{said}, limit {limit_mm:g} mm"] if test.largest_mm > limit_mm else []
 
 
 def gaps_of(test: LocationTest, least: int) -> list[str]:
@@ -442,16 +416,14 @@ def frame_text(frame: TableFrame) -> str:
 
 
 def _frame_table(frame: TableFrame) -> dict[str, Any]:
-    motion, residuals = frame.world_from_arm, frame.residuals_mm
+    motion, off = frame.world_from_arm, frame.residuals_mm
     return {
         "made": frame.made,
         "serial_number": frame.serial_number,
         "om": motion.om.tolist(),
         "T": motion.T.tolist(),
         "residual_mm": frame.residual_mm,
-        "points": [
-            {**asdict(point), "residual_mm": residuals.get(point.name)} for point in frame.points
-        ],
+        "points": [{**asdict(p), "residual_mm": off.get(p.name)} for p in frame.points],
     }
 
 
@@ -476,24 +448,20 @@ def verification_text(verification: Verification, limits: Limits) -> str:
 
 def _verification_table(found: Verification, limits: Limits) -> dict[str, Any]:
     touched = as_dict(found)
-    figures = ("n", "largest_mm", "two_sd_mm", "sphere_mm", "swing_deg")
+
+    def rows(name: str, *keys: str) -> list[dict[str, Any]]:
+        tests = zip(getattr(found, name), touched[name], strict=True)
+        return [{**{key: getattr(test, key) for key in keys}, **row} for test, row in tests]
+
+    whole = ("made", "serial_number", "location_mm", "length_mm", "length_two_rms_mm")
     return {
-        "made": found.made,
-        "serial_number": found.serial_number,
+        **{key: getattr(found, key) for key in whole},
         "passed": not found.faults(limits),
-        "location_mm": found.location_mm,
-        "length_mm": found.length_mm,
-        "length_two_rms_mm": found.length_two_rms_mm,
         "limits": asdict(limits),
-        "location": [
-            {"where": test.where, **{key: getattr(test, key) for key in figures}, **table}
-            for test, table in zip(found.locations, touched["locations"], strict=True)
-        ],
-        "length": [
-            {"where": t.where, "calibrated_mm": t.calibrated_mm, "error_mm": t.error_mm, **table}
-            for t, table in zip(found.lengths, touched["lengths"], strict=True)
-        ]
-        or None,
+        "location": rows(
+            "locations", "where", "n", "largest_mm", "two_sd_mm", "sphere_mm", "swing_deg"
+        ),
+        "length": rows("lengths", "where", "calibrated_mm", "error_mm") or None,
     }
 
 
@@ -508,10 +476,8 @@ def load_verification(path: Path, *, serial_number: str | None = None) -> Verifi
     if uneven:
         raise located(path, read_text(path), uneven)
     said = file.model_dump()
-    lists = {"locations": said["location"], "lengths": said["length"]}
-    found = from_dict({**said, **lists, "made": file.made.isoformat()})
-    limits = Limits(file.limits.location_mm, file.limits.length_mm)
-    _refuse_changed(path, file, _verification_table(found, limits))
+    found = from_dict({**said, "locations": said["location"], "lengths": said["length"]})
+    _refuse_changed(path, file, _verification_table(found, Limits(**said["limits"])))
     return found
 
 

@@ -24,9 +24,10 @@ from bench.rig.model import Rig
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import EMULATED, SCRIPT
 from detector.calibration import Calibration
-from detector.calibration.boards import Board
+from detector.calibration.boards import DICTIONARIES, Board
 from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_profile, load_relay
 from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
+from instruments.world.boards import Pattern
 
 RIGS = Path(__file__).parents[1] / "rigs"
 NO_RIGS = ("calibration", "thesis-calibration", "lab.example")  # what lies there and can't be run
@@ -228,15 +229,7 @@ class BoardFile(Section):
     @property
     def board(self) -> Board:
         """The board itself."""
-        return Board(
-            self.kind,
-            self.columns,
-            self.rows,
-            self.pitch_mm,
-            self.marker_mm,
-            self.dictionary,
-            self.circle_mm,
-        )
+        return Board(**self.model_dump(exclude={"pitch_u_mm"}))
 
 
 def find_board_file(name: str) -> Path:
@@ -247,3 +240,17 @@ def find_board_file(name: str) -> Path:
 def load_board(path: Path) -> BoardFile:
     """The board described at ``path``. Raises ConfigError with all its faults."""
     return read_config(path, BoardFile)
+
+
+def drawn(board: Board, margin: float) -> Pattern:
+    """What the scene draws: squares where ``board`` counts points; ``margin`` in pitches."""
+    more = 0 if board.kind == "circles" else 1
+    return Pattern(
+        board.kind,
+        board.columns + more,
+        board.rows + more,
+        board.pitch_mm,
+        margin * board.pitch_mm,
+        DICTIONARIES[board.dictionary] if board.dictionary else Pattern().dictionary,
+        board.marker_mm or board.circle_mm or 0.0,
+    )

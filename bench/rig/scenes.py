@@ -15,13 +15,11 @@ import numpy as np
 
 from bench.config import ConfigError, read_text
 from bench.files import write_synced
-from bench.rig.loading import BoardFile, LoadedRig, load_board
+from bench.rig.loading import LoadedRig, drawn, load_board
 from bench.rig.model import make_renderer
-from detector.calibration.boards import DICTIONARIES
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import RecordingError, RecordingWriter, TruthRow
 from instruments.world import boards
-from instruments.world.boards import Pattern
 from instruments.world.phantom import Phantom
 from instruments.world.plant import PlantConstants
 from instruments.world.scene import Renderer, contact_sheet
@@ -133,7 +131,7 @@ def record_boards(
     """A recording, without truth, of a board in ``poses`` poses that ``cameras`` see whole; yields
     each frame's name. What is dark is ``warmer_k`` warmer than the room. Raises ConfigError.
     """
-    pattern = printed(load_board(board))
+    pattern = drawn(load_board(board).board, 0.3)
     renderer = rig_renderer(rig, seed)
     ambient_c = rig.rig.emulation.ambient_c
     watching = [camera for camera in renderer.cameras if camera.name in cameras]
@@ -158,21 +156,3 @@ def record_boards(
         ) from error
     except OSError as error:
         raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
-
-
-def printed(said: BoardFile) -> Pattern:
-    """What the scene draws for a board's description, which counts points: a chessboard has a
-    square more than corners each way.
-    """
-    more = 0 if said.kind == "circles" else 1
-    feature_mm = said.marker_mm or said.circle_mm or 0.0
-    dictionary = DICTIONARIES[said.dictionary] if said.dictionary else Pattern().dictionary
-    return Pattern(
-        said.kind,
-        said.columns + more,
-        said.rows + more,
-        said.pitch_mm,
-        0.3 * said.pitch_mm,
-        dictionary,
-        feature_mm,
-    )
