@@ -97,7 +97,6 @@ class ArmSession:
         self.arm.confirm_homed()
 
     def ask(self, text: str) -> None:
-        """Something to be done."""
         self.console.ask(Task(text))
 
     def touch(self, step: Step) -> None:
@@ -107,7 +106,6 @@ class ArmSession:
         self.console.ask(Task(step.text, pedal=True))
 
     def say(self, text: str) -> None:
-        """Something to be shown."""
         self.console.say(text)
 
 
@@ -271,5 +269,4 @@ def _read(arm: MicroScribe, person: Person, step: Step) -> Reading:
 
 
 def mm(point: Iterable[float], digits: int = 1) -> str:
-    """A point as text."""
     return ", ".join(f"{v:.{digits}f}" for v in point) + " mm"

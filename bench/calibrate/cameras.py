@@ -87,7 +87,6 @@ class CamerasResult:
         return _covariance(self.joint, "stereo")
 
     def part(self, record: Record) -> Part:
-        """What the file of this step holds."""
         pair = self.pair
         return Part(
             left=pair.left,
@@ -204,7 +203,6 @@ class Delivered:
     model: str = "k1"
 
     def camera(self, size: tuple[int, int], lens: Camera | None) -> ThermalCamera:
-        """The camera whose pictures have ``size`` (columns, rows) px."""
         return ThermalCamera(size, self.sensor_size, self.mirrored, self.polarity, lens)
 
 
@@ -221,7 +219,6 @@ class ThermalResult:
     coverage: Coverage
 
     def part(self, record: Record) -> Part:
-        """What the file of this step holds."""
         return Part(
             thermal=self.camera,
             thermal_from_left=self.thermal_from_left,
@@ -260,7 +257,6 @@ class PairsResult:
     right: MappedPairs
 
     def part(self, image_size: tuple[int, int], delivered: Delivered, record: Record) -> Part:
-        """What the file of this step holds."""
         return Part(
             thermal=delivered.camera(image_size, None),
             homographies=Homographies(self.left.H, self.right.H, None),

@@ -39,8 +39,6 @@ _BLOCKS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartFile:
-    """A step's file as read."""
-
     path: Path
     part: Part
     sha256: str

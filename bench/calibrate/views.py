@@ -51,7 +51,6 @@ class PictureSet:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """All pictures, in the order of cameras and views."""
         return tuple(path for views in self.pictures.values() for path in views.values())
 
     def only(self, *cameras: str) -> PictureSet:
@@ -116,8 +115,6 @@ def _pictures(folder: Path) -> list[Path]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refused:
-    """A picture that was left out."""
-
     camera: str
     view: str
     reason: str
@@ -280,7 +277,6 @@ def free_folder(out: Path) -> Path:
 
 
 def pattern_of(board: Board) -> Pattern:
-    """The board as the operator's side describes it."""
     return drawn(board, 0.5)
 
 

@@ -92,7 +92,6 @@ class WorldResult:
     findings: tuple[Finding, ...]
 
     def part(self, record: Record) -> Part:
-        """What the file of this step holds: the world, and the covariance of it with the pair's."""
         fit = self.fit
         return Part(world_from_right=fit.world_from_right, covariance=fit.covariance, record=record)
 

@@ -55,7 +55,6 @@ class Alone:
 
     @property
     def table(self) -> CamerasTable:
-        """What the rig declares of them."""
         return self.rig.rig.cameras
 
     @property
@@ -257,7 +256,6 @@ def position(stage: Stage) -> dict[str, float]:
 
 
 def shown(stage: Stage) -> str:
-    """The position as one line of text."""
     return ", ".join(f"{key[0].upper()} {at:.3f} {key[2:]}" for key, at in position(stage).items())
 
 

@@ -220,7 +220,6 @@ class LengthTest:
 
     @property
     def measured_mm(self) -> float:
-        """The distance between the ends."""
         return float(np.linalg.norm(self.b_mm - self.a_mm))
 
     @property
@@ -294,12 +293,10 @@ def as_dict(verification: Verification) -> dict[str, Any]:
 
 
 def from_dict(table: Mapping[str, Any]) -> Verification:
-    """The inverse of `as_dict`."""
     return _VERIFICATION.validate_python(table)
 
 
 def broken_by(test: LocationTest, limit_mm: float) -> list[str]:
-    """What speaks against the arm at one divot."""
     said = f"{test.where}: readings of one point lie up to {test.largest_mm:.2f} mm from their mean"
     return [f"{said}, limit {limit_mm:g} mm"] if test.largest_mm > limit_mm else []
 
@@ -411,7 +408,6 @@ class _VerificationFile(_ArmFile):
 
 
 def frame_text(frame: TableFrame) -> str:
-    """``frame`` as the text of its file."""
     return toml_text(_frame_table(frame), FRAME_HEADING)
 
 
@@ -442,7 +438,6 @@ def load_frame(path: Path, *, serial_number: str | None = None) -> TableFrame:
 
 
 def verification_text(verification: Verification, limits: Limits) -> str:
-    """``verification`` with what ``limits`` say of it, as the text of its file."""
     return toml_text(_verification_table(verification, limits), VERIFICATION_HEADING)
 
 

@@ -50,7 +50,6 @@ class Devices:
         }
 
     def safe_states(self) -> dict[str, str]:
-        """What safe is, as each driver declares it."""
         stage = {"stage": self.stage.safe_state} if self.stage else {}
         return {
             "bath": self.bath.safe_state,

@@ -136,7 +136,6 @@ class EmulatedRig:
         return urls
 
     def close(self) -> None:
-        """Close all listeners, and the world behind them."""
         for listener in self._listeners.values():
             listener.close()
         self.world.close()

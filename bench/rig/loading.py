@@ -228,7 +228,6 @@ class BoardFile(Section):
 
     @property
     def board(self) -> Board:
-        """The board itself."""
         return Board(**self.model_dump(exclude={"pitch_u_mm"}))
 
 

@@ -202,13 +202,11 @@ class OneCamera(Section):
 
     @property
     def settings(self) -> Settings:
-        """What is asked of the camera."""
         tries = frozenset({"all"} if self.tries is True else self.tries or ())
         asked = {name: getattr(self, name) for name in (*Setting.__args__, *GENICAM_ONLY)}  # type: ignore[attr-defined]
         return Settings(**asked, tries=tries)
 
     def conversion(self) -> Conversion:
-        """What becomes of its frames."""
         return Conversion(self.grey, bool(self.mirrored), self.turn_deg, self.flip, self.white)
 
 
@@ -287,7 +285,6 @@ class Cameras(Section):
 
     @property
     def tables(self) -> dict[str, OneCamera]:
-        """Each camera that has a table of its own."""
         return {
             name: table
             for name in ("left", "right", "thermal")
@@ -296,7 +293,6 @@ class Cameras(Section):
 
     @property
     def told(self) -> str:
-        """Where the cameras are, in one line."""
         return self.url or ", ".join(f"{name} {table.url}" for name, table in self.tables.items())
 
 
@@ -356,7 +352,6 @@ class EmulatedOptical(Section):
     focus_mm: Annotated[float, Field(ge=50, le=1e6)] | None = None
 
     def sensor(self) -> OpticalSensor:
-        """The sensor with its lens."""
         said = self.model_dump(exclude_none=True)
         focus = Focus(
             said.pop("aperture_mm", Focus().aperture_mm), said.pop("focus_mm", Focus().distance_mm)
@@ -383,7 +378,6 @@ class EmulatedThermal(Section):
     flat_field_lasts_s: Annotated[float, Field(ge=0, le=10)] | None = None
 
     def sensor(self, table: Mapping[str, Any]) -> ThermalSensor:
-        """The sensor, delivered as the calibration ``table`` says."""
         said = self.model_dump(exclude_none=True)
         usual = Drift()
         drift = Drift(
@@ -551,7 +545,6 @@ class Rig(Section):
 
     @property
     def urls(self) -> dict[str, str]:
-        """Each instrument's URL by its name."""
         tables = {name: getattr(self, name, None) for name in ("arm", "bath", "stage", "operator")}
         urls = {name: table.url for name, table in tables.items() if table}
         cameras: Cameras | None = getattr(self, "cameras", None)

@@ -32,8 +32,6 @@ FORM = (
 
 
 class AnswerTable(Section):
-    """One of ``[[answers]]``."""
-
     to: Kind
     answer: str
     says: str = ""

@@ -86,8 +86,6 @@ class Adjusted:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
-    """Cameras, and reference_from_board of each view."""
-
     rig: Rig
     poses: tuple[Motion, ...]
 
@@ -117,7 +115,6 @@ class _Layout:
 
     @property
     def size(self) -> int:
-        """How many parameters there are."""
         return len(self.shared) + 6 * self.poses
 
     def columns(self, camera: str, names: Sequence[str]) -> tuple[list[int], list[int]]:
@@ -146,7 +143,6 @@ class _Layout:
         return _State(Rig(cameras, motions), poses)
 
     def describe(self, column: int) -> str:
-        """A parameter's name for a sentence."""
         if column < len(self.shared):
             camera, name = self.shared[column]
             return f"{name} of the {camera} camera"

@@ -51,8 +51,6 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Remeasured:
-    """All views of a board measured again with ``pair``."""
-
     board: Board
     views: tuple[Measured, ...]
 

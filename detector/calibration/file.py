@@ -240,7 +240,6 @@ def _parameters(value: Any) -> tuple[tuple[str, str], ...]:
 
 
 def _triangle(value: Any) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """The symmetric matrix of a lower triangle."""
     rows = isinstance(value, list) and all(isinstance(row, list) for row in value)
     _refuse(not rows, f"must be an array of rows, not {_kind(value)}")
     uneven = any(len(row) != n for n, row in enumerate(value, 1))
@@ -314,7 +313,6 @@ def file_hash(path: Path) -> str:
 
 
 def _part(found: Mapping[Key, Mapping[str, Any]]) -> Part:
-    """What checked blocks say."""
     motions = {
         name: Motion.from_vectors(found[name,]["om"], found[name,]["T"])
         for name in ("stereo", "thermal", "world")

@@ -56,7 +56,6 @@ class Comparison:
 
     @property
     def fits(self) -> tuple[Fit, Fit, Fit]:
-        """In the order of their freedom."""
         return self.rigid, self.similarity, self.affine
 
 

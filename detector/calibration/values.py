@@ -63,7 +63,6 @@ class ParameterCovariance:
 
     @property
     def sds(self) -> Mapping[tuple[str, str], float]:
-        """Standard deviations by parameter."""
         return dict(zip(self.names, np.sqrt(np.diag(self.matrix)).tolist(), strict=True))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from detector.calibration import Calibration, load_calibration, plane_homography
-from detector.calibration import thesis_rig as made
 from detector.geometry import Array, Motion, apply_homography
+from tests.detector import thesis_fits as made
 
 CORNERS = np.array([[0.0, 0], [639, 0], [0, 479], [639, 479], [319.5, 239.5]])
 

@@ -25,7 +25,6 @@ from bench.config import ConfigError
 from bench.rig.loading import BOARDS, RIGS, load_board
 from detector.calibration import load_calibration
 from detector.calibration.corners import find_board
-from detector.calibration.thesis_rig import thesis_published
 from tests.bench.calibrate.board_pictures import (
     BOARD_TOML,
     LEFT,
@@ -35,6 +34,7 @@ from tests.bench.calibrate.board_pictures import (
     write_pairs,
 )
 from tests.bench.commands import Said
+from tests.detector.thesis_fits import thesis_published
 
 pytestmark = pytest.mark.slow
 
