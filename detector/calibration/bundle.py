@@ -167,7 +167,17 @@ def adjust(
         )
     state, normal = _descend(_State(start, tuple(poses)), layout, sightings)
     variance = normal.cost / (rows - layout.size)
-    covariance = _covariance(normal, layout) * variance
+    k = len(layout.shared)
+    scale = np.sqrt(np.diag(normal.shared))
+    scaled = normal.reduced(0.0)[0] / np.outer(scale, scale)
+    values, directions = np.linalg.eigh(scaled) if k else (np.ones(1), np.ones((1, 1)))
+    if values[0] < SINGULAR * values[-1]:
+        weakest = int(np.argmax(np.abs(directions[:, 0])))
+        raise BundleError(
+            f"the views don't tell {layout.describe(weakest)} apart from the rest: tilt the board"
+            " more, or hold it fixed"
+        )
+    covariance = np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale)) * variance
     sigma_px = float(np.sqrt(variance))
     return Adjusted(
         state.rig, state.poses, layout.shared, covariance, sigma_px, normal.residuals_px
@@ -275,19 +285,3 @@ def _linearised(state: _State, layout: _Layout, seen: Sighting) -> tuple[Array, 
     places, columns = layout.columns(seen.camera, LENS)
     by_shared[:, columns] = lens[:, places]
     return by_shared, by_whole @ by_pose, np.asarray(residual, dtype=np.float64)
-
-
-def _covariance(normal: _Normal, layout: _Layout) -> Array:
-    """Of the shared parameters, for a variance of 1."""
-    if not layout.shared:
-        return np.zeros((0, 0))
-    scale = np.sqrt(np.diag(normal.shared))
-    scaled = normal.reduced(0.0)[0] / np.outer(scale, scale)
-    values, directions = np.linalg.eigh(scaled)
-    if values[0] < SINGULAR * values[-1]:
-        weakest = int(np.argmax(np.abs(directions[:, 0])))
-        raise BundleError(
-            f"the views don't tell {layout.describe(weakest)} apart from the rest: tilt the board"
-            " more, or hold it fixed"
-        )
-    return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))

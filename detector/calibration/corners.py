@@ -108,9 +108,18 @@ def find_board(
     pictures = [image, np.asarray(255 - image, dtype=np.uint8)]
     finder = {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}[board.kind]
     for picture in pictures if inverted is None else [pictures[inverted]]:
-        found = finder(picture, board, sub_pixel)
-        if found is not None:
-            _refuse_blurred(found)
+        if found := finder(picture, board, sub_pixel):
+            worse, better = max(found.edges_px or (0.0,)), min(found.edges_px or (0.0,))
+            if worse > BLURRED_PX and worse > MOVED_RATIO * better:
+                raise ViewRefusedError(
+                    f"the board moved: edges are {worse:.1f} px wide along one direction,"
+                    f" {better:.1f} px along the other"
+                )
+            if worse > BLURRED_PX:
+                raise ViewRefusedError(
+                    f"blurred: edges are {worse:.1f} px wide, at most {BLURRED_PX:g} px are of"
+                    " use; focus, or hold it still"
+                )
             return found
     raise ViewRefusedError(
         f"no {board.columns} x {board.rows} {board.kind} found: is the whole board in the picture,"
@@ -212,8 +221,7 @@ def _grid_of_blobs(image: Gray, dark: NDArray[Any], board: Board) -> Array | Non
     blobs = np.flatnonzero(alike)
     if not wanted <= len(blobs) <= MOST_BLOBS * wanted:
         return None
-    middles = [_centre(image, labels, stats[n], n) for n in blobs.tolist()]
-    centres = np.array(middles, dtype=np.float32)
+    centres = np.array([_centre(image, labels, stats[n], n) for n in blobs.tolist()], np.float32)
     shape, settings = (board.columns, board.rows), cv2.CirclesGridFinderParameters()
     # The manual allows None with points in place of a picture; OpenCV's type stubs don't.
     done, ordered = cv2.findCirclesGrid(  # type: ignore[call-overload]
@@ -244,19 +252,3 @@ def _dark_before_first(image: Gray, grid_px: Array) -> bool:
     columns, rows = np.clip(places, 0, np.array(image.shape[::-1]) - 1).T
     values = image[rows, columns].astype(int)
     return bool(values[0] + values[1] < values[2] + values[3])
-
-
-def _refuse_blurred(found: Found) -> None:
-    if found.edges_px is None:
-        return
-    worse, better = max(found.edges_px), min(found.edges_px)
-    if worse > BLURRED_PX and worse > MOVED_RATIO * better:
-        raise ViewRefusedError(
-            f"the board moved: edges are {worse:.1f} px wide along one direction, {better:.1f} px"
-            " along the other"
-        )
-    if worse > BLURRED_PX:
-        raise ViewRefusedError(
-            f"blurred: edges are {worse:.1f} px wide, at most {BLURRED_PX:g} px are of use; focus,"
-            " or hold it still"
-        )

@@ -100,8 +100,12 @@ def remeasure(pair: Pair, board: Board, views: Sequence[PairView]) -> Remeasured
 
 def _measured(pair: Pair, board: Board, view: PairView) -> Measured:
     points, printed = pair.in_right_mm(view.left_px, view.right_px), board.points_mm[view.ids]
-    a, b = _neighbours(board, view.ids)
-    spacing = np.linalg.norm(points[a] - points[b], axis=1) - board.pitch_mm
+    # distances to the next point in a row and in a column, where both were seen
+    grid = np.full((board.rows, board.columns, 3), np.nan)
+    grid.reshape(-1, 3)[view.ids] = points
+    apart = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).ravel() for axis in (1, 0)]
+    spacing = np.concatenate(apart) - board.pitch_mm
+    spacing = spacing[np.isfinite(spacing)]
     centred, centred_printed = points - points.mean(axis=0), printed - printed.mean(axis=0)
     scale = float(np.sqrt(np.sum(centred**2) / np.sum(centred_printed**2)))
     normal = np.linalg.svd(centred, full_matrices=False)[2][2]
@@ -121,19 +125,6 @@ def epipolar_px(pair: Pair, view: PairView) -> Array:
     lines *= np.where(lines[:, 1:2] < 0, -1.0, 1.0)
     off = np.sum(lines * b, axis=1) / np.linalg.norm(lines[:, :2], axis=1)
     return np.asarray(off * pair.right.fc[1])
-
-
-def _neighbours(board: Board, ids: Ids) -> tuple[Ids, Ids]:
-    """Rows of ``ids`` that are next to each other on the board, as two lists of places."""
-    place = np.full(board.columns * board.rows, -1)
-    place[ids] = np.arange(len(ids))
-    grid = place.reshape(board.rows, board.columns)
-    pairs = np.vstack([
-        np.column_stack([grid[:, :-1].reshape(-1), grid[:, 1:].reshape(-1)]),
-        np.column_stack([grid[:-1].reshape(-1), grid[1:].reshape(-1)]),
-    ])  # fmt: skip
-    both = pairs[(pairs >= 0).all(axis=1)]
-    return both[:, 0], both[:, 1]
 
 
 def _bend_mm(board: Board, view: Measured) -> float:
@@ -202,7 +193,15 @@ def measured_again(again: Remeasured, pair: Pair) -> list[Finding]:
     if any(view.depth_mm <= 0 for view in again.views):
         said = "the board is measured behind the cameras: left and right pictures are swapped"
         return [Finding("swapped cameras", said)]
-    return [*bent(again), *_scale(again, pair), *_rows(again)]
+    offset = again.epipolar[0]
+    said = (
+        f"the right camera's rows are {abs(offset):.2f} px too {'low' if offset > 0 else 'high'}"
+        " against the left's: pixel centres counted from 0 in one and 0.5 in the other, or a lens"
+        " or camera that moved"
+    )
+    rows = _matters(again.epipolar, ROWS_MATTER_PX, again)
+    shifted = [Finding("shifted rows", said)] if rows else []
+    return [*bent(again), *_scale(again, pair), *shifted]
 
 
 def against_the_arm(world: WorldFit) -> list[Finding]:
@@ -245,17 +244,6 @@ def _scale(again: Remeasured, pair: Pair) -> list[Finding]:
         " cameras: pixel centres counted from 0 in one and 0.5 in the other, or a lens that moved"
     )
     return [Finding("shifted columns", said)]
-
-
-def _rows(again: Remeasured) -> list[Finding]:
-    offset = again.epipolar[0]
-    said = (
-        f"the right camera's rows are {abs(offset):.2f} px too {'low' if offset > 0 else 'high'}"
-        " against the left's: pixel centres counted from 0 in one and 0.5 in the other, or a lens"
-        " or camera that moved"
-    )
-    found = _matters(again.epipolar, ROWS_MATTER_PX, again)
-    return [Finding("shifted rows", said)] if found else []
 
 
 def bent(again: Remeasured) -> list[Finding]:
