@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Protocol
@@ -118,12 +118,10 @@ def open_arm(
         serial_url(port)
     except ValueError as error:
         raise ConfigError.plain(f"--port {port}: {error}") from error
-    with (
-        closing(RealClock()) as clock,
-        TryingArm(clock, length_mm=length_mm or 300.0)
-        if port == EMULATED
-        else nullcontext() as trying,
-    ):
+    with ExitStack() as stack:
+        clock = stack.enter_context(closing(RealClock()))
+        emulated = TryingArm(clock, length_mm=length_mm or 300.0) if port == EMULATED else None
+        trying = stack.enter_context(emulated) if emulated else None
         url = trying.url if trying else port
         rig = rig_of(arm=Arm.model_construct(url=url, baud=baud, answer_s=answer_s))
         with open_instruments(rig, ("arm",), clock, capture=capture) as devices:

@@ -6,7 +6,7 @@ the left camera sees too, or as homographies from point pairs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -87,13 +87,9 @@ class CamerasResult:
         return _covariance(self.joint, "stereo")
 
     def part(self, record: Record) -> Part:
-        pair = self.pair
+        pair, covariance = self.pair, self.covariance
         return Part(
-            left=pair.left,
-            right=pair.right,
-            right_from_left=pair.right_from_left,
-            covariance=self.covariance,
-            record=record,
+            pair.left, pair.right, pair.right_from_left, covariance=covariance, record=record
         )
 
     def good_to_mm(self, depths_mm: Array) -> Array:
@@ -116,25 +112,19 @@ def _covariance(found: Calibrated, pose: str) -> ParameterCovariance:
 def calibrate_pair(views: BoardViews, lens: Lens) -> CamerasResult:
     """The whole job. Raises BundleError (a sentence) for views that can't fix the cameras."""
     seen = {camera: views.views(camera) for camera in PAIR}
-    size = views.image_size
-    model, square = lens.model, lens.square_pixels
-    alone = {
-        camera: calibrate_camera(
-            camera, seen[camera], size[camera], model=model, square_pixels=square
-        )
-        for camera in PAIR
-    }
+    size, fitted = views.image_size, asdict(lens)
+    alone = {name: calibrate_camera(name, seen[name], size[name], **fitted) for name in PAIR}
     if size["left"] != size["right"]:
         raise TooFewViewsError(
             "left and right pictures differ in size: are they from the same pair?"
         )
-    joint = join_cameras(alone, joint_lenses=PAIR, model=model, square_pixels=square)
+    joint = join_cameras(alone, joint_lenses=PAIR, **fitted)
     shown = {camera: _shown(views, camera, alone[camera]) for camera in PAIR}
-    pairs = views.pairs()
+    pairs, pair = views.pairs(), pair_of(joint)
     halves = held_out = None
     if len(pairs) >= LEAST_FOR_HALVES:
         try:
-            halves = split_half(seen, size["left"], model=model, square_pixels=square)
+            halves = split_half(seen, size["left"], **fitted)
         except TooFewViewsError:
             pass
         else:  # each half of the views measured with the calibration that the other half made
@@ -142,16 +132,15 @@ def calibrate_pair(views: BoardViews, lens: Lens) -> CamerasResult:
                 remeasure(halves.pairs[1 - start], views.board, pairs[start::2]) for start in (0, 1)
             )
             held_out = Remeasured(views.board, (*first.views, *second.views))
-    return CamerasResult(
-        views,
-        alone,
-        join_cameras(alone),
-        joint,
-        shown,
-        halves,
-        held_out,
-        _findings(views, joint, held_out),
-    )
+    found = swapped(pair.right_from_left)
+    if not found:
+        used = remeasure(pair, views.board, pairs)
+        found += measured_again(held_out or used, pair)
+        found += [] if any(finding.name == "bent board" for finding in found) else bent(used)
+    for camera in PAIR:
+        found += outlier_views(joint.view_rms_px(camera), camera)
+    fixed = join_cameras(alone)
+    return CamerasResult(views, alone, fixed, joint, shown, halves, held_out, tuple(found))
 
 
 def _shown(views: BoardViews, camera: str, alone: Calibrated) -> Coverage:
@@ -159,29 +148,13 @@ def _shown(views: BoardViews, camera: str, alone: Calibrated) -> Coverage:
     return coverage(pixels, views.image_size[camera], alone.fit.poses)
 
 
-def _findings(
-    views: BoardViews, joint: Calibrated, held_out: Remeasured | None
-) -> tuple[Finding, ...]:
-    pair = pair_of(joint)
-    found = swapped(pair.right_from_left)
-    if not found:
-        used = remeasure(pair, views.board, views.pairs())
-        found += measured_again(held_out or used, pair)
-        found += [] if any(finding.name == "bent board" for finding in found) else bent(used)
-    for camera in PAIR:
-        found += outlier_views(joint.view_rms_px(camera), camera)
-    return tuple(found)
-
-
 def check_pair(part: Part, views: BoardViews) -> tuple[Remeasured, tuple[Finding, ...]]:
     """The board measured with the pair, and findings. Raises ConfigError without pair or view."""
-    pair = pair_of_part(part)
-    pair = replace(pair, world_from_right=Motion.identity())
+    pair = replace(pair_of_part(part), world_from_right=Motion.identity())
     for camera, lens in (("left", pair.left), ("right", pair.right)):
-        if views.image_size[camera] != lens.image_size:
-            seen, known = (
-                "{} x {}".format(*size) for size in (views.image_size[camera], lens.image_size)
-            )
+        sizes = views.image_size[camera], lens.image_size
+        if sizes[0] != sizes[1]:
+            seen, known = ("{} x {}".format(*size) for size in sizes)
             raise ConfigError.plain(
                 f"the {camera} pictures are {seen} px, the calibration is for {known}: made for"
                 " other cameras"
@@ -237,14 +210,11 @@ def calibrate_thermal(
     pair = pair_of_part(cameras)
     size = views.image_size["thermal"]
     alone = calibrate_camera("thermal", views.views("thermal"), size, model=delivered.model)
-    left = place_board("left", views.views("left"), pair.left)
-    joint = join_cameras(
-        {"left": left, "thermal": alone}, joint_lenses=("thermal",), model=delivered.model
-    )
+    both = {"left": place_board("left", views.views("left"), pair.left), "thermal": alone}
+    joint = join_cameras(both, joint_lenses=("thermal",), model=delivered.model)
     lens, pose = joint.fit.rig.cameras["thermal"], joint.fit.rig.from_reference["thermal"]
-    maps = derive_homographies(
-        lens, pair.left, pair.right, pose, pair.right_from_left, plane_depth_mm
-    )
+    poses = pose, pair.right_from_left
+    maps = derive_homographies(lens, pair.left, pair.right, *poses, plane_depth_mm)
     camera = delivered.camera(size, lens)
     return ThermalResult(views, camera, pose, maps, alone, joint, _shown(views, "thermal", alone))
 
@@ -266,13 +236,8 @@ class PairsResult:
 
 def map_pairs(path: Path) -> PairsResult:
     """From a table of point pairs (`PAIR_COLUMNS`, px; thermal un-mirrored). Raises ConfigError."""
-    pairs = read_table(path, PAIR_COLUMNS)
-    thermal = np.column_stack([pairs["thermal_x"], pairs["thermal_y"]])
+    thermal, left, right = np.split(np.array([*read_table(path, PAIR_COLUMNS).values()]).T, 3, 1)
     try:
-        left, right = (
-            fit_homography(thermal, np.column_stack([pairs[f"{side}_x"], pairs[f"{side}_y"]]))
-            for side in ("left", "right")
-        )
+        return PairsResult(fit_homography(thermal, left), fit_homography(thermal, right))
     except ValueError as error:
         raise ConfigError.plain(f"{path}: {error}") from error
-    return PairsResult(left, right)

@@ -9,6 +9,7 @@ three distances, and a bar of the calibrated length.
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,14 +106,10 @@ class TryingArm:
             turns = 2.4 * np.arange(8)
             across, up = np.sin(LEAN_RAD), np.full(8, np.cos(LEAN_RAD))
             leaning = np.column_stack([across * np.cos(turns), across * np.sin(turns), up])
-            axes = [np.array([0.0, 0.0, 1.0]), *leaning]
-            self._within[key] = [axis for axis in axes if self._reaches(point, axis)]
+            self._within[key] = []
+            for axis in (np.array([0.0, 0.0, 1.0]), *leaning):
+                with suppress(OutOfReachError):
+                    self.emulator.check_reach(point, axis)
+                    self._within[key].append(axis)
         within = self._within[key]
         return point, within[number % len(within)]
-
-    def _reaches(self, point: Floats, axis: Floats) -> bool:
-        try:
-            self.emulator.check_reach(point, axis)
-        except OutOfReachError:
-            return False
-        return True

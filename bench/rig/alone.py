@@ -27,7 +27,7 @@ from bench.rig.opening import ALL, conversion_of, open_camera, open_instruments,
 from bench.rig.urls import ELSEWHERE, EMULATED
 from instruments.bath.profile import PUMP
 from instruments.bath.sequence import has_own_pump
-from instruments.camera.cameras import KNOWN, Camera
+from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
 from instruments.camera.genicam import load_aravis
 from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
@@ -85,7 +85,12 @@ def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
             closing(RealClock()) as clock,
             closing(open_camera(ONE, table, Path(), clock)) as camera,
         ):
-            look = patient(lambda: {ONE: _picture(camera)})
+
+            def picture() -> dict[str, Grey]:
+                camera.begin()
+                return {ONE: Conversion().picture(camera.take())}
+
+            look = patient(picture)
             yield Alone(clock, lambda: {ONE: camera.identity}, look, None, rig)
         return
     else:
@@ -118,11 +123,6 @@ def patient(look: Callable[[], Seen]) -> Callable[[], Seen]:
     return again
 
 
-def _picture(camera: Camera) -> Grey:
-    camera.begin()
-    return Conversion().picture(camera.take())
-
-
 def pictures(frames: FrameSet) -> dict[str, Grey]:
     """Each camera's 8-bit picture; temperatures are stretched where there is nothing else."""
     thermal = frames.thermal
@@ -130,11 +130,8 @@ def pictures(frames: FrameSet) -> dict[str, Grey]:
         low, high = np.percentile(frames.thermal_ck, [0.5, 99.5])
         stretched = np.rint((frames.thermal_ck - low) * (255.0 / max(1.0, high - low)))
         thermal = np.clip(stretched, 0.0, 255.0).astype(np.uint8)
-    return {
-        "left": frames.left,
-        "right": frames.right,
-        **({} if thermal is None else {"thermal": thermal}),
-    }
+    pair = {"left": frames.left, "right": frames.right}
+    return pair if thermal is None else {**pair, "thermal": thermal}
 
 
 def figures(picture: Grey) -> dict[str, object]:
@@ -156,10 +153,8 @@ def calibration_text(alone: Alone) -> str | None:
 def attached() -> Iterator[tuple[str, str]]:
     """URL and name of each camera that this machine lists; OpenCV's devices are not opened."""
     for device in sorted(Path("/sys/class/video4linux").glob("video*")):
-        yield (
-            f"opencv:{device.name.removeprefix('video')}",
-            (device / "name").read_text(encoding="utf-8").strip(),
-        )
+        name = (device / "name").read_text(encoding="utf-8").strip()
+        yield f"opencv:{device.name.removeprefix('video')}", name
     try:
         aravis = load_aravis()
     except DeviceError as error:
@@ -167,16 +162,9 @@ def attached() -> Iterator[tuple[str, str]]:
         return
     aravis.update_device_list()
     for i in range(aravis.get_n_devices()):
-        told = (
-            aravis.get_device_vendor(i),
-            aravis.get_device_model(i),
-            aravis.get_device_serial_nbr(i),
-            aravis.get_device_protocol(i),
-        )
-        yield (
-            f"genicam:{aravis.get_device_id(i)}",
-            f"{' '.join(str(part) for part in told)} at {aravis.get_device_address(i)}",
-        )
+        keys = ("vendor", "model", "serial_nbr", "protocol")
+        who = " ".join(str(getattr(aravis, f"get_device_{key}")(i)) for key in keys)
+        yield f"genicam:{aravis.get_device_id(i)}", f"{who} at {aravis.get_device_address(i)}"
 
 
 def cameras_of_rig(name: str) -> Iterator[tuple[str, str]]:
@@ -197,16 +185,11 @@ def stage_of_rig(name: str) -> StageTable:
     """The stage of a rig. Raises ConfigError where it has none, or an emulated one."""
     rig = load_rig(find_rig(name))
     stage = rig.rig.stage
-    if stage is None:
-        raise ConfigError.plain(
-            f"{rig.path}: this rig has no stage; the operator moves its phantom"
-        )
-    if stage.url == EMULATED:
-        raise ConfigError.plain(
-            f"{rig.path}: its stage is emulated; 'teatbench emulate' serves one at a port, for"
-            " --port"
-        )
-    return stage
+    if stage and stage.url != EMULATED:
+        return stage
+    emulated = "its stage is emulated; 'teatbench emulate' serves one at a port, for --port"
+    why = emulated if stage else "this rig has no stage; the operator moves its phantom"
+    raise ConfigError.plain(f"{rig.path}: {why}")
 
 
 @contextmanager
@@ -229,20 +212,14 @@ def open_stage(at: StageTable, capture: Captures = NO_CAPTURE) -> Iterator[Stage
 def described(stage: Stage) -> dict[str, object]:
     """Identity, state, position and travel; units are in the names."""
     identity, settings, status = stage.identity, stage.settings, stage.status()
+    travel = {f"travel_{KEYS[axis]}": [at.low_mm, at.high_mm] for axis, at in stage.limits.items()}
     return {
-        "dialect": identity.dialect,
-        "version": identity.version,
-        "build": identity.build,
+        **{key: getattr(identity, key) for key in ("dialect", "version", "build")},
         "state": status.name,
         "homed": stage.homed,
         **position(stage),
-        **{
-            f"travel_{KEYS[axis]}": [limits.low_mm, limits.high_mm]
-            for axis, limits in stage.limits.items()
-        },
-        "homing": settings.homing,
-        "soft_limits": settings.soft_limits,
-        "hard_limits": settings.hard_limits,
+        **travel,
+        **{key: getattr(settings, key) for key in ("homing", "soft_limits", "hard_limits")},
     }
 
 
@@ -272,11 +249,8 @@ def step(text: str) -> dict[str, float]:
     """A way as ``X-5Y2.5``: arguments of `Stage.jog`. Raises ValueError."""
     found = _STEP.findall(text)
     axes = [axis.upper() for axis, _ in found]
-    if (
-        not found
-        or "".join(axis + way for axis, way in found) != text
-        or len(set(axes)) != len(axes)
-    ):
+    whole = "".join(axis + way for axis, way in found) == text
+    if not found or not whole or len(set(axes)) != len(axes):
         raise ValueError(
             f"{text!r} is no way to go; write X-5, or X-5Y2.5 for both at once (mm, degrees for A)"
         )

@@ -42,21 +42,14 @@ class Devices:
     def identities(self) -> dict[str, dict[str, str]]:
         """What each instrument says of itself; where it was reached stands in the rig file."""
         stage = {"stage": asdict(self.stage.identity)} if self.stage else {}
-        return {
-            "arm": asdict(self.arm.identity),
-            "bath": {key: value for key, value in self.bath.identity.items() if key != "url"},
-            **stage,
-            "cameras": dict(self.cameras.identity),
-        }
+        bath = {key: value for key, value in self.bath.identity.items() if key != "url"}
+        cameras = dict(self.cameras.identity)
+        return {"arm": asdict(self.arm.identity), "bath": bath, **stage, "cameras": cameras}
 
     def safe_states(self) -> dict[str, str]:
-        stage = {"stage": self.stage.safe_state} if self.stage else {}
-        return {
-            "bath": self.bath.safe_state,
-            **stage,
-            "arm": self.arm.safe_state,
-            "cameras": "nothing to make safe",
-        }
+        drivers = {"bath": self.bath, "stage": self.stage, "arm": self.arm}
+        states = {name: driver.safe_state for name, driver in drivers.items() if driver}
+        return {**states, "cameras": "nothing to make safe"}
 
     def make_safe(
         self, tell: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,8 +85,7 @@ class EmulatedRig:
             check_point_mm=rig.rig.arm.check_point_mm,
             mistakes=emulation.mistakes,
         )
-        self._clock = clock
-        self._host, self._pty, self._paced = host, pty, paced
+        self._clock, self._host, self._pty, self._paced = clock, host, pty, paced
         self._listeners: dict[str, Listener | PtyListener] = {}
         placed = Motion.from_vectors(emulation.arm_placed.om, emulation.arm_placed.T)
         self.arm = ArmEmulator(
@@ -110,12 +110,11 @@ class EmulatedRig:
                 except ValueError as error:
                     key = ("emulation", "faults", at, "name")
                     raise located(rig.path, rig.text, [(key, str(error), False)]) from error
+            # the rate of each serial port; a network has none
             self._listen("arm", self.arm, r.arm.baud)
-            self._listen(
-                "bath", self.bath, rig.profile.baud if self.bath.framing == "rtu" else None
-            )
-            if self.pump and relay:
-                self._listen("pump", self.pump, relay.baud if self.pump.framing == "rtu" else None)
+            for name, modbus, of in (("bath", self.bath, rig.profile), ("pump", self.pump, relay)):
+                if modbus and of:
+                    self._listen(name, modbus, of.baud if modbus.framing == "rtu" else None)
             if self.stage and r.stage:
                 self._listen("stage", self.stage, r.stage.baud)
         except BaseException:
@@ -173,24 +172,31 @@ class EmulatedRig:
         return stage
 
     def _listen(self, name: str, device: Device, serial_baud: int | None) -> None:
-        """``serial_baud`` of the instrument's serial port; None for a network."""
-        clock, lock, baud = self._clock, self.world.lock, serial_baud if self._paced else None
-        if self._pty and serial_baud is not None:
-            self._listeners[name] = PtyListener(device, clock, lock=lock, name=name, baud=baud)
-        else:
-            self._listeners[name] = Listener(
-                device, clock, lock=lock, name=name, host=self._host, baud=baud
-            )
+        how: dict[str, Any] = {"lock": self.world.lock, "name": name}
+        how["baud"] = serial_baud if self._paced else None
+        self._listeners[name] = (
+            PtyListener(device, self._clock, **how)
+            if self._pty and serial_baud is not None
+            else Listener(device, self._clock, host=self._host, **how)
+        )
 
     def _plan(self, fault: EmulatedFault) -> None:
         """Put a fault in at its time and take it out at its end."""
+
+        def later(seconds: float, action: Callable[[], None]) -> None:
+            def run() -> None:
+                with self.world.lock:
+                    action()
+
+            self._clock.call_at(self._clock.now() + seconds, run)
+
         break_it, mend_it = self._actions(fault)
         if fault.at_s:
-            self._later(fault.at_s, break_it)
+            later(fault.at_s, break_it)
         else:
             break_it()
         if fault.for_s is not None:
-            self._later(fault.at_s + fault.for_s, mend_it)
+            later(fault.at_s + fault.for_s, mend_it)
 
     def _actions(self, fault: EmulatedFault) -> tuple[Callable[[], None], Callable[[], None]]:
         """What puts a fault in, and out. Raises ValueError for a fault that can't be."""
@@ -207,12 +213,10 @@ class EmulatedRig:
             return lambda: of_arm.inject(name, times, amount=amount), lambda: of_arm.clear(name)
         if fault.instrument == "stage" and stage:
             kind = StageFault(name)
-            late_s = LATE_S if kind is StageFault.LATE_OK else 0.0
-            if kind is StageFault.LOST_STEP:
-                lost_mm = LOST_MM if amount is None else amount
-                return lambda: stage.inject(kind, lost_mm=lost_mm), lambda: stage.cure(kind)
-            after_s = late_s if amount is None else amount
-            return lambda: stage.inject(kind, after_s), lambda: stage.cure(kind)
+            key = "lost_mm" if kind is StageFault.LOST_STEP else "after_s"
+            usual = {StageFault.LOST_STEP: LOST_MM, StageFault.LATE_OK: LATE_S}.get(kind, 0.0)
+            how = {key: usual if amount is None else amount}
+            return lambda: stage.inject(kind, **how), lambda: stage.cure(kind)
         device = self.bath if fault.instrument == "bath" else self.pump
         if device is None or fault.instrument == "stage":
             raise ValueError(f"this rig has no {fault.instrument} that could fail")
@@ -223,10 +227,3 @@ class EmulatedRig:
             device.fault(name)
 
         return break_it, lambda: device.fault(name, on=False)
-
-    def _later(self, seconds: float, action: Callable[[], None]) -> None:
-        def run() -> None:
-            with self.world.lock:
-                action()
-
-        self._clock.call_at(self._clock.now() + seconds, run)

@@ -123,7 +123,10 @@ def load_rig(path: Path) -> LoadedRig:
     def refuse(message: str, *keys: KeyPath) -> ConfigError:
         return located(path, text, [(key, message, False) for key in keys])
 
-    profile = _loaded(lambda: load_profile(_place(folder, rig.bath.profile)))
+    def place(name: str) -> Path | str:
+        return folder / name if name.endswith(".toml") else name
+
+    profile = _loaded(lambda: load_profile(place(rig.bath.profile)))
     # a person may rehearse
     real = set(rig.urls) - set(rig.emulated)
     real -= set() if rig.operator.url == EMULATED else {"operator"}
@@ -145,9 +148,7 @@ def load_rig(path: Path) -> LoadedRig:
         keys = [("emulation", "faults", i, "instrument") for i in homeless]
         raise refuse("this rig has no such instrument", *keys)
     frame = load_frame(folder / rig.arm.frame) if rig.arm.frame else None
-    verification = (
-        load_verification(folder / rig.arm.verification) if rig.arm.verification else None
-    )
+    dated = load_verification(folder / rig.arm.verification) if rig.arm.verification else None
     unit_path = folder / rig.emulation.arm_unit
     try:
         unit = load_unit(unit_path) if rig.emulation.arm_unit else None
@@ -157,22 +158,18 @@ def load_rig(path: Path) -> LoadedRig:
     if wrong := _relay_fault(rig, profile):
         raise refuse(wrong, ("bath", "pump_url" if rig.bath.pump_url else "pump_profile"))
     pump = rig.bath.pump_profile
-    relay = _loaded(lambda: load_relay(_place(folder, pump))) if pump else None
+    relay = _loaded(lambda: load_relay(place(pump))) if pump else None
     if rig.operator.url.startswith(SCRIPT):
         # its faults are told before anything is opened
         load_answers(folder / rig.operator.url.removeprefix(SCRIPT))
     calibration_path = folder / rig.calibration
     calibration = read_calibration(calibration_path) if calibration_path.is_file() else None
     loaded = LoadedRig(
-        path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay
+        path, text, rig, profile, calibration_path, calibration, frame, dated, unit, relay
     )
     if rig.emulated:
         _ = loaded.calibration  # the emulated cameras are made from it
     return loaded
-
-
-def _place(folder: Path, name: str) -> Path | str:
-    return folder / name if name.endswith(".toml") else name
 
 
 def _relay_fault(rig: Rig, profile: Profile) -> str | None:

@@ -120,11 +120,9 @@ class Stage(Section):
         """The axes' places for the plate at ``pose``: arguments of `Stage.move_to`."""
         x, y = self.reference_mm
         there = {"x_mm": x + pose.x_mm, "y_mm": y + pose.y_mm}
-        more = {
-            "Z": ("z_mm", self.reference_z_mm + pose.z_mm),
-            "A": ("a_deg", self.reference_a_deg + math.degrees(pose.yaw_rad)),
-        }
-        return there | dict(more[axis] for axis in self.axes[2:])
+        there |= {"z_mm": self.reference_z_mm + pose.z_mm} if "Z" in self.axes else {}
+        a_deg = self.reference_a_deg + math.degrees(pose.yaw_rad)
+        return there | ({"a_deg": a_deg} if "A" in self.axes else {})
 
 
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -188,12 +186,8 @@ class OneCamera(Section):
 
     @model_validator(mode="after")
     def _fits(self) -> OneCamera:
-        given = [
-            name
-            for name in GENICAM_ONLY
-            if getattr(self, name)
-            != type(self).model_fields[name].get_default(call_default_factory=True)
-        ]
+        usual = OneCamera.model_construct(url="")
+        given = [name for name in GENICAM_ONLY if getattr(self, name) != getattr(usual, name)]
         if given and not self.url.startswith("genicam:"):
             raise ValueError(
                 f'{given[0]} is for cameras of the kind "genicam:", this one is {self.url}'
@@ -272,7 +266,7 @@ class Cameras(Section):
 
     @model_validator(mode="after")
     def _one_way(self) -> Cameras:
-        tables = [name for name, table in self.tables.items() if table is not None]
+        tables = [*self.tables]
         if self.url and tables:
             raise ValueError(
                 "either url for all cameras or a table for each, not both (here: url and"
@@ -285,11 +279,8 @@ class Cameras(Section):
 
     @property
     def tables(self) -> dict[str, OneCamera]:
-        return {
-            name: table
-            for name in ("left", "right", "thermal")
-            if (table := getattr(self, name)) is not None
-        }
+        named = {"left": self.left, "right": self.right, "thermal": self.thermal}
+        return {name: table for name, table in named.items() if table}
 
     @property
     def told(self) -> str:
@@ -352,10 +343,9 @@ class EmulatedOptical(Section):
     focus_mm: Annotated[float, Field(ge=50, le=1e6)] | None = None
 
     def sensor(self) -> OpticalSensor:
-        said = self.model_dump(exclude_none=True)
-        focus = Focus(
-            said.pop("aperture_mm", Focus().aperture_mm), said.pop("focus_mm", Focus().distance_mm)
-        )
+        said, usual = self.model_dump(exclude_none=True), Focus()
+        aperture_mm = said.pop("aperture_mm", usual.aperture_mm)
+        focus = Focus(aperture_mm, said.pop("focus_mm", usual.distance_mm))
         return replace(OpticalSensor(), focus=focus, **said)
 
 
@@ -498,17 +488,13 @@ def fault_names(instrument: str) -> tuple[str, ...]:
         return tuple(arm_faults.Fault)
     if instrument == "cameras":
         return tuple(camera_faults.FAULTS)
-    if instrument == "bath":
-        from instruments.bath.emulator import FAULTS
+    if instrument == "stage":
+        from instruments.stage.emulator.board import Fault
 
-        return tuple(FAULTS)
-    if instrument == "pump":
-        from instruments.bath.emulator import RELAY_FAULTS
+        return tuple(fault.value for fault in Fault)
+    from instruments.bath.emulator import FAULTS, RELAY_FAULTS
 
-        return RELAY_FAULTS
-    from instruments.stage.emulator.board import Fault
-
-    return tuple(fault.value for fault in Fault)
+    return tuple(FAULTS) if instrument == "bath" else RELAY_FAULTS
 
 
 class Emulation(Section):

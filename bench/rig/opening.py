@@ -7,6 +7,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -86,9 +87,6 @@ def open_instruments(
             )
         openers = _openers(rig, clock, twin, capture, identify=identify)
         opened: dict[str, Any] = {}
-        arm: Any
-        bath: Any
-        cameras: Any
         faults: dict[str, InstrumentError] = {}
         for name in names:
             if name in openers:
@@ -101,12 +99,14 @@ def open_instruments(
         if isinstance(answerer, Console) and twin is None and "arm" in opened:
             answerer.watch_pedals(lambda: pedal_watch(opened["arm"], clock))
         hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
+        arm: Any
+        bath: Any
+        cameras: Any
         arm, bath, stage, cameras = (opened.get(n) for n in ("arm", "bath", "stage", "cameras"))
         if answerer:
             answerer.hands = hands
-        operator = answerer or hands
         exact_ends = twin.world.ends_mm if twin else None
-        yield Devices(clock, arm, bath, stage, cameras, operator, exact_ends)
+        yield Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends)
 
 
 def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
@@ -168,23 +168,14 @@ def _open_cameras(rig: LoadedRig, clock: Clock) -> Cameras:
     if kind == "opencv":
         sources = rest.split(",")
         if not 2 <= len(sources) <= len(KNOWN):
-            raise DeviceError(
-                "OpenCV cameras",
-                f"needs two or three sources for left, right and thermal, got {rest!r}",
-                hint="Correct the cameras in the rig file.",
-            )
-        tables = {
-            name: OneCamera(url=f"opencv:{source}")
-            for name, source in zip(KNOWN, sources, strict=False)
-        }
-    openers = {
-        name: lambda name=name, table=table: open_camera(name, table, folder, clock)
-        for name, table in tables.items()
-    }
-    return CameraSet(
-        openers,
-        {name: conversion_of(table, rig.made_calibration) for name, table in tables.items()},
-    )
+            what = f"needs two or three sources for left, right and thermal, got {rest!r}"
+            hint = "Correct the cameras in the rig file."
+            raise DeviceError("OpenCV cameras", what, hint=hint)
+        urls = dict(zip(KNOWN, sources, strict=False))
+        tables = {name: OneCamera(url=f"opencv:{url}") for name, url in urls.items()}
+    openers = {name: partial(open_camera, name, t, folder, clock) for name, t in tables.items()}
+    made = rig.made_calibration
+    return CameraSet(openers, {name: conversion_of(t, made) for name, t in tables.items()})
 
 
 def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> PromptedOperator | None:

@@ -43,12 +43,8 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 
 def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
     """The cameras of a rig file as emulated; ``seed`` is theirs."""
-    return make_renderer(
-        tomllib.loads(read_text(rig.calibration_path)),
-        seed,
-        rig.rig.emulation.optical,
-        rig.rig.emulation.thermal,
-    )
+    table, emulation = tomllib.loads(read_text(rig.calibration_path)), rig.rig.emulation
+    return make_renderer(table, seed, emulation.optical, emulation.thermal)
 
 
 def warm(found: Situation) -> SceneState:
@@ -57,15 +53,10 @@ def warm(found: Situation) -> SceneState:
     constants = PlantConstants()
     water_c, ambient_c = float(rng.uniform(32.5, 33.5)), float(rng.uniform(17.0, 24.0))
     share = constants.teat_in_w_per_k / (constants.teat_in_w_per_k + constants.teat_out_w_per_k)
-    teats_c = (
-        ambient_c + share * (water_c - ambient_c) + rng.normal(0.0, 0.15, len(found.phantom.teats))
-    )
-    return found.state(
-        tuple(float(v) for v in teats_c),
-        water_c - 0.02,
-        ambient_c,
-        time_s=float(rng.uniform(0.0, 3600.0)),
-    )
+    noise = rng.normal(0.0, 0.15, len(found.phantom.teats))
+    teats_c = tuple((ambient_c + share * (water_c - ambient_c) + noise).tolist())
+    time_s = float(rng.uniform(0.0, 3600.0))
+    return found.state(teats_c, water_c - 0.02, ambient_c, time_s=time_s)
 
 
 def write_sheet(
