@@ -131,13 +131,6 @@ def test_a_faulty_frame_file_is_refused_in_its_place(
     refused(load_frame, written(tmp_path, frame_text(FRAME), change), place, message)
 
 
-def test_a_file_that_is_not_there_or_not_toml_is_told(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="can't be read"):
-        load_frame(tmp_path / "none.toml")
-    with pytest.raises(ConfigError, match="not TOML"):
-        load_verification(written(tmp_path, "passed = maybe"))
-
-
 def test_a_verification_is_read_as_it_was_written(tmp_path: Path) -> None:
     path = written(tmp_path, verification_text(VERIFICATION, LIMITS))
     again = load_verification(path, serial_number="40937")

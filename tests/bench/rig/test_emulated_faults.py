@@ -18,7 +18,7 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
 from bench.rig.model import fault_names
 from instruments.clock import RealClock, VirtualClock
-from instruments.errors import InstrumentError, LinkError
+from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.unit import SHIPPED
@@ -71,29 +71,6 @@ def test_faults_are_there_from_the_start_so_often_and_so_much(tmp_path: Path) ->
             answers.append(link.receive(0.015))
         assert answers == [b""] * 6 + [b"IMMC"] * 2, "two unheard, and the fifth that is heard"
         link.close()
-
-
-def test_faults_of_the_stage_and_the_bath(tmp_path: Path) -> None:
-    faults = [
-        '{ instrument = "stage", name = "limit hit", amount = 0.5 }',
-        '{ instrument = "bath", name = "low level", at_s = 60.0 }',
-        '{ instrument = "bath", name = "late answer", amount = 0.7, for_s = 1.0 }',
-    ]
-    rig = load_rig(with_emulation(tmp_path, f"faults = [{', '.join(faults)}]"))
-    with EmulatedRig(rig, VirtualClock(), seed=1) as twin:
-        clock = twin.world.clock
-        assert twin.bath.faults == {"late answer"}
-        assert twin.bath.late_s == 0.7
-        clock.sleep(2.0)
-        assert twin.bath.faults == frozenset()
-        stage = Stage(Link(twin.urls["stage"], clock, who="stage"), clock)
-        stage.connect()
-        stage.home()
-        with pytest.raises(InstrumentError, match=r"(?i)limit|alarm"):
-            stage.move_to(-130.0, -147.5)
-        stage.close()
-        clock.sleep(60.0)
-        assert twin.bath.faults == {"low level"}
 
 
 @pytest.mark.parametrize(
