@@ -118,9 +118,7 @@ def calibrate_world(
         )
     try:
         fit = fit_world(
-            pair.left,
-            pair.right,
-            pair.right_from_left,
+            pair,
             points.left_px,
             points.right_px,
             points.touched_mm,

@@ -84,10 +84,7 @@ class Adjusted:
         return None if variance is None else float(np.sqrt(variance))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _State:
-    rig: Rig
-    poses: tuple[Motion, ...]
+_State = tuple[Rig, tuple[Motion, ...]]  # reference_from_board of each view
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +122,8 @@ class _Layout:
 
     def moved(self, state: _State, step: Array) -> _State:
         """The state after a step (size,)."""
-        cameras, motions = dict(state.rig.cameras), dict(state.rig.from_reference)
+        rig, poses = state
+        cameras, motions = dict(rig.cameras), dict(rig.from_reference)
         for name, camera in cameras.items():
             values = camera.lens
             places, columns = self.columns(name, LENS)
@@ -139,8 +137,8 @@ class _Layout:
             if places:
                 motions[name] = motions[name].shifted(step[columns])
         tail = step[len(self.shared) :].reshape(-1, 6)
-        poses = tuple(pose.shifted(part) for pose, part in zip(state.poses, tail, strict=True))
-        return _State(Rig(cameras, motions), poses)
+        poses = tuple(pose.shifted(part) for pose, part in zip(poses, tail, strict=True))
+        return Rig(cameras, motions), poses
 
     def describe(self, column: int) -> str:
         if column < len(self.shared):
@@ -165,7 +163,7 @@ def adjust(
             f"{rows // 2} corners can't fix {layout.size} parameters: more views, or fewer free"
             " parameters"
         )
-    state, normal = _descend(_State(start, tuple(poses)), layout, sightings)
+    state, normal = _descend((start, tuple(poses)), layout, sightings)
     variance = normal.cost / (rows - layout.size)
     k = len(layout.shared)
     scale = np.sqrt(np.diag(normal.shared))
@@ -179,9 +177,7 @@ def adjust(
         )
     covariance = np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale)) * variance
     sigma_px = float(np.sqrt(variance))
-    return Adjusted(
-        state.rig, state.poses, layout.shared, covariance, sigma_px, normal.residuals_px
-    )
+    return Adjusted(*state, layout.shared, covariance, sigma_px, normal.residuals_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,8 +259,9 @@ def _normal(state: _State, layout: _Layout, sightings: Sequence[Sighting]) -> _N
 
 def _linearised(state: _State, layout: _Layout, seen: Sighting) -> tuple[Array, Array, Array]:
     """A sighting's derivatives by shared parameters (2n, k) and pose (2n, 6); residuals (2n,)."""
-    camera, motion = state.rig.cameras[seen.camera], state.rig.from_reference[seen.camera]
-    pose = state.poses[seen.pose]
+    rig, poses = state
+    camera, motion = rig.cameras[seen.camera], rig.from_reference[seen.camera]
+    pose = poses[seen.pose]
     # composed om and T, then their derivatives: of om by om1, T1, om2, T2, and the same of T
     om, T, *by_part = map(np.asarray, cv2.composeRT(pose.om, pose.T, motion.om, motion.T))
     by_pose, by_motion = (

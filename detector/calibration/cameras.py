@@ -219,25 +219,18 @@ def split_half(
     in_right = {view.name for view in views["right"]}
     shared = [view.name for view in views["left"] if view.name in in_right]
     lens: dict[str, Any] = {"model": model, "square_pixels": square_pixels}
-    fits, values, variances = [], [], []
+    fits, variances = [], []
+    values: list[dict[tuple[str, str], float]] = []
     for half in (set(shared[::2]), set(shared[1::2])):
-        alone = {
-            name: calibrate_camera(
-                name, [v for v in views[name] if v.name in half], image_size, **lens
-            )
-            for name in ("left", "right")
-        }
+        seen = {name: [v for v in views[name] if v.name in half] for name in ("left", "right")}
+        alone = {name: calibrate_camera(name, v, image_size, **lens) for name, v in seen.items()}
         found = join_cameras(alone, joint_lenses=("left", "right"), **lens)
         fits.append(found)
-        rig = found.fit.rig
-        values.append(
-            {(n, p): v for n, c in rig.cameras.items() for p, v in zip(LENS, c.lens, strict=True)}
-            | {
-                (n, p): v
-                for n, m in rig.from_reference.items()
-                for p, v in zip(POSE, (*m.om, *m.T), strict=True)
-            }
-        )
+        values.append({})
+        for n, camera in found.fit.rig.cameras.items():
+            motion = found.fit.rig.from_reference[n]
+            numbers = zip((*LENS, *POSE), (*camera.lens, *motion.om, *motion.T), strict=True)
+            values[-1] |= {(n, p): v for p, v in numbers}
         variances.append(dict(zip(found.fit.names, np.diag(found.fit.covariance), strict=True)))
     differences = {
         at: float((values[0][at] - values[1][at]) / np.sqrt(variances[0][at] + variances[1][at]))

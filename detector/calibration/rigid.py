@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from detector.calibration.bundle import POSE
 from detector.calibration.values import STEP, Pair, ParameterCovariance
-from detector.geometry import Array, Camera, Motion, rigid_fit, triangulate
+from detector.geometry import Array, Motion, rigid_fit
 
 _FLAT = 1e-9  # of the largest extent: thinner than this is no extent
 
@@ -211,9 +211,7 @@ class WorldFit:
 
 
 def fit_world(
-    left: Camera,
-    right: Camera,
-    right_from_left: Motion,
+    pair: Pair,
     left_px: ArrayLike,
     right_px: ArrayLike,
     touched_mm: ArrayLike,
@@ -226,7 +224,7 @@ def fit_world(
     ValueError.
     """
     data = [np.array(each, dtype=np.float64) for each in (left_px, right_px, touched_mm)]
-    in_right = triangulate(data[0], data[1], left, right, right_from_left)[0]
+    in_right = pair.in_right_mm(data[0], data[1])
     if not np.isfinite(in_right).all():
         bad = int(np.flatnonzero(~np.isfinite(in_right).all(axis=1))[0]) + 1
         raise ValueError(
@@ -234,7 +232,6 @@ def fit_world(
             " calibrated for"
         )
     here = rigid_fit(data[2], in_right)
-    pair = Pair(left, right, right_from_left, here)
     given = pair_covariance or ParameterCovariance((), np.zeros((0, 0)))
 
     def world(changed: Pair, left_px: Array, right_px: Array, touched_mm: Array) -> Array:

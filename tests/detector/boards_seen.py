@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import numpy as np
 
 from bench.rig.loading import RIGS
-from detector.calibration import Calibration, load_calibration
+from detector.calibration import Calibration, ParameterCovariance, load_calibration
 from detector.calibration.boards import Board
 from detector.calibration.cameras import View
 from detector.calibration.diagnosis import PairView
-from detector.calibration.rigid import fit_world
+from detector.calibration.rigid import WorldFit, fit_world
+from detector.calibration.values import Pair
 from detector.geometry import Array, Camera, Motion
 
 BOARD = Board("chessboard", 9, 6, 40.0)
@@ -29,8 +29,20 @@ TOUCHED = np.array(
         for y in (150.0, 235.0, 320.0)
     ]
 )
-# with the noise of pixels and touches
-world_fit = partial(fit_world, pixel_sd_px=NOISE_PX, touch_sd_mm=0.2)
+
+
+def world_fit(
+    left: Camera,
+    right: Camera,
+    motion: Motion,
+    *points: Array,
+    pair_covariance: ParameterCovariance | None,
+) -> WorldFit:
+    """With the noise of pixels and touches."""
+    pair = Pair(left, right, motion, Motion.identity())
+    return fit_world(
+        pair, *points, pixel_sd_px=NOISE_PX, touch_sd_mm=0.2, pair_covariance=pair_covariance
+    )
 
 
 def thesis_rig() -> Calibration:

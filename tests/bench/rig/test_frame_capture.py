@@ -139,6 +139,9 @@ def test_a_run_ends_safely_when_a_fault_stays(tmp_path: Path, short_script: Path
     rig = with_emulation(
         tmp_path, 'faults = [{ instrument = "cameras", name = "black", camera = "right" }]'
     )
+    rig.write_text(
+        rig.read_text(encoding="utf-8") + "\n[limits]\naway_s = 20.0\n", encoding="utf-8"
+    )
     code, folder = run_command(["run", str(short_script), "--rig", str(rig)], tmp_path / "runs")
     events, counts, trials = record_of(folder)
     assert code == 3

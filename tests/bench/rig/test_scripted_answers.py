@@ -110,12 +110,6 @@ def rig_with(url: str, folder: Path) -> Path:
     return emulated_rig(folder, {table.format("emulator:"): table.format(url)})
 
 
-def test_a_rig_with_emulated_instruments_takes_each_operator(tmp_path: Path) -> None:
-    (tmp_path / "answers.txt").write_text(TEXT, encoding="utf-8")
-    for url in ("emulator:", "console:", "script:answers.txt"):
-        assert load_rig(rig_with(url, tmp_path)).rig.operator.url == url
-
-
 @pytest.mark.parametrize(
     ("url", "words"),
     [
