@@ -14,7 +14,7 @@ chooses how many.
 
 Both files hold what was touched, and beside it what follows from it, for people and other programs.
 Reading works the figures out again from the touches and refuses a file whose figures don't follow:
-it was changed by hand. A file of another arm is refused too.
+it was changed by hand. A frame of another arm is refused too.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from datetime import datetime
 from itertools import combinations
 from math import sqrt
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -363,9 +363,6 @@ class _ArmFile(Section):
     serial_number: str
 
 
-File = TypeVar("File", bound=_ArmFile)
-
-
 class _FrameFile(_ArmFile):
     om: Three
     T: Three
@@ -425,9 +422,13 @@ def _frame_table(frame: TableFrame) -> dict[str, Any]:
 
 def load_frame(path: Path, *, serial_number: str | None = None) -> TableFrame:
     """The frame at ``path``, of the arm ``serial_number`` if given. ConfigError."""
-    file = _read(
-        path, _FrameFile, serial_number, "Make the frame anew with this arm: 'teatbench arm frame'"
-    )
+    file = read_config(path, _FrameFile)
+    if serial_number not in (None, file.serial_number):
+        message = (
+            f"this file is of the arm {file.serial_number}, but the arm that answers is"
+            f" {serial_number}. Make the frame anew with this arm: 'teatbench arm frame'"
+        )
+        raise located(path, read_text(path), [(("serial_number",), message, False)])
     points = [TouchedPoint(p.name, p.arm_mm, p.spread_mm, p.world_mm) for p in file.points]
     try:
         frame = TableFrame.from_touches(file.made, file.serial_number, points)
@@ -460,9 +461,9 @@ def _verification_table(found: Verification, limits: Limits) -> dict[str, Any]:
     }
 
 
-def load_verification(path: Path, *, serial_number: str | None = None) -> Verification:
-    """The verification at ``path``, of the arm ``serial_number`` if given. ConfigError."""
-    file = _read(path, _VerificationFile, serial_number, "Verify this arm: 'teatbench arm verify'")
+def load_verification(path: Path) -> Verification:
+    """The verification at ``path``. Raises ConfigError with all faults, each in its place."""
+    file = read_config(path, _VerificationFile)
     uneven = [
         (("location", i, "axes"), "must have a row for each of tips_mm", False)
         for i, test in enumerate(file.location)
@@ -484,15 +485,6 @@ def write_file(path: Path, text: str) -> None:
         raise ConfigError.plain(
             f"{path} can't be written: {error.strerror or error}. Name another place with --out."
         ) from error
-
-
-def _read(path: Path, model: type[File], wanted: str | None, then: str) -> File:
-    file = read_config(path, model)
-    of = file.serial_number
-    if wanted is not None and of != wanted:
-        message = f"this file is of the arm {of}, but the arm that answers is {wanted}. {then}"
-        raise located(path, read_text(path), [(("serial_number",), message, False)])
-    return file
 
 
 def _refuse_changed(path: Path, file: Section, follows: Mapping[str, Any]) -> None:

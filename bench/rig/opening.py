@@ -114,11 +114,11 @@ def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
     return bool(rig.rig.emulated) and not realtime and rig.rig.operator.url != CONSOLE
 
 
-def rig_of(profile: Profile | None = None, path: Path = Path(), **tables: Any) -> LoadedRig:
+def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
     """A rig without a file: ``tables`` by name, and the bath's ``profile``."""
     more = {"stage": None, "operator": Operator(url=CONSOLE), "emulation": Emulation(), "seed": 1}
     rig = Rig.model_construct(**(more | tables))
-    return LoadedRig(path, "", rig, cast(Profile, profile), path, None)
+    return LoadedRig(Path(), "", rig, cast(Profile, profile), Path(), None)
 
 
 def pedal_watch(arm: MicroScribe, clock: Clock) -> Callable[[float], bool]:

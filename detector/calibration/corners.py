@@ -97,17 +97,14 @@ class Found:
         return replace(self, ids=np.asarray(board.columns * board.rows - 1 - self.ids))
 
 
-def find_board(
-    image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel(), inverted: bool | None = None
-) -> Found:
-    """The board in an 8-bit picture; ``inverted``: bright for dark. Raises ViewRefusedError."""
+def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel()) -> Found:
+    """The board in an 8-bit picture, dark or bright. Raises ViewRefusedError."""
     if image.ndim != 2 or image.dtype != np.uint8:
         raise ValueError(
             f"find_board wants an 8-bit grey picture, not {image.dtype} of shape {image.shape}"
         )
-    pictures = [image, np.asarray(255 - image, dtype=np.uint8)]
     finder = {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}[board.kind]
-    for picture in pictures if inverted is None else [pictures[inverted]]:
+    for picture in (image, np.asarray(255 - image, dtype=np.uint8)):  # a heated board is bright
         if found := finder(picture, board, sub_pixel):
             worse, better = max(found.edges_px or (0.0,)), min(found.edges_px or (0.0,))
             if worse > BLURRED_PX and worse > MOVED_RATIO * better:
