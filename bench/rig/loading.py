@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -24,7 +24,7 @@ from bench.rig.model import Rig
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import EMULATED, SCRIPT
 from detector.calibration import Calibration
-from detector.calibration.boards import DICTIONARIES, Board
+from detector.calibration.boards import DICTIONARIES, Board, BoardKind
 from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_profile, load_relay
 from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
 from instruments.world.boards import Pattern
@@ -136,16 +136,16 @@ def load_rig(path: Path) -> LoadedRig:
             f" {', '.join(sorted(real))})"
         )
         raise refuse(message, *((name, "url") for name in rig.emulated))
-    if (
-        rig.stage
-        and rig.stage.url == EMULATED
-        and (wrong := rig.emulation.stage.fault(rig.stage.axes))
-    ):
+    emulated_stage = rig.stage if rig.stage and rig.stage.url == EMULATED else None
+    if emulated_stage and (wrong := rig.emulation.stage.fault(emulated_stage.axes)):
         raise refuse(wrong, ("stage", "axes"))
-    there = {*rig.urls, *(["pump"] if rig.bath.pump_url else [])}
-    homeless = [i for i, fault in enumerate(rig.emulation.faults) if fault.instrument not in there]
-    if homeless:
-        keys = [("emulation", "faults", i, "instrument") for i in homeless]
+    there, faults = (
+        {*rig.urls, "pump" if rig.bath.pump_url else ""},
+        enumerate(rig.emulation.faults),
+    )
+    absent = [i for i, fault in faults if fault.instrument not in there]
+    if absent:
+        keys = [("emulation", "faults", i, "instrument") for i in absent]
         raise refuse("this rig has no such instrument", *keys)
     frame = load_frame(folder / rig.arm.frame) if rig.arm.frame else None
     dated = load_verification(folder / rig.arm.verification) if rig.arm.verification else None
@@ -153,14 +153,14 @@ def load_rig(path: Path) -> LoadedRig:
     try:
         unit = load_unit(unit_path) if rig.emulation.arm_unit else None
     except UnitError as error:
-        faults = [(key, message, False) for key, message in error.located]
-        raise located(unit_path, read_text(unit_path), faults) from error
+        wrong_keys = [(key, message, False) for key, message in error.located]
+        raise located(unit_path, read_text(unit_path), wrong_keys) from error
     if wrong := _relay_fault(rig, profile):
         raise refuse(wrong, ("bath", "pump_url" if rig.bath.pump_url else "pump_profile"))
     pump = rig.bath.pump_profile
     relay = _loaded(lambda: load_relay(place(pump))) if pump else None
     if rig.operator.url.startswith(SCRIPT):
-        # its faults are told before anything is opened
+        # its faults are found before anything is opened
         load_answers(folder / rig.operator.url.removeprefix(SCRIPT))
     calibration_path = folder / rig.calibration
     calibration = read_calibration(calibration_path) if calibration_path.is_file() else None
@@ -209,7 +209,7 @@ class BoardFile(Section):
     standard uncertainty ``pitch_u_mm``.
     """
 
-    kind: Literal["chessboard", "charuco", "circles"]
+    kind: BoardKind
     columns: Annotated[int, Field(ge=3, le=100)]
     rows: Annotated[int, Field(ge=3, le=100)]
     pitch_mm: Annotated[float, Field(ge=0.1, le=1000)]

@@ -11,7 +11,8 @@ import numpy as np
 from bench.rig.loading import RIGS
 from detector.calibration import Calibration, ParameterCovariance, load_calibration
 from detector.calibration.boards import Board
-from detector.calibration.cameras import View
+from detector.calibration.bundle import LENS, POSE
+from detector.calibration.cameras import Calibrated, View, pair_of
 from detector.calibration.diagnosis import PairView
 from detector.calibration.rigid import WorldFit, fit_world
 from detector.calibration.values import Pair
@@ -116,3 +117,16 @@ def pair_views(views: Mapping[str, list[View]]) -> list[PairView]:
 
 def shifted(views: list[View], by_px: tuple[float, float]) -> list[View]:
     return [replace(view, pixels_px=view.pixels_px + np.array(by_px)) for view in views]
+
+
+def missed(found: Calibrated, put_in: Pair) -> Array:
+    """Found minus put in, by parameter in the order of the covariance."""
+    pair, off = pair_of(found), dict[tuple[str, str], float]()
+    for name, camera, known in (
+        ("left", pair.left, put_in.left),
+        ("right", pair.right, put_in.right),
+    ):
+        off |= {(name, p): v for p, v in zip(LENS, camera.lens - known.lens, strict=True)}
+    got, was = ([*m.om, *m.T] for m in (pair.right_from_left, put_in.right_from_left))
+    off |= {("right", p): v for p, v in zip(POSE, np.subtract(got, was), strict=True)}
+    return np.array([off[name] for name in found.fit.names])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,33 +18,22 @@ import pytest
 from scipy.stats import chi2
 
 from bench.calibrate.views import pattern_of
-from bench.rig.loading import RIGS
+from detector.calibration import dump_calibration
 from detector.calibration.boards import Board
-from detector.calibration.bundle import LENS, POSE
-from detector.calibration.cameras import Calibrated, View, calibrate_camera, join_cameras, pair_of
+from detector.calibration.cameras import Calibrated, View, calibrate_camera, join_cameras
 from detector.calibration.corners import ViewRefusedError, find_board
-from detector.geometry import Array
 from instruments.world.boards import poses
 from instruments.world.phantom import Phantom
 from instruments.world.scene import Renderer
 from instruments.world.state import SceneState
+from tests.bench.calibrate.small_rig import small_calibration
+from tests.detector.boards_seen import missed
 
 pytestmark = pytest.mark.slow
 
 SEEDS, VIEWS = 20, 8
 BOARD = Board("chessboard", 9, 6, 40.0)
 DEPTHS_MM = (500.0, 1200.0)
-
-
-def half_size() -> dict[str, Any]:
-    """The emulated rig's calibration table, its optical cameras with half as many pixels a side."""
-    table = tomllib.loads((RIGS / "calibration.toml").read_text(encoding="utf-8"))
-    for name in ("left", "right"):
-        camera = table["cameras"][name]
-        camera["image_size"] = [side // 2 for side in camera["image_size"]]
-        camera["fc"] = [0.5 * f for f in camera["fc"]]
-        camera["cc"] = [0.5 * (c + 0.5) - 0.5 for c in camera["cc"]]
-    return table
 
 
 def rendered_views(table: Mapping[str, Any], seed: int) -> dict[str, list[View]]:
@@ -73,30 +63,12 @@ def calibrated(views: Mapping[str, list[View]], size: tuple[int, int]) -> Calibr
     return join_cameras(alone, joint_lenses=("left", "right"))
 
 
-def missed(found: Calibrated, table: Mapping[str, Any]) -> Array:
-    """Found less put in, in the order of the covariance."""
-    pair = pair_of(found)
-    off: dict[tuple[str, str], float] = {}
-    for name, lens in (("left", pair.left), ("right", pair.right)):
-        camera = table["cameras"][name]
-        known = [*camera["fc"], *camera["cc"], *camera["kc"]]
-        off |= {
-            (name, p): got - was
-            for p, got, was in zip(LENS, (*lens.fc, *lens.cc, *lens.kc), known, strict=True)
-        }
-    motion, known = pair.right_from_left, [*table["stereo"]["om"], *table["stereo"]["T"]]
-    off |= {
-        ("right", p): got - was
-        for p, got, was in zip(POSE, (*motion.om, *motion.T), known, strict=True)
-    }
-    return np.array([off[name] for name in found.fit.names])
-
-
 def test_what_was_put_in_is_missed_by_what_the_covariance_says() -> None:
-    table = half_size()
-    width, height = table["cameras"]["left"]["image_size"]
-    found = [calibrated(rendered_views(table, seed), (width, height)) for seed in range(SEEDS)]
-    twenty = [(missed(one, table), one.fit.covariance) for one in found]
+    rig = small_calibration()
+    table = tomllib.loads(dump_calibration(replace(rig.part, homographies=None)))
+    size = rig.left.image_size
+    found = [calibrated(rendered_views(table, seed), size) for seed in range(SEEDS)]
+    twenty = [(missed(one, rig), one.fit.covariance) for one in found]
     off = np.array([miss / np.sqrt(np.diag(covariance)) for miss, covariance in twenty])
     assert off.shape == (SEEDS, 22)
     assert np.mean(np.abs(off) > 2.0) <= 0.0455, "of a normal distribution"
