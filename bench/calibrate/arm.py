@@ -187,11 +187,8 @@ def touch_frame(
             person.say(f"{error}. Once more, the second and the third point.")
     points = [origin, on_x, in_plane]
     for number, place in enumerate(checks):
-        where = (
-            "another point of the table's plane, well away from the three"
-            if place is None
-            else f"the point {mm(place)} (world)"
-        )
+        where = f"the point {mm(place)} (world)" if place else "another point of the table's plane,"
+        where += "" if place else " well away from the three"
         text = f"Check point {number + 1} of {len(checks)}: touch {where}."
         points.append(touched(Step("check", number, text, place), f"check {number + 1}"))
     frame = TableFrame.from_touches(made, arm.identity.serial_number, points)
@@ -226,12 +223,11 @@ def verify(arm: MicroScribe, person: Person, plan: Plan, made: datetime) -> Veri
         person.ask(
             f"Fix the calibrated length {where}. It must not move until both its ends are touched."
         )
-        a, b = (
-            _read(
-                arm, person, Step(f"length {end}", number, f"Length {where}: touch its {nth} end.")
-            )
+        steps = [
+            Step(f"length {end}", number, f"Length {where}: touch its {nth} end.")
             for end, nth in (("a", "first"), ("b", "second"))
-        )
+        ]
+        a, b = (_read(arm, person, step) for step in steps)
         length = LengthTest(where, a.tip_mm, b.tip_mm, plan.length_mm)
         lengths.append(length)
         person.say(f"{where}: {length.measured_mm:.2f} mm, error {length.error_mm:+.2f} mm.")
@@ -241,9 +237,8 @@ def verify(arm: MicroScribe, person: Person, plan: Plan, made: datetime) -> Veri
 def _divot(arm: MicroScribe, person: Person, name: str, touches: int) -> LocationTest:
     readings = []
     for number in range(touches):
-        further = (
-            ", turned about itself and with the elbow elsewhere" if number >= len(LEANS) else ""
-        )
+        again = number >= len(LEANS)
+        further = ", turned about itself and with the elbow elsewhere" if again else ""
         text = (
             f"Divot {name}, touch {number + 1} of {touches}: tip in the divot, the stylus"
             f" {LEANS[number % len(LEANS)]}{further}."

@@ -112,16 +112,10 @@ def _together(
     has_pair = world is not cameras and any(
         owner != "world" for owner, _ in (of_world.names if of_world else ())
     )
-    kept = [
-        file.part.covariance
-        for file in files
-        if file.part.covariance and not (file is cameras and has_pair)
-    ]
-    if not kept:
-        return None
-    return ParameterCovariance(
-        tuple(name for one in kept for name in one.names), block_diag(*(one.matrix for one in kept))
-    )
+    kept = [f.part.covariance for f in files if not (f is cameras and has_pair)]
+    known = [one for one in kept if one]
+    names = tuple(name for one in known for name in one.names)
+    return ParameterCovariance(names, block_diag(*(one.matrix for one in known))) if known else None
 
 
 def _whole_record(files: Sequence[PartFile], record: Record) -> Record:
