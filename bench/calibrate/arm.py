@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Protocol
@@ -72,9 +72,7 @@ DIRECTIONS = (
 
 
 class Person(Protocol):
-    """Who brings the tip where it is asked for. Its methods return once that is done, and raise
-    OperatorAbort.
-    """
+    """Who brings the tip where it is asked for. Methods return then, or raise OperatorAbort."""
 
     def ask(self, text: str) -> None: ...
     def touch(self, step: Step) -> None: ...
@@ -91,9 +89,7 @@ class ArmSession:
     trying: TryingArm | None
 
     def confirm_homing(self, *, homed: bool) -> None:
-        """Confirm homing: ``homed`` says so, else the person is asked. Raises ConfigError where
-        nobody is there, OperatorAbort.
-        """
+        """Confirm homing, or ask. Raises ConfigError without a terminal, OperatorAbort."""
         if not homed:
             if not sys.stdin.isatty():
                 raise ConfigError.plain(NO_TERMINAL)
@@ -101,7 +97,6 @@ class ArmSession:
         self.arm.confirm_homed()
 
     def ask(self, text: str) -> None:
-        """Something to be done."""
         self.console.ask(Task(text))
 
     def touch(self, step: Step) -> None:
@@ -111,7 +106,6 @@ class ArmSession:
         self.console.ask(Task(step.text, pedal=True))
 
     def say(self, text: str) -> None:
-        """Something to be shown."""
         self.console.say(text)
 
 
@@ -119,19 +113,15 @@ class ArmSession:
 def open_arm(
     port: str, baud: Baud, answer_s: float, capture: Captures, *, length_mm: float | None = None
 ) -> Iterator[ArmSession]:
-    """The arm at ``port``, signed on; ``length_mm`` is that of an emulated arm's bar. Raises
-    ConfigError and as the driver does.
-    """
+    """The arm at ``port``, signed on; ``length_mm``: an emulated arm's bar. Raises ConfigError."""
     try:
         serial_url(port)
     except ValueError as error:
         raise ConfigError.plain(f"--port {port}: {error}") from error
-    with (
-        closing(RealClock()) as clock,
-        TryingArm(clock, length_mm=length_mm or 300.0)
-        if port == EMULATED
-        else nullcontext() as trying,
-    ):
+    with ExitStack() as stack:
+        clock = stack.enter_context(closing(RealClock()))
+        emulated = TryingArm(clock, length_mm=length_mm or 300.0) if port == EMULATED else None
+        trying = stack.enter_context(emulated) if emulated else None
         url = trying.url if trying else port
         rig = rig_of(arm=Arm.model_construct(url=url, baud=baud, answer_s=answer_s))
         with open_instruments(rig, ("arm",), clock, capture=capture) as devices:
@@ -160,9 +150,7 @@ def limits_of(script: str | None) -> Limits:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What `verify` asks for: ``distances`` of divots (1 to 3), ``touches`` in each, a
-    ``length_mm`` (None: none) in ``directions``.
-    """
+    """Divots at 1 to 3 ``distances``, ``touches`` each, and a ``length_mm`` in ``directions``."""
 
     distances: int = 3
     touches: int = TOUCHES
@@ -173,11 +161,7 @@ class Plan:
 def touch_frame(
     arm: MicroScribe, person: Person, checks: Sequence[Triple | None], made: datetime
 ) -> TableFrame:
-    """A table frame from three touches and one for each of ``checks``: a known place, or None for
-    anywhere in the plane.
-
-    Raises as person and driver do.
-    """
+    """A frame from three touches and one for each of ``checks`` (None: anywhere in the plane)."""
 
     def touched(step: Step, name: str) -> TouchedPoint:
         reading = _read(arm, person, step)
@@ -203,11 +187,8 @@ def touch_frame(
             person.say(f"{error}. Once more, the second and the third point.")
     points = [origin, on_x, in_plane]
     for number, place in enumerate(checks):
-        where = (
-            "another point of the table's plane, well away from the three"
-            if place is None
-            else f"the point {mm(place)} (world)"
-        )
+        where = f"the point {mm(place)} (world)" if place else "another point of the table's plane,"
+        where += "" if place else " well away from the three"
         text = f"Check point {number + 1} of {len(checks)}: touch {where}."
         points.append(touched(Step("check", number, text, place), f"check {number + 1}"))
     frame = TableFrame.from_touches(made, arm.identity.serial_number, points)
@@ -242,12 +223,11 @@ def verify(arm: MicroScribe, person: Person, plan: Plan, made: datetime) -> Veri
         person.ask(
             f"Fix the calibrated length {where}. It must not move until both its ends are touched."
         )
-        a, b = (
-            _read(
-                arm, person, Step(f"length {end}", number, f"Length {where}: touch its {nth} end.")
-            )
+        steps = [
+            Step(f"length {end}", number, f"Length {where}: touch its {nth} end.")
             for end, nth in (("a", "first"), ("b", "second"))
-        )
+        ]
+        a, b = (_read(arm, person, step) for step in steps)
         length = LengthTest(where, a.tip_mm, b.tip_mm, plan.length_mm)
         lengths.append(length)
         person.say(f"{where}: {length.measured_mm:.2f} mm, error {length.error_mm:+.2f} mm.")
@@ -257,9 +237,8 @@ def verify(arm: MicroScribe, person: Person, plan: Plan, made: datetime) -> Veri
 def _divot(arm: MicroScribe, person: Person, name: str, touches: int) -> LocationTest:
     readings = []
     for number in range(touches):
-        further = (
-            ", turned about itself and with the elbow elsewhere" if number >= len(LEANS) else ""
-        )
+        again = number >= len(LEANS)
+        further = ", turned about itself and with the elbow elsewhere" if again else ""
         text = (
             f"Divot {name}, touch {number + 1} of {touches}: tip in the divot, the stylus"
             f" {LEANS[number % len(LEANS)]}{further}."
@@ -283,5 +262,4 @@ def _read(arm: MicroScribe, person: Person, step: Step) -> Reading:
 
 
 def mm(point: Iterable[float], digits: int = 1) -> str:
-    """A point as text."""
     return ", ".join(f"{v:.{digits}f}" for v in point) + " mm"

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import io
 
-import cv2
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
 
 from bench.config import ConfigError
+from bench.rig.loading import drawn
 from detector.calibration.boards import Board
+from instruments.world.boards import dark_parts_mm
 
 MM_PER_INCH = 25.4
 MARGIN_MM = 15.0
@@ -28,10 +29,8 @@ PAPERS_MM: dict[str, tuple[float, float]] = {
 
 
 def board_pdf(board: Board, paper: str | None = None) -> bytes:
-    """The board on a landscape sheet, the smallest of `PAPERS_MM` that holds it where none is
-    named.
-
-    Raises ConfigError where it doesn't fit.
+    """The board on a landscape sheet, the smallest that holds it if none is named, as PDF. Raises
+    ConfigError.
     """
     written = io.BytesIO()
     board_figure(board, paper).savefig(
@@ -48,19 +47,19 @@ def board_figure(board: Board, paper: str | None = None) -> Figure:
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(0.0, width), ylim=(height, 0.0))
     axes.axis("off")
-    board_width, board_height = board.size_mm
-    left, top = (width - board_width) / 2, (height - FOOT_MM - board_height) / 2
-    {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}[board.kind](
-        axes, board, left, top
-    )
+    pattern = drawn(board, 0.0)
+    corner = (np.array([width, height - FOOT_MM]) - pattern.size_mm) / 2
+    # one path for all: no seams between a marker's modules
+    parts = [
+        Path(np.vstack([part, part[:1]]) + corner, closed=True) for part in dark_parts_mm(pattern)
+    ]
+    axes.add_patch(PathPatch(Path.make_compound_path(*parts), color="black", linewidth=0))
     foot = height - FOOT_MM / 2
     axes.plot([MARGIN_MM, MARGIN_MM + RULER_MM], [foot, foot], color="black", linewidth=0.8)
     for x in (MARGIN_MM, MARGIN_MM + RULER_MM):
         axes.plot([x, x], [foot - 2, foot + 2], color="black", linewidth=0.8)
-    more = {
-        "charuco": f", markers {board.marker_mm} mm ({board.dictionary})",
-        "circles": f", circles {board.circle_mm} mm",
-    }.get(board.kind, "")
+    more = f", markers {board.marker_mm} mm ({board.dictionary})" if board.marker_mm else ""
+    more += f", circles {board.circle_mm} mm" if board.circle_mm else ""
     text = (
         f"This line is {RULER_MM:g} mm long. {board.kind} of {board.columns} x {board.rows} points,"
         f" pitch {board.pitch_mm:g} mm{more}. Print at 100 %, glue it flat, measure the pitch,"
@@ -81,39 +80,3 @@ def sheet_mm(board: Board, paper: str | None) -> tuple[float, float]:
     if paper is not None and paper not in fits:
         raise ConfigError.plain(f"{needs} {paper} has; it fits {fits[0]}")
     return PAPERS_MM[paper or fits[0]]
-
-
-def _chessboard(axes: Axes, board: Board, left: float, top: float) -> None:
-    pitch = board.pitch_mm
-    for row, column in np.ndindex(board.rows + 1, board.columns + 1):
-        if (row + column) % 2 == 0:
-            _square(axes, left + column * pitch, top + row * pitch, pitch)
-
-
-def _charuco(axes: Axes, board: Board, left: float, top: float) -> None:
-    """Markers where OpenCV's own description has them, module by module as squares, so that edges
-    are exact.
-    """
-    _chessboard(axes, board, left, top)
-    dictionary = board.aruco.getDictionary()
-    modules = dictionary.markerSize + 2
-    side = float(board.marker_mm or 0.0) / modules
-    identities = np.ravel(board.aruco.getIds())
-    for identity, corners in zip(identities, board.aruco.getObjPoints(), strict=True):
-        x, y = left + float(corners[0][0]), top + float(corners[0][1])
-        _square(axes, x, y, side * modules)
-        marker = cv2.aruco.generateImageMarker(dictionary, int(identity), modules)
-        for row, column in zip(*np.nonzero(marker), strict=True):
-            _square(axes, x + column * side, y + row * side, side, "white")
-
-
-def _circles(axes: Axes, board: Board, left: float, top: float) -> None:
-    radius = float(board.circle_mm or 0.0) / 2
-    for x, y, _ in board.points_mm:
-        axes.add_patch(
-            Circle((left + radius + x, top + radius + y), radius, color="black", linewidth=0)
-        )
-
-
-def _square(axes: Axes, x: float, y: float, side: float, color: str = "black") -> None:
-    axes.add_patch(Rectangle((x, y), side, side, color=color, linewidth=0))

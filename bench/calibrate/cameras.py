@@ -6,7 +6,7 @@ the left camera sees too, or as homographies from point pairs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,15 +27,16 @@ from detector.calibration import (
 from detector.calibration.bundle import POSE
 from detector.calibration.cameras import (
     Calibrated,
+    Coverage,
     Halves,
     TooFewViewsError,
     calibrate_camera,
+    coverage,
     join_cameras,
     pair_of,
     place_board,
     split_half,
 )
-from detector.calibration.coverage import Coverage, coverage
 from detector.calibration.diagnosis import (
     Finding,
     Remeasured,
@@ -64,9 +65,7 @@ class Lens:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CamerasResult:
-    """Everything found. ``halves`` and ``held_out`` are None where there were too few views for
-    them.
-    """
+    """Everything found. ``halves``, ``held_out`` are None where there were too few views."""
 
     views: BoardViews
     alone: Mapping[str, Calibrated]
@@ -88,21 +87,14 @@ class CamerasResult:
         return _covariance(self.joint, "stereo")
 
     def part(self, record: Record) -> Part:
-        """What the file of this step holds."""
-        pair = self.pair
+        pair, covariance = self.pair, self.covariance
         return Part(
-            left=pair.left,
-            right=pair.right,
-            right_from_left=pair.right_from_left,
-            covariance=self.covariance,
-            record=record,
+            pair.left, pair.right, pair.right_from_left, covariance=covariance, record=record
         )
 
     def good_to_mm(self, depths_mm: Array) -> Array:
-        """Expanded uncertainty (k = 2) (n,) of a point's place, along its worst direction, midway
-        before the pair at these distances.
-
-        The calibration's own, with pixels as noisy as the corners were.
+        """Expanded uncertainty (k = 2) (n,) mm along a point's worst direction, midway before the
+        pair at these distances, with pixels as noisy as the corners were.
         """
         axis = self.pair.right_from_left.T / 2.0
         points = np.array([[axis[0], axis[1], depth] for depth in np.asarray(depths_mm)])
@@ -120,25 +112,19 @@ def _covariance(found: Calibrated, pose: str) -> ParameterCovariance:
 def calibrate_pair(views: BoardViews, lens: Lens) -> CamerasResult:
     """The whole job. Raises BundleError (a sentence) for views that can't fix the cameras."""
     seen = {camera: views.views(camera) for camera in PAIR}
-    size = views.image_size
-    model, square = lens.model, lens.square_pixels
-    alone = {
-        camera: calibrate_camera(
-            camera, seen[camera], size[camera], model=model, square_pixels=square
-        )
-        for camera in PAIR
-    }
+    size, fitted = views.image_size, asdict(lens)
+    alone = {name: calibrate_camera(name, seen[name], size[name], **fitted) for name in PAIR}
     if size["left"] != size["right"]:
         raise TooFewViewsError(
             "left and right pictures differ in size: are they from the same pair?"
         )
-    joint = join_cameras(alone, joint_lenses=PAIR, model=model, square_pixels=square)
+    joint = join_cameras(alone, joint_lenses=PAIR, **fitted)
     shown = {camera: _shown(views, camera, alone[camera]) for camera in PAIR}
-    pairs = views.pairs()
+    pairs, pair = views.pairs(), pair_of(joint)
     halves = held_out = None
     if len(pairs) >= LEAST_FOR_HALVES:
         try:
-            halves = split_half(seen, size["left"], model=model, square_pixels=square)
+            halves = split_half(seen, size["left"], **fitted)
         except TooFewViewsError:
             pass
         else:  # each half of the views measured with the calibration that the other half made
@@ -146,16 +132,15 @@ def calibrate_pair(views: BoardViews, lens: Lens) -> CamerasResult:
                 remeasure(halves.pairs[1 - start], views.board, pairs[start::2]) for start in (0, 1)
             )
             held_out = Remeasured(views.board, (*first.views, *second.views))
-    return CamerasResult(
-        views,
-        alone,
-        join_cameras(alone),
-        joint,
-        shown,
-        halves,
-        held_out,
-        _findings(views, joint, held_out),
-    )
+    found = swapped(pair.right_from_left)
+    if not found:
+        used = remeasure(pair, views.board, pairs)
+        found += measured_again(held_out or used, pair)
+        found += [] if any(finding.name == "bent board" for finding in found) else bent(used)
+    for camera in PAIR:
+        found += outlier_views(joint.view_rms_px(camera), camera)
+    fixed = join_cameras(alone)
+    return CamerasResult(views, alone, fixed, joint, shown, halves, held_out, tuple(found))
 
 
 def _shown(views: BoardViews, camera: str, alone: Calibrated) -> Coverage:
@@ -163,31 +148,13 @@ def _shown(views: BoardViews, camera: str, alone: Calibrated) -> Coverage:
     return coverage(pixels, views.image_size[camera], alone.fit.poses)
 
 
-def _findings(
-    views: BoardViews, joint: Calibrated, held_out: Remeasured | None
-) -> tuple[Finding, ...]:
-    pair = pair_of(joint)
-    found = swapped(pair.right_from_left)
-    if not found:
-        used = remeasure(pair, views.board, views.pairs())
-        found += measured_again(held_out or used, pair)
-        found += [] if any(finding.name == "bent board" for finding in found) else bent(used)
-    for camera in PAIR:
-        found += outlier_views(joint.view_rms_px(camera), camera)
-    return tuple(found)
-
-
 def check_pair(part: Part, views: BoardViews) -> tuple[Remeasured, tuple[Finding, ...]]:
-    """The board measured with the pair, and what that tells. Raises ConfigError without a pair, or
-    without a view of both.
-    """
-    pair = pair_of_part(part)
-    pair = replace(pair, world_from_right=Motion.identity())
+    """The board measured with the pair, and findings. Raises ConfigError without pair or view."""
+    pair = replace(pair_of_part(part), world_from_right=Motion.identity())
     for camera, lens in (("left", pair.left), ("right", pair.right)):
-        if views.image_size[camera] != lens.image_size:
-            seen, known = (
-                "{} x {}".format(*size) for size in (views.image_size[camera], lens.image_size)
-            )
+        sizes = views.image_size[camera], lens.image_size
+        if sizes[0] != sizes[1]:
+            seen, known = ("{} x {}".format(*size) for size in sizes)
             raise ConfigError.plain(
                 f"the {camera} pictures are {seen} px, the calibration is for {known}: made for"
                 " other cameras"
@@ -209,15 +176,12 @@ class Delivered:
     model: str = "k1"
 
     def camera(self, size: tuple[int, int], lens: Camera | None) -> ThermalCamera:
-        """The camera whose pictures have ``size`` (columns, rows) px."""
         return ThermalCamera(size, self.sensor_size, self.mirrored, self.polarity, lens)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThermalResult:
-    """The thermal camera with its pose, and the homographies at ``plane_depth_mm``; how well all
-    holds.
-    """
+    """The thermal camera, its pose, and the homographies at ``plane_depth_mm``."""
 
     views: BoardViews
     camera: ThermalCamera
@@ -228,7 +192,6 @@ class ThermalResult:
     coverage: Coverage
 
     def part(self, record: Record) -> Part:
-        """What the file of this step holds."""
         return Part(
             thermal=self.camera,
             thermal_from_left=self.thermal_from_left,
@@ -241,22 +204,17 @@ class ThermalResult:
 def calibrate_thermal(
     views: BoardViews, cameras: Part, delivered: Delivered, plane_depth_mm: float
 ) -> ThermalResult:
-    """The third camera against a pair that is calibrated. Thermal views are of un-mirrored
-    pictures. Raises BundleError (a sentence).
-
-    The left camera's lens is held as it is; it sees the board in the same poses.
+    """The third camera against a pair, whose left lens is held. Views are of un-mirrored pictures.
+    Raises BundleError (a sentence).
     """
     pair = pair_of_part(cameras)
     size = views.image_size["thermal"]
     alone = calibrate_camera("thermal", views.views("thermal"), size, model=delivered.model)
-    left = place_board("left", views.views("left"), pair.left)
-    joint = join_cameras(
-        {"left": left, "thermal": alone}, joint_lenses=("thermal",), model=delivered.model
-    )
+    both = {"left": place_board("left", views.views("left"), pair.left), "thermal": alone}
+    joint = join_cameras(both, joint_lenses=("thermal",), model=delivered.model)
     lens, pose = joint.fit.rig.cameras["thermal"], joint.fit.rig.from_reference["thermal"]
-    maps = derive_homographies(
-        lens, pair.left, pair.right, pose, pair.right_from_left, plane_depth_mm
-    )
+    poses = pose, pair.right_from_left
+    maps = derive_homographies(lens, pair.left, pair.right, *poses, plane_depth_mm)
     camera = delivered.camera(size, lens)
     return ThermalResult(views, camera, pose, maps, alone, joint, _shown(views, "thermal", alone))
 
@@ -269,7 +227,6 @@ class PairsResult:
     right: MappedPairs
 
     def part(self, image_size: tuple[int, int], delivered: Delivered, record: Record) -> Part:
-        """What the file of this step holds."""
         return Part(
             thermal=delivered.camera(image_size, None),
             homographies=Homographies(self.left.H, self.right.H, None),
@@ -278,16 +235,9 @@ class PairsResult:
 
 
 def map_pairs(path: Path) -> PairsResult:
-    """Homographies from a table of point pairs (`PAIR_COLUMNS`, px; thermal un-mirrored). Raises
-    ConfigError that says where.
-    """
-    pairs = read_table(path, PAIR_COLUMNS)
-    thermal = np.column_stack([pairs["thermal_x"], pairs["thermal_y"]])
+    """From a table of point pairs (`PAIR_COLUMNS`, px; thermal un-mirrored). Raises ConfigError."""
+    thermal, left, right = np.split(np.array([*read_table(path, PAIR_COLUMNS).values()]).T, 3, 1)
     try:
-        left, right = (
-            fit_homography(thermal, np.column_stack([pairs[f"{side}_x"], pairs[f"{side}_y"]]))
-            for side in ("left", "right")
-        )
+        return PairsResult(fit_homography(thermal, left), fit_homography(thermal, right))
     except ValueError as error:
         raise ConfigError.plain(f"{path}: {error}") from error
-    return PairsResult(left, right)

@@ -28,9 +28,8 @@ SIDES = ("left", "right")
 
 
 def read_opencv(path: Path, image_size: tuple[int, int] | None = None) -> Part:
-    """OpenCV's YAML or XML with M1 D1 M2 D2 and, where they are there, R T. Raises ConfigError.
-
-    ``image_size`` (columns, rows) px where the file has none: OpenCV's own sample leaves it out.
+    """OpenCV's M1 D1 M2 D2 and, if there, R T. Raises ConfigError. ``image_size`` (columns, rows)
+    px is for files without one, as OpenCV's own sample.
     """
     if not path.is_file():
         raise ConfigError.plain(f"{path}: no such file")
@@ -43,19 +42,26 @@ def read_opencv(path: Path, image_size: tuple[int, int] | None = None) -> Part:
             f"{path}: OpenCV can't read it as YAML or XML; does it begin with %YAML:1.0?"
         )
     names = ("M1", "D1", "M2", "D2", "R", "T", "image_size")
-    M1, D1, M2, D2, R, T, size = found = [storage.getNode(name).mat() for name in names]
+    found = {name: storage.getNode(name).mat() for name in names}
     storage.release()
-    if missing := [name for name, value in zip(names[:4], found, strict=False) if value is None]:
+    if missing := [name for name in names[:4] if found[name] is None]:
         raise ConfigError.plain(
             f"{path}: lacks {', '.join(missing)}; wanted: the stereo pair's M1 D1 M2 D2, and R T"
         )
+    M1, D1, M2, D2, R, T, size = found.values()
     if image_size is None:
-        if np.size(size) != 2 or size is None:
+        if size is None or np.size(size) != 2:
             raise ConfigError.plain(
                 f"{path}: lacks image_size; say it with --image-size COLUMNSxROWS"
             )
-        image_size = int(np.ravel(size)[0]), int(np.ravel(size)[1])
-    motion = None if R is None or T is None else _motion(R, T, path)
+        columns, rows = np.ravel(size).astype(int).tolist()
+        image_size = columns, rows
+    try:
+        motion = (
+            None if R is None or T is None else Motion(R.astype(float), T.ravel().astype(float))
+        )
+    except ValueError as error:
+        raise ConfigError.plain(f"{path}: R and T are no motion: {error}") from error
     left, right = _camera(M1, D1, image_size, path), _camera(M2, D2, image_size, path)
     return Part(left=left, right=right, right_from_left=motion)
 
@@ -101,9 +107,7 @@ def read_bouguet(path: Path) -> Part:
 
 
 def write_bouguet(part: Part, path: Path) -> None:
-    """A .mat file with the names that Bouguet's toolbox loads. Raises ConfigError without a stereo
-    motion.
-    """
+    """A .mat file as Bouguet's toolbox loads it. Raises ConfigError without a stereo motion."""
     left, right, motion = _pair(part)
     if motion is None:
         raise ConfigError.plain(
@@ -123,16 +127,12 @@ def write_bouguet(part: Part, path: Path) -> None:
 
 
 def read_ros(left: Path, right: Path | None = None) -> Part:
-    """ROS camera_info of the left and, where given, the right camera; the motion between them is
-    not in it. Raises ConfigError.
-    """
+    """camera_info of the left and, if given, the right camera; no motion. Raises ConfigError."""
     return Part(left=_ros_camera(left), right=_ros_camera(right) if right else None)
 
 
 def write_ros(part: Part, path: Path, camera: str) -> None:
-    """The camera_info of one camera, unrectified: R is the identity, P its own matrix. Raises
-    ConfigError for a camera that isn't there.
-    """
+    """The camera_info of one camera, unrectified. Raises ConfigError if it isn't there."""
     lens = {
         "left": part.left,
         "right": part.right,
@@ -196,13 +196,6 @@ def _camera(K: Any, kc: Any, size: tuple[int, int], path: Path) -> Camera:
     return Camera(size, (fx, fy), (u, v), skew / fx, (k1, k2, p1, p2, k3))
 
 
-def _motion(R: Any, T: Any, path: Path) -> Motion:
-    try:
-        return Motion(np.asarray(R, dtype=np.float64), np.ravel(np.asarray(T, dtype=np.float64)))
-    except ValueError as error:
-        raise ConfigError.plain(f"{path}: R and T are no motion: {error}") from error
-
-
 def _pair(part: Part) -> tuple[Camera, Camera, Motion | None]:
     if part.left is None or part.right is None:
         raise ConfigError.plain(
@@ -212,7 +205,6 @@ def _pair(part: Part) -> tuple[Camera, Camera, Motion | None]:
 
 
 def _matrix(camera: Camera) -> Array:
-    fx, fy = camera.fc
-    return np.array(
-        [[fx, fx * camera.alpha_c, camera.cc[0]], [0.0, fy, camera.cc[1]], [0.0, 0.0, 1.0]]
-    )
+    K = camera.matrix
+    K[0, 1] = camera.fc[0] * camera.alpha_c
+    return K

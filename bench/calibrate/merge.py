@@ -39,8 +39,6 @@ _BLOCKS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartFile:
-    """A step's file as read."""
-
     path: Path
     part: Part
     sha256: str
@@ -58,9 +56,7 @@ def read_part(path: Path) -> PartFile:
 
 
 def pair_of_part(part: Part) -> Pair:
-    """The stereo pair in ``part``, in the right camera's frame where it holds no world. Raises
-    ConfigError without a pair.
-    """
+    """The pair in ``part``; without a world, the right camera's frame. Raises ConfigError."""
     if part.left is None or part.right is None or part.right_from_left is None:
         raise ConfigError.plain(
             "the file holds no stereo pair ([cameras.left], [cameras.right], [stereo]), as"
@@ -71,9 +67,7 @@ def pair_of_part(part: Part) -> Pair:
 
 
 def merge(files: Sequence[PartFile], record: Record) -> Calibration:
-    """The whole calibration. Raises ConfigError for a part that is missing, there twice, or made
-    with another pair.
-    """
+    """The whole. Raises ConfigError for a part missing, there twice, or of another pair."""
     found: dict[str, PartFile] = {}
     for file in files:
         for name, (block, _) in _BLOCKS.items():
@@ -112,30 +106,20 @@ def _refuse_other_pair(found: Mapping[str, PartFile]) -> None:
 def _together(
     files: Sequence[PartFile], found: Mapping[str, PartFile]
 ) -> ParameterCovariance | None:
-    """One covariance: the world's file says that of the pair too; parts that know nothing of each
-    other are taken for independent.
-    """
+    """One covariance: the world's file has the pair's too; other parts are independent."""
     world, cameras = found["world_from_right"], found["left"]
     of_world = world.part.covariance
     has_pair = world is not cameras and any(
         owner != "world" for owner, _ in (of_world.names if of_world else ())
     )
-    kept = [
-        file.part.covariance
-        for file in files
-        if file.part.covariance and not (file is cameras and has_pair)
-    ]
-    if not kept:
-        return None
-    return ParameterCovariance(
-        tuple(name for one in kept for name in one.names), block_diag(*(one.matrix for one in kept))
-    )
+    kept = [f.part.covariance for f in files if not (f is cameras and has_pair)]
+    known = [one for one in kept if one]
+    names = tuple(name for one in known for name in one.names)
+    return ParameterCovariance(names, block_diag(*(one.matrix for one in known))) if known else None
 
 
 def _whole_record(files: Sequence[PartFile], record: Record) -> Record:
-    """The day of the oldest part: a calibration is as old as its oldest step. Every step's inputs
-    are kept, under the step's file.
-    """
+    """As old as its oldest step; every step's inputs are kept, under its file."""
     parts = [(file.path.name, file.part.record) for file in files if file.part.record]
     cameras = {name: identity for _, part in parts for name, identity in part.cameras.items()}
     inputs = {file.path.name: file.sha256 for file in files}

@@ -9,6 +9,7 @@ three distances, and a bar of the calibrated length.
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,9 +38,7 @@ LEAN_RAD = np.radians(38.0)
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One touch that is asked for. ``what`` names the place, ``number`` (from 0) which of several;
-    ``world_mm`` where it is known.
-    """
+    """One touch: the place ``what``, which of several, and ``world_mm`` where known."""
 
     what: str
     number: int
@@ -48,9 +47,7 @@ class Step:
 
 
 class TryingArm:
-    """An emulated arm on a loopback port, at ``url``, and the hand that holds its tip, at first on
-    the peg; to be used with ``with``.
-    """
+    """An emulated arm at ``url``, and the hand that holds its tip, at first on the peg."""
 
     def __init__(
         self,
@@ -109,14 +106,10 @@ class TryingArm:
             turns = 2.4 * np.arange(8)
             across, up = np.sin(LEAN_RAD), np.full(8, np.cos(LEAN_RAD))
             leaning = np.column_stack([across * np.cos(turns), across * np.sin(turns), up])
-            axes = [np.array([0.0, 0.0, 1.0]), *leaning]
-            self._within[key] = [axis for axis in axes if self._reaches(point, axis)]
+            self._within[key] = []
+            for axis in (np.array([0.0, 0.0, 1.0]), *leaning):
+                with suppress(OutOfReachError):
+                    self.emulator.check_reach(point, axis)
+                    self._within[key].append(axis)
         within = self._within[key]
         return point, within[number % len(within)]
-
-    def _reaches(self, point: Floats, axis: Floats) -> bool:
-        try:
-            self.emulator.check_reach(point, axis)
-        except OutOfReachError:
-            return False
-        return True

@@ -1,7 +1,5 @@
-"""The job behind `calibrate stage`: one teat end touched at several stage positions, and nothing
-else switched on.
-
-Heats nothing and takes no picture, but every instrument of the rig has to answer.
+"""`calibrate stage`: one teat end touched at several stage positions. Nothing heats, no picture is
+taken, but every instrument of the rig has to answer.
 """
 
 from __future__ import annotations
@@ -40,10 +38,9 @@ def calibrate_stage(
     seed: int,
     capture: Captures = NO_CAPTURE,
 ) -> Registration:
-    """The registration of ``rig``'s stage: ``teat`` of ``layout`` touched at these places (x, y mm
-    from the reference place; none: corners and middle), ``readings`` times each (None: the rig's).
-
-    Raises ConfigError before anything moves, and as operator and instruments do.
+    """The stage's registration: ``teat`` of ``layout`` touched at places (x, y mm from the
+    reference; none: corners and middle). Raises ConfigError before anything moves, and as
+    instruments do.
     """
     settings = rig.rig.stage
     if settings is None:

@@ -1,22 +1,39 @@
-"""Pictures of a board (folders by camera, files named by camera, or a recording) to views: one pose
-of the board each, with the same name in every camera. The board is found in each, alike in all
-cameras; what is refused has its reason.
+"""Pictures of a board to views: one pose of the board each, with the same name in every camera.
+
+Pictures are folders by camera, files named by camera, or a recording; or they are taken from a rig
+while somebody holds the board, until nothing is missing or the operator has had enough.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.config import ConfigError
+from bench.files import png_bytes, write_synced
+from bench.rig.loading import drawn
 from detector.calibration.boards import Board
-from detector.calibration.cameras import View
+from detector.calibration.cameras import (
+    COLUMNS,
+    LEAST_CORNERS,
+    ROWS,
+    Coverage,
+    View,
+    coverage,
+    rough_poses,
+)
 from detector.calibration.corners import Found, SubPixel, ViewRefusedError, find_board, order_alike
 from detector.calibration.diagnosis import PairView
+from instruments.camera.frame import Grey
 from instruments.camera.recording import RecordingError, read_grey
+from instruments.operators.operator import BoardAsked, Operator, OperatorEnough
+from instruments.world.boards import Pattern
 
 CAMERAS = ("left", "right", "thermal")
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
@@ -34,7 +51,6 @@ class PictureSet:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """All pictures, in the order of cameras and views."""
         return tuple(path for views in self.pictures.values() for path in views.values())
 
     def only(self, *cameras: str) -> PictureSet:
@@ -48,9 +64,7 @@ class PictureSet:
 
 
 def find_pictures(places: Sequence[Path]) -> PictureSet:
-    """All pictures in the folders ``places``. Raises ConfigError for a place that is none, or holds
-    none, or has a view twice.
-    """
+    """All pictures in ``places``. Raises ConfigError for no folder, no picture, a view twice."""
     found: dict[str, dict[str, Path]] = {}
     for place in places:
         if not place.is_dir():
@@ -96,14 +110,11 @@ def _in_folder(place: Path) -> list[tuple[str, str, Path]]:
 
 
 def _pictures(folder: Path) -> list[Path]:
-    """Empty where it is no folder."""
     return sorted(path for path in folder.glob("*") if path.suffix.lower() in ENDINGS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refused:
-    """A picture that was left out, and why."""
-
     camera: str
     view: str
     reason: str
@@ -111,9 +122,7 @@ class Refused:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardViews:
-    """The board as each camera saw it: ``found`` by camera and view. ``image_size`` (columns, rows)
-    px by camera.
-    """
+    """``found`` by camera and view; ``image_size`` (columns, rows) px by camera."""
 
     board: Board
     found: Mapping[str, Mapping[str, Found]]
@@ -148,10 +157,8 @@ def find_views(
     max_views: int | None = None,
     mirrored: frozenset[str] = frozenset(),
 ) -> BoardViews:
-    """The board in every picture; ``max_views`` takes that many, spread over the set. Raises
-    ConfigError for pictures that can't be.
-
-    Pictures of cameras in ``mirrored`` are turned round first.
+    """The board in every picture; at most ``max_views``, spread over the set; ``mirrored`` cameras
+    are turned first. Raises ConfigError for unreadable pictures or mixed sizes.
     """
     found: dict[str, dict[str, Found]] = {}
     sizes: dict[str, tuple[int, int]] = {}
@@ -189,11 +196,168 @@ def find_views(
 
 
 def _spread(views: Mapping[str, Path], most: int | None) -> dict[str, Path]:
-    """At most ``most`` views, evenly taken; the same ones in every camera whose views have the same
-    names.
-    """
+    """At most ``most``, evenly taken; the same where cameras have the same names."""
     names = sorted(views)
     if most is None or len(names) <= most:
         return dict(views)
     kept = {names[round(i * (len(names) - 1) / max(most - 1, 1))] for i in range(most)}
     return {name: path for name, path in views.items() if name in kept}
+
+
+MOST_VIEWS = 60
+TOLD = 3  # of what is missing, in one instruction
+GUIDE = "guide.png"
+HEIGHT_PX = 480  # of each camera's part of the guide's picture
+COVERED, MISSING, CORNER = (90, 170, 60), (60, 60, 200), (0, 200, 255)  # blue, green, red
+TINT = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class ViewsRequest:
+    """Cameras that see the board, cameras that it must cover (none: ``most`` views are taken),
+    whether it is heated, and cameras that come mirrored.
+    """
+
+    cameras: tuple[str, ...] = ("left", "right")
+    guided: tuple[str, ...] = ("left", "right")
+    heated: bool = False
+    most: int = MOST_VIEWS
+    mirrored: frozenset[str] = frozenset()
+
+
+def gather(
+    look: Callable[[], Mapping[str, Grey]],
+    operator: Operator,
+    board: Board,
+    wanted: ViewsRequest,
+    folder: Path,
+    tell: Callable[[str], None],
+) -> int:
+    """Keep views as CAMERA/NN.png; returns how many. Raises OperatorAbort, ConfigError."""
+    guide = Guide(board, wanted.guided)
+    pattern = pattern_of(board)
+    for number in range(1, wanted.most + 1):
+        missing = guide.missing
+        if wanted.guided and not missing:
+            tell("Nothing is missing any more.")
+            return number - 1
+        text = _instruction(wanted, missing)
+        asked = BoardAsked(pattern, text, number, wanted.cameras, wanted.heated)
+        try:
+            operator.ask(asked)
+        except OperatorEnough as enough:
+            tell(f"Enough: {enough}. Still missing: {'; '.join(missing) or 'nothing'}.")
+            return number - 1
+        seen = look()
+        for camera in wanted.cameras:
+            if camera not in seen:
+                raise ConfigError.plain(
+                    f"the rig has no {camera} camera: {', '.join(seen)} delivered pictures"
+                )
+        pictures = {camera: seen[camera] for camera in wanted.cameras}
+        for camera, picture in pictures.items():
+            write_picture(folder / camera / f"{number:02d}.png", picture)
+        said = guide.add(
+            {c: p[:, ::-1].copy() if c in wanted.mirrored else p for c, p in pictures.items()}
+        )
+        tell(f"view {number}: " + "; ".join(f"{camera} {text}" for camera, text in said.items()))
+        write_picture(folder / GUIDE, guide.picture())
+    tell(f"{wanted.most} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}.")
+    return wanted.most
+
+
+def free_folder(out: Path) -> Path:
+    """A folder beside ``out`` that isn't there yet: pictures are never overwritten."""
+    place = first = out.with_suffix(".pictures")
+    for n in count(2):
+        if not place.exists():
+            break
+        place = first.with_name(f"{first.name}-{n}")
+    return place
+
+
+def pattern_of(board: Board) -> Pattern:
+    return drawn(board, 0.5)
+
+
+def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
+    """A PNG, whole or not at all."""
+    write_synced(path, png_bytes(image))
+
+
+def _instruction(wanted: ViewsRequest, missing: tuple[str, ...]) -> str:
+    who = f"{' and '.join(wanted.cameras)} see{'s' if len(wanted.cameras) == 1 else ''}"
+    hold = f"Hold the {'heated ' * wanted.heated}board still where {who} all of it"
+    if not missing:
+        return f"{hold}, another way each time: {wanted.most} views."
+    more = f"; and {len(missing) - TOLD} more" if len(missing) > TOLD else ""
+    return f"{hold}. Missing: {'; '.join(missing[:TOLD])}{more}."
+
+
+class Guide:
+    """Views of ``board`` so far; ``guided`` cameras must be covered. Pictures are un-mirrored."""
+
+    def __init__(self, board: Board, guided: tuple[str, ...]) -> None:
+        self._board = board
+        self._guided = guided
+        self._found: dict[str, list[Found]] = {}
+        self._latest: dict[str, tuple[Grey, Found | None]] = {}
+
+    def add(self, pictures: Mapping[str, Grey]) -> dict[str, str]:
+        """One view; returns by camera: found, or refused with the reason."""
+        said = {}
+        for camera, picture in pictures.items():
+            try:
+                found = find_board(picture, self._board)
+            except ViewRefusedError as why:
+                self._latest[camera], said[camera] = (picture, None), f"refused: {why}"
+                continue
+            self._found.setdefault(camera, []).append(found)
+            self._latest[camera], said[camera] = (picture, found), f"found, {len(found.ids)} points"
+        return said
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What is still to be shown, as instructions; one that two cameras share comes once."""
+        told: dict[str, list[str]] = {}
+        for camera in self._guided:
+            for text in self._coverage(camera).missing:
+                told.setdefault(text, []).append(camera)
+        return tuple(f"{' and '.join(cameras)}: {text}" for text, cameras in told.items())
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The last views side by side, BGR: points found, cells green where covered, else red."""
+        parts = [self._drawn(camera, *self._latest[camera]) for camera in self._latest]
+        return np.asarray(np.hstack(parts), dtype=np.uint8)
+
+    def _coverage(self, camera: str) -> Coverage:
+        found = self._found.get(camera, [])
+        shape = self._latest[camera][0].shape if camera in self._latest else (1, 1)
+        size = (shape[1], shape[0])
+        pixels = [view.pixels_px for view in found]
+        points = [self._board.points_mm[view.ids] for view in found]
+        return coverage(pixels, size, rough_poses(points, pixels, size))
+
+    def _drawn(self, camera: str, picture: Grey, found: Found | None) -> NDArray[np.uint8]:
+        scale = HEIGHT_PX / picture.shape[0]
+        size = (round(picture.shape[1] * scale), HEIGHT_PX)
+        small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+        image = np.asarray(cv2.cvtColor(small, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+        corners = self._coverage(camera).corners
+        for row, column in np.ndindex(ROWS, COLUMNS) if camera in self._guided else ():
+            ends = np.array([[row, column], [row + 1, column + 1]]) * image.shape[:2]
+            (top, left), (bottom, right) = ends // (ROWS, COLUMNS)
+            cell = image[top:bottom, left:right]
+            colour = COVERED if corners[row, column] >= LEAST_CORNERS else MISSING
+            cell[:] = np.rint((1.0 - TINT) * cell + TINT * np.array(colour)).astype(np.uint8)
+            cv2.rectangle(image, (left, top), (right - 1, bottom - 1), colour, 1)
+        if found is not None:
+            for x, y in found.pixels_px * scale:
+                cv2.circle(image, (round(x), round(y)), 3, CORNER, 1, cv2.LINE_AA)
+        views = len(self._found.get(camera, []))
+        text = f"{camera}: {'found' if found else 'refused'}, {views} views"
+        for colour, width in (((0, 0, 0), 4), ((255, 255, 255), 1)):
+            cv2.putText(
+                image, text, (8, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, width, cv2.LINE_AA
+            )
+        return image

@@ -1,30 +1,41 @@
-"""Points that the arm touched and both cameras saw, read from comma-separated values with a first
-line of names: camera to table from them, or whether an existing calibration still holds.
+"""Points that both cameras see and the arm touches: gathered on a board (nine at each of two
+positions) or read from a table; the camera's pose in the world from them, or whether an existing
+calibration still holds.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+import io
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from scipy.stats import chi2
 
 from bench.calibrate.merge import pair_of_part
+from bench.calibrate.views import pattern_of, write_picture
 from bench.config import ConfigError, short
+from bench.files import write_synced
+from bench.truth.arm_tip import TipReader
 from detector.calibration import Part, Record
+from detector.calibration.boards import Board
+from detector.calibration.corners import ViewRefusedError, find_board, order_alike
 from detector.calibration.diagnosis import Finding, against_the_arm
+from detector.calibration.rigid import WorldFit, fit_world
 from detector.calibration.values import covariance_of_points
-from detector.calibration.world import WorldFit, fit_world
 from detector.geometry import Array
+from instruments.camera.frame import Grey
+from instruments.errors import DeviceError
+from instruments.microscribe.errors import ArmMovesError
+from instruments.microscribe.stream import Reading
+from instruments.operators.operator import BoardAsked, BoardTouch, Operator, Release
 
 
 def read_table(path: Path, columns: tuple[str, ...]) -> Mapping[str, Array]:
-    """Columns of numbers from a CSV file with a first line of names. Raises ConfigError with the
-    line.
-    """
+    """Columns of a CSV file with a first line of names. Raises ConfigError with the line."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.DictReader(file, strict=True)
@@ -66,9 +77,7 @@ LEAST_POINTS = 4  # three fix the pose and leave nothing to see by whether it is
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchedPoints:
-    """Points (n, 2) px in each camera, and (n, 3) mm where the arm touched them, in the world
-    frame.
-    """
+    """Points (n, 2) px in each camera, and touched (n, 3) mm in the world frame."""
 
     left_px: Array
     right_px: Array
@@ -83,7 +92,6 @@ class WorldResult:
     findings: tuple[Finding, ...]
 
     def part(self, record: Record) -> Part:
-        """What the file of this step holds: the world, and the covariance of it with the pair's."""
         fit = self.fit
         return Part(world_from_right=fit.world_from_right, covariance=fit.covariance, record=record)
 
@@ -101,9 +109,7 @@ def read_points(path: Path) -> TouchedPoints:
 def calibrate_world(
     points: TouchedPoints, cameras: Part, *, pixel_sd_px: float, touch_sd_mm: float
 ) -> WorldResult:
-    """The world's pose. Raises ConfigError (a sentence) for points that don't determine it, or a
-    file without the pair.
-    """
+    """The world's pose. Raises ConfigError for points that don't determine it, or no pair."""
     pair = pair_of_part(cameras)
     if len(points.touched_mm) < LEAST_POINTS:
         raise ConfigError.plain(
@@ -112,9 +118,7 @@ def calibrate_world(
         )
     try:
         fit = fit_world(
-            pair.left,
-            pair.right,
-            pair.right_from_left,
+            pair,
             points.left_px,
             points.right_px,
             points.touched_mm,
@@ -129,9 +133,7 @@ def calibrate_world(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointsAgain:
-    """Points that the arm touched, measured again: measured less touched (n, 3) mm, and what to
-    expect of each distance (n,) mm.
-    """
+    """Points measured again: ``missed_mm`` (n, 3) and each expected distance (n,) mm."""
 
     missed_mm: Array
     expected_mm: Array
@@ -140,9 +142,7 @@ class PointsAgain:
 def check_points(
     part: Part, points: TouchedPoints, *, pixel_sd_px: float, touch_sd_mm: float
 ) -> tuple[PointsAgain, tuple[Finding, ...]]:
-    """One or more touched points measured with a whole calibration, and what that tells. Raises
-    ConfigError for a part of one.
-    """
+    """Touched points measured with a whole calibration, and findings. Raises ConfigError."""
     pair = pair_of_part(part)
     if part.world_from_right is None:
         raise ConfigError.plain(
@@ -162,39 +162,165 @@ def check_points(
     noise += touch_sd_mm**2 * np.eye(3)
     own = covariance_of_points(pair, part.covariance, points.touched_mm, 0.0)
     again = PointsAgain(missed, np.sqrt(np.trace(noise + own, axis1=1, axis2=2)))
-    return again, (*_moved(missed, noise, own), *_scattered(missed, noise, own))
+    findings = []
+    # all off the same way: the calibration's error is common, noise averages out
+    mean, count = missed.mean(axis=0), len(missed)
+    off_mm, covariance = float(np.linalg.norm(mean)), own.mean(axis=0) + noise.mean(axis=0) / count
+    distance = float(mean @ np.linalg.solve(covariance, mean))
+    if off_mm >= MOVED_MATTERS_MM and distance >= chi2.ppf(1.0 - SIGNIFICANT, 3):
+        x, y, z = mean
+        sentence = (
+            f"points are measured {off_mm:.1f} mm off on the mean ({x:+.1f}, {y:+.1f}, {z:+.1f}"
+            " mm): the cameras, the arm or the table have moved against each other since"
+        )
+        findings.append(Finding("moved cameras", sentence))
+    # off in different ways, by more than noise and calibration allow
+    if free := count - 1:
+        left_over = float(np.sum((missed - mean) ** 2)) / free
+        expected = float(np.mean(again.expected_mm**2))
+        limit = max(SCATTER_MATTERS**2, chi2.ppf(1.0 - SIGNIFICANT, 3 * free) / (3 * free))
+        if left_over >= limit * expected:
+            sentence = (
+                f"points scatter by {np.sqrt(left_over):.1f} mm, where {np.sqrt(expected):.1f} mm"
+                " is to be expected: a lens or one of the cameras has moved, or points were"
+                " mistaken for each other"
+            )
+            findings.append(Finding("scattered points", sentence))
+    return again, tuple(findings)
 
 
-def _moved(missed: Array, noise: Array, own: Array) -> list[Finding]:
-    """Whether all are off the same way: the calibration's own error is common to them, noise
-    averages out.
+POSITIONS = 2
+TRIES = 4  # of one position, or of one point, before it is given up
+ROWS, COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
+# of the pitch: touched distances that miss printed ones by more are another point's
+MISTAKEN = 0.25
+WHERE = ("high and near", "lower and farther, tilted another way")
+POINTS_FILE = "points.csv"
+COLOUR = (0, 200, 255)
+
+
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """Cameras, operator and arm; ``tip_radius_mm`` of a ball tip, 0 for a point."""
+
+    look: Callable[[], Mapping[str, Grey]]
+    operator: Operator
+    tip: TipReader
+    tip_radius_mm: float
+    tell: Callable[[str], None]
+
+
+def gather_points(asking: Asking, board: Board, folder: Path) -> TouchedPoints:
+    """All points; numbered pictures and the points' table are kept in ``folder``. Raises
+    OperatorAbort, DeviceError where a board or a point fails too often, and as cameras and arm do.
     """
-    mean = missed.mean(axis=0)
-    covariance = own.mean(axis=0) + noise.mean(axis=0) / len(missed)
-    if np.linalg.norm(mean) < MOVED_MATTERS_MM or mean @ np.linalg.solve(
-        covariance, mean
-    ) < chi2.ppf(1.0 - SIGNIFICANT, 3):
-        return []
-    x, y, z = mean
-    sentence = (
-        f"points are measured {np.linalg.norm(mean):.1f} mm off on the mean ({x:+.1f}, {y:+.1f},"
-        f" {z:+.1f} mm): the cameras, the arm or the table have moved against each other since"
-    )
-    return [Finding("moved cameras", sentence)]
+    parts = []
+    for position in range(1, POSITIONS + 1):
+        seen = _fixed(asking, board, position, folder)
+        readings: list[Reading] = []
+        for at in range(len(nine(board))):
+            readings.append(_touched(asking, board, at, readings))
+        asking.operator.ask(Release())
+        centres, axes = [one.tip_mm for one in readings], [one.axis for one in readings]
+        parts.append((*seen, under_ball(centres, axes, asking.tip_radius_mm)))
+    points = TouchedPoints(*(np.vstack(columns) for columns in zip(*parts, strict=True)))
+    rows = np.hstack([points.left_px, points.right_px, points.touched_mm])
+    table = io.BytesIO()
+    np.savetxt(table, rows, "%.4f", ",", header=",".join(POINT_COLUMNS), comments="")
+    write_synced(folder / POINTS_FILE, table.getvalue())
+    return points
 
 
-def _scattered(missed: Array, noise: Array, own: Array) -> list[Finding]:
-    """Whether they are off in different ways by more than noise and calibration allow."""
-    free = len(missed) - 1
-    if not free:
-        return []
-    left_over = float(np.sum((missed - missed.mean(axis=0)) ** 2)) / free
-    expected = float(np.trace(noise + own, axis1=1, axis2=2).mean())
-    limit = max(SCATTER_MATTERS**2, chi2.ppf(1.0 - SIGNIFICANT, 3 * free) / (3 * free))
-    if left_over < limit * expected:
-        return []
-    sentence = (
-        f"points scatter by {np.sqrt(left_over):.1f} mm, where {np.sqrt(expected):.1f} mm is to be"
-        " expected: a lens or one of the cameras has moved, or points were mistaken for each other"
+def nine(board: Board) -> tuple[int, ...]:
+    """The points to be touched: corners, edges' middles and middle of the board."""
+    rows, columns = (0, board.rows // 2, board.rows - 1), (0, board.columns // 2, board.columns - 1)
+    return tuple(row * board.columns + column for row in rows for column in columns)
+
+
+def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> tuple[Array, Array]:
+    """The board fixed where both cameras see all of it: the nine points' pixels, (9, 2) each."""
+    again = ""
+    for _ in range(TRIES):
+        where = WHERE[(position - 1) % len(WHERE)]
+        text = (
+            f"{again}Position {position} of {POSITIONS}, {where}: fix the board where both cameras"
+            " see all of it and the arm reaches all of it, so that a touch can't move it. Take"
+            " hands and arm out of the pictures."
+        )
+        asking.operator.ask(BoardAsked(pattern_of(board), text, position, fixed=True))
+        pictures = asking.look()
+        try:
+            pixels = _looked(pictures, board)
+        except ViewRefusedError as why:
+            asking.tell(f"position {position}: refused: {why}")
+            again = f"Not found ({why}) "
+            continue
+        for camera, points in zip(("left", "right"), pixels, strict=True):
+            write_picture(folder / camera / f"position-{position}.png", pictures[camera])
+            image = np.asarray(cv2.cvtColor(pictures[camera], cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+            for number, (x, y) in enumerate(np.rint(points).astype(int).tolist(), 1):
+                cv2.circle(image, (x, y), 8, COLOUR, 2, cv2.LINE_AA)
+                font = cv2.FONT_HERSHEY_SIMPLEX
+                cv2.putText(image, str(number), (x + 10, y - 8), font, 0.8, COLOUR, 2, cv2.LINE_AA)
+            write_picture(folder / f"position-{position}-{camera}-numbered.png", image)
+        asking.tell(
+            f"position {position}: found; the points to touch are numbered in"
+            f" {folder / f'position-{position}-left-numbered.png'}"
+        )
+        return pixels
+    what = f"the board was not found at position {position}, {TRIES} times"
+    hint = "See the pictures: is it sharp, lit, and the board that the file describes?"
+    raise DeviceError("cameras", what, hint=hint)
+
+
+def _looked(pictures: Mapping[str, Grey], board: Board) -> tuple[Array, Array]:
+    left, right = (find_board(pictures[camera], board) for camera in ("left", "right"))
+    right, corners = order_alike(left, right, board), nine(board)
+    for camera, found in (("left", left), ("right", right)):
+        if hidden := [str(at + 1) for at, corner in enumerate(corners) if corner not in found.ids]:
+            raise ViewRefusedError(
+                f"the {camera} camera does not see point {', '.join(hidden)} of the nine: show all"
+                " of the board"
+            )
+    in_left, in_right = (
+        [np.flatnonzero(found.ids == corner)[0] for corner in corners] for found in (left, right)
     )
-    return [Finding("scattered points", sentence)]
+    return left.pixels_px[in_left], right.pixels_px[in_right]
+
+
+def _touched(asking: Asking, board: Board, at: int, before: list[Reading]) -> Reading:
+    """One point, read; again where the arm moved or its distances fit another point."""
+    which, corners, again = f"{ROWS[at // 3]} {COLUMNS[at % 3]}", nine(board), ""
+    text = (
+        f"Touch point {at + 1} of {len(corners)}, the {which} one, with the tip and hold it still."
+    )
+    for _ in range(TRIES):
+        asking.operator.ask(BoardTouch(corners[at], text, again))
+        try:
+            reading = asking.tip.read()
+        except ArmMovesError as moves:
+            again = f"{moves} Touch it once more."
+            continue
+        printed, wrong = board.points_mm[list(corners)], ""
+        for earlier, known in enumerate(before):
+            apart_mm = float(np.linalg.norm(printed[at] - printed[earlier]))
+            touched_mm = float(np.linalg.norm(reading.tip_mm - known.tip_mm))
+            if abs(touched_mm - apart_mm) > MISTAKEN * board.pitch_mm and not wrong:
+                wrong = (
+                    f"That lies {touched_mm:.1f} mm from point {earlier + 1}, where the print has"
+                    f" {apart_mm:.1f} mm: another point, or the board has moved. Once more."
+                )
+        if not wrong:
+            return reading
+        again = wrong
+        asking.tell(again)
+    what = f"point {at + 1} of the board was not touched well, {TRIES} times; the last one: {again}"
+    raise DeviceError("arm", what)
+
+
+def under_ball(centres_mm: list[Array], axes: list[Array], radius_mm: float) -> Array:
+    """Points (n, 3) of a plane touched with a ball tip, from its centres and the stylus's axes."""
+    points = np.array(centres_mm, dtype=np.float64)
+    normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
+    side = 1.0 if float(np.mean(axes, axis=0) @ normal) > 0 else -1.0
+    return np.asarray(points - radius_mm * side * normal)

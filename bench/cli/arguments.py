@@ -206,7 +206,7 @@ def size(text: str) -> tuple[int, int]:
 
 def step(text: str) -> dict[str, float]:
     """A step of the stage, as X-5Y2.5."""
-    from bench.rig.stage_alone import step as taken
+    from bench.rig.alone import step as taken
 
     try:
         return taken(text)

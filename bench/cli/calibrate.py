@@ -20,8 +20,7 @@ from bench.calibrate.merge import merge as merged
 from bench.cli.arguments import CODES, command_line, complain, refuse_existing
 from bench.config import ConfigError
 from bench.files import write_synced
-from bench.rig.board import find_board_file, load_board
-from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.loading import LoadedRig, find_board_file, find_rig, load_board, load_rig
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
     Calibration,
@@ -35,7 +34,7 @@ from instruments.clock import wall_time
 if TYPE_CHECKING:
     from bench.calibrate.cameras import Delivered
     from bench.calibrate.views import BoardViews
-    from bench.rig.cameras_alone import Look
+    from bench.rig.alone import Look
     from bench.rig.devices import Devices
     from detector.calibration.diagnosis import Finding
     from instruments.camera.frame import Grey
@@ -316,7 +315,7 @@ def _gather_views(
 
     Raises ConfigError, InstrumentError, OperatorAbort.
     """
-    from bench.calibrate.capture import ViewsRequest, free_folder, gather
+    from bench.calibrate.views import ViewsRequest, free_folder, gather
     from instruments.operators.operator import Finish
 
     request = ViewsRequest(**wanted)
@@ -335,8 +334,8 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
     """Points of ``given.board`` that the arm of ``given.rig`` touched and its cameras, those of
     ``known``, saw: a table.
     """
-    from bench.calibrate.capture import free_folder
-    from bench.calibrate.touch_board import POINTS_FILE, Asking, gather_points
+    from bench.calibrate.views import free_folder
+    from bench.calibrate.world import POINTS_FILE, Asking, gather_points
     from bench.truth.arm_tip import TipReader
     from instruments.operators.operator import Finish, Homing
 
@@ -378,7 +377,7 @@ def _opened(
 
 def _look(parts: Devices, rig: LoadedRig) -> Look:
     """Takes each camera's picture, once whatever the operator moved has come to rest."""
-    from bench.rig.cameras_alone import patient, pictures
+    from bench.rig.alone import patient, pictures
 
     taken = patient(lambda: pictures(parts.cameras.capture()))
 

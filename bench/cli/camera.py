@@ -9,23 +9,23 @@ import sys
 
 from bench.cli.arguments import CODES, complain
 from bench.config import ConfigError
-from bench.rig.cameras_alone import (
+from bench.rig.alone import (
     Alone,
     calibration_text,
+    cameras_of_rig,
     figures,
-    of_rig,
     open_alone,
     patient,
     pictures,
 )
-from bench.rig.cameras_alone import attached as attached_cameras
+from bench.rig.alone import attached as attached_cameras
 from bench.rig.frame_capture import FrameTaker
 from instruments.camera.quality import edge_blur_px
 from instruments.camera.recording import RecordingWriter
 
 
 def attached(given: argparse.Namespace) -> int:
-    rows = list(of_rig(given.rig) if given.rig else attached_cameras())
+    rows = list(cameras_of_rig(given.rig) if given.rig else attached_cameras())
     for name, what in rows:
         print(f"{name}  {what}")
     if not rows:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def check(given: argparse.Namespace) -> int:
-    from bench.rig.check import check_rig
+    from bench.rig.alone import check_rig
 
     rig = load_rig(find_rig(given.rig))
     if rig.made_calibration is None:

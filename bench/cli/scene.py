@@ -43,7 +43,7 @@ def sheet(given: argparse.Namespace) -> int:
 
 
 def boards(given: argparse.Namespace) -> int:
-    from bench.rig.board import find_board_file
+    from bench.rig.loading import find_board_file
     from bench.rig.scenes import record_boards
 
     board, watching = find_board_file(given.board), given.camera or ["left", "right"]

@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 from bench.cli.arguments import CODES, complain
 from bench.config import ConfigError
-from bench.rig import stage_alone
+from bench.rig import alone
+from bench.rig.alone import open_stage, shown
 from bench.rig.model import Stage as StageTable
-from bench.rig.stage_alone import open_stage, shown
 from instruments.errors import LimitError
 from instruments.stage.driver import Stage
 
@@ -22,12 +22,12 @@ def _at(given: argparse.Namespace) -> StageTable:
         raise ConfigError.plain(
             "--axes goes with --port; a rig file says itself which axes its stage has"
         )
-    return stage_alone.of_rig(given.rig)
+    return alone.stage_of_rig(given.rig)
 
 
 def status(given: argparse.Namespace) -> int:
     with open_stage(_at(given), given.capture) as stage:
-        figures = stage_alone.described(stage)
+        figures = alone.described(stage)
     if given.json:
         print(json.dumps(figures))
     else:
@@ -43,7 +43,7 @@ def home(given: argparse.Namespace) -> int:
 def move(given: argparse.Namespace) -> int:
     def go(stage: Stage) -> None:
         target = given.x_mm, given.y_mm
-        stage_alone.check_target(stage, *target, z_mm=given.z_mm, a_deg=given.a_deg)
+        alone.check_target(stage, *target, z_mm=given.z_mm, a_deg=given.a_deg)
         _home(stage)
         stage.move_to(*target, z_mm=given.z_mm, a_deg=given.a_deg, feed_mm_min=given.feed)
         print(f"moved: {shown(stage)}")
@@ -55,7 +55,7 @@ def jog(given: argparse.Namespace) -> int:
     def go(stage: Stage) -> None:
         _home(stage)
         for way in given.steps:
-            stage_alone.jog(stage, way, given.feed)
+            alone.jog(stage, way, given.feed)
             print(f"moved: {shown(stage)}", flush=True)
 
     return _work(given, go)

@@ -24,10 +24,9 @@ from bench.files import png_bytes
 from bench.results.answers import Examiner
 from bench.rig.devices import Cameras as OpenCameras
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.emulation_model import EmulatedStage, Emulation, Placed
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
-from bench.rig.model import Cameras, Checks, FocusTable, Stage
+from bench.rig.model import Cameras, Checks, EmulatedStage, Emulation, FocusTable, Placed, Stage
 from bench.rig.urls import EMULATED
 from bench.run.rows import stage_pictures
 from bench.script.model import LoadedScript

@@ -14,8 +14,7 @@ from bench.calibrate.world import PointsAgain, WorldResult
 from bench.report.wording import NOT_MEASURED, key_values, listed, spanned, table
 from detector.calibration import Record
 from detector.calibration.bundle import LENS, POSE
-from detector.calibration.cameras import Calibrated
-from detector.calibration.coverage import SIDES, Coverage
+from detector.calibration.cameras import SIDES, Calibrated, Coverage
 from detector.calibration.diagnosis import Finding, Remeasured
 from detector.geometry import Array, Motion
 from reports.figures import precision_by_distance, residual_field

@@ -14,29 +14,33 @@ chooses how many.
 
 Both files hold what was touched, and beside it what follows from it, for people and other programs.
 Reading works the figures out again from the touches and refuses a file whose figures don't follow:
-it was changed by hand. A file of another arm is refused too.
+it was changed by hand. A frame of another arm is refused too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from itertools import combinations
 from math import sqrt
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AwareDatetime, Field
+from pydantic import AwareDatetime, Field, PlainSerializer, PlainValidator, TypeAdapter
 
 from bench.config import ConfigError, KeyPath, Section, located, read_config, read_text
 from bench.files import write_synced
 from bench.toml import toml_text
 from detector.geometry import Motion
 
-Floats = NDArray[np.float64]
+Floats = Annotated[
+    NDArray[np.float64],
+    PlainValidator(lambda rows: np.array(rows, dtype=np.float64)),
+    PlainSerializer(np.ndarray.tolist),
+]
 Triple = tuple[float, float, float]
 
 DEFINING = ("origin", "x axis", "plane")
@@ -46,14 +50,12 @@ _STEP_MM = 1e-3
 
 
 class FrameError(ValueError):
-    """The touches give no frame. The sentence says which of them, and what to do."""
+    """The touches give no frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class TouchedPoint:
-    """One touch: ``arm_mm`` in the arm's frame, ``spread_mm`` of its reading. ``world_mm`` where
-    its place is known; a check point without it lies in the plane z = 0.
-    """
+    """One touch and its reading's spread. Without ``world_mm``, a check point lies in z = 0."""
 
     name: str
     arm_mm: Triple
@@ -63,9 +65,7 @@ class TouchedPoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableFrame:
-    """``world_from_arm`` of one arm at one place. The first three ``points`` define it, the others
-    check it.
-    """
+    """``world_from_arm`` of one arm; the first three ``points`` define it, the others check it."""
 
     made: datetime
     serial_number: str
@@ -76,9 +76,7 @@ class TableFrame:
     def from_touches(
         cls, made: datetime, serial_number: str, points: Sequence[TouchedPoint]
     ) -> TableFrame:
-        """The frame of at least three touches, in the order of `DEFINING`, then check points.
-        Raises FrameError.
-        """
+        """From at least three touches, as `DEFINING`, then check points. Raises FrameError."""
         if len(points) < len(DEFINING):
             raise FrameError(
                 f"a table frame needs three touches (origin, on x, in the plane), not {len(points)}"
@@ -86,19 +84,18 @@ class TableFrame:
         names = [point.name for point in points]
         if len(set(names)) < len(names):
             raise FrameError(f"two touches have the same name: {', '.join(names)}")
-        return cls(
-            made,
-            serial_number,
-            tuple(points),
-            world_from_arm([point.arm_mm for point in points[:3]]),
-        )
+        motion = world_from_arm([point.arm_mm for point in points[:3]])
+        return cls(made, serial_number, tuple(points), motion)
 
     @property
     def residuals_mm(self) -> dict[str, float]:
-        """By check point: the distance from where it should be, or from the plane where only that
-        is known.
-        """
-        return {point.name: self._off_mm(point) for point in self.points[3:]}
+        """Distance of each check point from its known place, or from the plane z = 0."""
+        off = {}
+        for point in self.points[3:]:
+            found = self.world_from_arm.apply(point.arm_mm)
+            known = (*found[:2], 0.0) if point.world_mm is None else point.world_mm
+            off[point.name] = float(np.linalg.norm(found - np.array(known)))
+        return off
 
     @property
     def residual_mm(self) -> float | None:
@@ -107,9 +104,7 @@ class TableFrame:
 
     @property
     def hangs(self) -> bool:
-        """Whether the arm's own z axis points down in this frame: it hangs, or the third touch was
-        on the wrong side.
-        """
+        """Whether the arm's z axis points down: it hangs, or the third touch was wrong."""
         return bool(self.world_from_arm.R[2, 2] < 0.0)
 
     def u_registration_mm(self, world_mm: ArrayLike, u_mm: float) -> float:
@@ -127,43 +122,31 @@ class TableFrame:
             squares += float(np.sum(np.square((ends[0] - ends[1]) / (2.0 * _STEP_MM))))
         return u_mm * sqrt(squares / 3.0)
 
-    def _off_mm(self, point: TouchedPoint) -> float:
-        found = self.world_from_arm.apply(point.arm_mm)
-        return (
-            abs(float(found[2]))
-            if point.world_mm is None
-            else float(np.linalg.norm(found - np.array(point.world_mm)))
-        )
-
 
 def world_from_arm(touched_mm: ArrayLike) -> Motion:
-    """The motion for touches (3, 3) mm, rows origin, on x, in the plane. Raises FrameError where
-    they are near or in a line.
-    """
+    """From touches (3, 3) mm: origin, on x, in the plane. Raises FrameError if in a line."""
     touched = np.asarray(touched_mm, dtype=np.float64)
     if touched.shape != (3, 3) or not np.isfinite(touched).all():
         raise FrameError(
             f"a table frame is made of three points in space, not of {touched.tolist()}"
         )
     origin, on_x, in_plane = touched
-    _apart(float(np.linalg.norm(on_x - origin)), "the touch on the x axis is {} from the origin")
-    x = (on_x - origin) / np.linalg.norm(on_x - origin)
-    across = (in_plane - origin) - ((in_plane - origin) @ x) * x
-    _apart(
-        float(np.linalg.norm(across)),
+
+    def direction(way: Floats, sentence: str) -> Floats:
+        if (distance_mm := float(np.linalg.norm(way))) < APART_MM:
+            raise FrameError(
+                f"{sentence.format(f'{distance_mm:.1f} mm')}; {APART_MM:g} mm are needed. Touch a"
+                " point further away"
+            )
+        return way / distance_mm
+
+    x = direction(on_x - origin, "the touch on the x axis is {} from the origin")
+    y = direction(
+        (in_plane - origin) - ((in_plane - origin) @ x) * x,
         "the third touch is {} from the x axis, so the three are nearly in a line",
     )
-    y = across / np.linalg.norm(across)
     R = np.stack([x, y, np.cross(x, y)])
     return Motion(R, -R @ origin)
-
-
-def _apart(distance_mm: float, sentence: str) -> None:
-    if distance_mm < APART_MM:
-        raise FrameError(
-            f"{sentence.format(f'{distance_mm:.1f} mm')}; {APART_MM:g} mm are needed. Touch a point"
-            " further away"
-        )
 
 
 LEAST_TOUCHES = 5  # the orientations of ISO 10360-12
@@ -173,9 +156,7 @@ LEAST_SWING_DEG = 30.0  # with less, the joints hardly moved, and the test could
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocationTest:
-    """Readings of one divot: ``tips_mm`` (n, 3), ``axes`` (n, 3) unit, from the tip up the stylus.
-    Raises ValueError for fewer than two.
-    """
+    """Readings of one divot: ``tips_mm``, unit ``axes`` (n, 3), n >= 2, else ValueError."""
 
     where: str
     tips_mm: Floats
@@ -195,7 +176,6 @@ class LocationTest:
 
     @property
     def n(self) -> int:
-        """How many readings."""
         return len(self.tips_mm)
 
     @property
@@ -220,9 +200,7 @@ class LocationTest:
 
     @property
     def sphere_mm(self) -> float:
-        """Diameter of the least sphere that holds all readings: the form in which ISO 10360-12
-        states it.
-        """
+        """Diameter of the least sphere round all readings (ISO 10360-12)."""
         return least_sphere_mm(self.tips_mm)
 
     @property
@@ -242,7 +220,6 @@ class LengthTest:
 
     @property
     def measured_mm(self) -> float:
-        """The distance between the ends."""
         return float(np.linalg.norm(self.b_mm - self.a_mm))
 
     @property
@@ -280,20 +257,15 @@ class Verification:
 
     @property
     def length_two_rms_mm(self) -> float | None:
-        """2 sqrt(sum(e^2) / n), as ASME B89.4.22 states the volumetric performance; None where none
-        was measured.
-        """
+        """2 sqrt(sum(e^2) / n), volumetric performance of ASME B89.4.22; None without lengths."""
         errors = [test.error_mm for test in self.lengths]
         return 2.0 * float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
     def faults(self, limits: Limits) -> tuple[str, ...]:
-        """A sentence for each limit that the arm breaks, and for each thing that was not shown.
-        Empty: verified.
-        """
+        """A sentence for each broken limit and each gap. Empty: verified."""
         return (*self.broken(limits), *self.gaps(limits))
 
     def broken(self, limits: Limits) -> tuple[str, ...]:
-        """A sentence for each limit that the arm breaks."""
         found = [fault for test in self.locations for fault in broken_by(test, limits.location_mm)]
         worst = max(self.lengths, key=lambda test: abs(test.error_mm), default=None)
         if worst and limits.length_mm is not None and abs(worst.error_mm) > limits.length_mm:
@@ -304,52 +276,29 @@ class Verification:
         return tuple(found)
 
     def gaps(self, limits: Limits) -> tuple[str, ...]:
-        """A sentence for each thing that was not shown: too few touches, too little swing, no
-        length.
-        """
+        """A sentence for each thing not shown: too few touches, too little swing, no length."""
         found = [gap for test in self.locations for gap in gaps_of(test, LEAST_TOUCHES)]
         if limits.length_mm is not None and not self.lengths:
             found.append("no calibrated length was measured")
         return tuple(found)
 
 
+_VERIFICATION = TypeAdapter(Verification)
+
+
 def as_dict(verification: Verification) -> dict[str, Any]:
     """Plain numbers and text: what was touched, from which all figures follow."""
-    return {
-        "made": verification.made.isoformat(),
-        "serial_number": verification.serial_number,
-        "locations": [_touched(test) for test in verification.locations],
-        "lengths": [_touched(test) for test in verification.lengths],
-    }
-
-
-def _touched(test: LocationTest | LengthTest) -> dict[str, Any]:
-    values = {field.name: getattr(test, field.name) for field in fields(test)}
-    return {key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in values.items()}
+    touched: dict[str, Any] = _VERIFICATION.dump_python(verification)
+    return {**touched, "made": verification.made.isoformat()}
 
 
 def from_dict(table: Mapping[str, Any]) -> Verification:
-    """The inverse of `as_dict`."""
-    return Verification(
-        datetime.fromisoformat(table["made"]),
-        table["serial_number"],
-        tuple(
-            LocationTest(t["where"], np.array(t["tips_mm"]), np.array(t["axes"]))
-            for t in table["locations"]
-        ),
-        tuple(
-            LengthTest(t["where"], np.array(t["a_mm"]), np.array(t["b_mm"]), t["calibrated_mm"])
-            for t in table["lengths"]
-        ),
-    )
+    return _VERIFICATION.validate_python(table)
 
 
 def broken_by(test: LocationTest, limit_mm: float) -> list[str]:
-    """What speaks against the arm at one divot."""
-    if test.largest_mm <= limit_mm:
-        return []
     said = f"{test.where}: readings of one point lie up to {test.largest_mm:.2f} mm from their mean"
-    return [f"{said}, limit {limit_mm:g} mm"]
+    return [f"{said}, limit {limit_mm:g} mm"] if test.largest_mm > limit_mm else []
 
 
 def gaps_of(test: LocationTest, least: int) -> list[str]:
@@ -366,11 +315,8 @@ def gaps_of(test: LocationTest, least: int) -> list[str]:
 
 
 def least_sphere_mm(points_mm: Floats) -> float:
-    """Diameter of the least sphere round points (n, 3); 0 for a single one.
-
-    The least sphere touches two, three or four of them: the largest of the least spheres of all
-    such sets is it, since each set's is no larger than that of the whole. Meant for the few dozen
-    readings of a test.
+    """Diameter of the least sphere round points (n, 3), 0 for one: the largest of the least spheres
+    of all sets of two, three and four of them. For a few dozen points.
     """
     return max(
         (
@@ -383,9 +329,7 @@ def least_sphere_mm(points_mm: Floats) -> float:
 
 
 def _sphere_of(few: Floats) -> float:
-    """Diameter of the sphere through all points (k, 3) with its centre in their plane; 0 where that
-    isn't their least one.
-    """
+    """Diameter of the sphere through points (k, 3), centred in their plane; 0 if not the least."""
     sides = few[1:] - few[0]
     weights, *_ = np.linalg.lstsq(2.0 * sides @ sides.T, np.sum(sides**2, axis=1), rcond=None)
     if (weights < 0.0).any() or weights.sum() > 1.0:
@@ -417,9 +361,6 @@ class _Point(Section):
 class _ArmFile(Section):
     made: AwareDatetime
     serial_number: str
-
-
-File = TypeVar("File", bound=_ArmFile)
 
 
 class _FrameFile(_ArmFile):
@@ -464,31 +405,30 @@ class _VerificationFile(_ArmFile):
 
 
 def frame_text(frame: TableFrame) -> str:
-    """``frame`` as the text of its file."""
     return toml_text(_frame_table(frame), FRAME_HEADING)
 
 
 def _frame_table(frame: TableFrame) -> dict[str, Any]:
-    motion, residuals = frame.world_from_arm, frame.residuals_mm
+    motion, off = frame.world_from_arm, frame.residuals_mm
     return {
         "made": frame.made,
         "serial_number": frame.serial_number,
         "om": motion.om.tolist(),
         "T": motion.T.tolist(),
         "residual_mm": frame.residual_mm,
-        "points": [
-            {**asdict(point), "residual_mm": residuals.get(point.name)} for point in frame.points
-        ],
+        "points": [{**asdict(p), "residual_mm": off.get(p.name)} for p in frame.points],
     }
 
 
 def load_frame(path: Path, *, serial_number: str | None = None) -> TableFrame:
-    """The frame at ``path``, of the arm ``serial_number`` where given. Raises ConfigError with all
-    faults, each in its place.
-    """
-    file = _read(
-        path, _FrameFile, serial_number, "Make the frame anew with this arm: 'teatbench arm frame'"
-    )
+    """The frame at ``path``, of the arm ``serial_number`` if given. ConfigError."""
+    file = read_config(path, _FrameFile)
+    if serial_number not in (None, file.serial_number):
+        message = (
+            f"this file is of the arm {file.serial_number}, but the arm that answers is"
+            f" {serial_number}. Make the frame anew with this arm: 'teatbench arm frame'"
+        )
+        raise located(path, read_text(path), [(("serial_number",), message, False)])
     points = [TouchedPoint(p.name, p.arm_mm, p.spread_mm, p.world_mm) for p in file.points]
     try:
         frame = TableFrame.from_touches(file.made, file.serial_number, points)
@@ -499,38 +439,31 @@ def load_frame(path: Path, *, serial_number: str | None = None) -> TableFrame:
 
 
 def verification_text(verification: Verification, limits: Limits) -> str:
-    """``verification`` with what ``limits`` say of it, as the text of its file."""
     return toml_text(_verification_table(verification, limits), VERIFICATION_HEADING)
 
 
 def _verification_table(found: Verification, limits: Limits) -> dict[str, Any]:
     touched = as_dict(found)
-    figures = ("n", "largest_mm", "two_sd_mm", "sphere_mm", "swing_deg")
+
+    def rows(name: str, *keys: str) -> list[dict[str, Any]]:
+        tests = zip(getattr(found, name), touched[name], strict=True)
+        return [{**{key: getattr(test, key) for key in keys}, **row} for test, row in tests]
+
+    whole = ("made", "serial_number", "location_mm", "length_mm", "length_two_rms_mm")
     return {
-        "made": found.made,
-        "serial_number": found.serial_number,
+        **{key: getattr(found, key) for key in whole},
         "passed": not found.faults(limits),
-        "location_mm": found.location_mm,
-        "length_mm": found.length_mm,
-        "length_two_rms_mm": found.length_two_rms_mm,
         "limits": asdict(limits),
-        "location": [
-            {"where": test.where, **{key: getattr(test, key) for key in figures}, **table}
-            for test, table in zip(found.locations, touched["locations"], strict=True)
-        ],
-        "length": [
-            {"where": t.where, "calibrated_mm": t.calibrated_mm, "error_mm": t.error_mm, **table}
-            for t, table in zip(found.lengths, touched["lengths"], strict=True)
-        ]
-        or None,
+        "location": rows(
+            "locations", "where", "n", "largest_mm", "two_sd_mm", "sphere_mm", "swing_deg"
+        ),
+        "length": rows("lengths", "where", "calibrated_mm", "error_mm") or None,
     }
 
 
-def load_verification(path: Path, *, serial_number: str | None = None) -> Verification:
-    """The verification at ``path``, of the arm ``serial_number`` where given. Raises ConfigError
-    with all faults, each in its place.
-    """
-    file = _read(path, _VerificationFile, serial_number, "Verify this arm: 'teatbench arm verify'")
+def load_verification(path: Path) -> Verification:
+    """The verification at ``path``. Raises ConfigError with all faults, each in its place."""
+    file = read_config(path, _VerificationFile)
     uneven = [
         (("location", i, "axes"), "must have a row for each of tips_mm", False)
         for i, test in enumerate(file.location)
@@ -539,32 +472,19 @@ def load_verification(path: Path, *, serial_number: str | None = None) -> Verifi
     if uneven:
         raise located(path, read_text(path), uneven)
     said = file.model_dump()
-    lists = {"locations": said["location"], "lengths": said["length"]}
-    found = from_dict({**said, **lists, "made": file.made.isoformat()})
-    limits = Limits(file.limits.location_mm, file.limits.length_mm)
-    _refuse_changed(path, file, _verification_table(found, limits))
+    found = from_dict({**said, "locations": said["location"], "lengths": said["length"]})
+    _refuse_changed(path, file, _verification_table(found, Limits(**said["limits"])))
     return found
 
 
 def write_file(path: Path, text: str) -> None:
-    """Write ``text`` so that it is there whole or not at all. Raises ConfigError where the folder
-    can't be written.
-    """
+    """Write ``text`` whole or not at all. Raises ConfigError."""
     try:
         write_synced(path, text.encode("utf-8"))
     except OSError as error:
         raise ConfigError.plain(
             f"{path} can't be written: {error.strerror or error}. Name another place with --out."
         ) from error
-
-
-def _read(path: Path, model: type[File], wanted: str | None, then: str) -> File:
-    file = read_config(path, model)
-    of = file.serial_number
-    if wanted is not None and of != wanted:
-        message = f"this file is of the arm {of}, but the arm that answers is {wanted}. {then}"
-        raise located(path, read_text(path), [(("serial_number",), message, False)])
-    return file
 
 
 def _refuse_changed(path: Path, file: Section, follows: Mapping[str, Any]) -> None:

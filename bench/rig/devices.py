@@ -1,6 +1,4 @@
-"""The instruments of an open rig, and the two things that concern all of them: who they are, and
-going to safe.
-"""
+"""The instruments of an open rig: who they are, and how they are made safe."""
 
 from __future__ import annotations
 
@@ -31,9 +29,7 @@ class Cameras(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Devices:
-    """All that is open. ``stage`` is None on a rig without one; an operator then moves the phantom.
-    ``exact_ends``, world mm (n, 3), is there on an emulated rig only.
-    """
+    """All that is open. ``exact_ends``, world mm (n, 3), is there on an emulated rig only."""
 
     clock: Clock
     arm: MicroScribe
@@ -46,30 +42,20 @@ class Devices:
     def identities(self) -> dict[str, dict[str, str]]:
         """What each instrument says of itself; where it was reached stands in the rig file."""
         stage = {"stage": asdict(self.stage.identity)} if self.stage else {}
-        return {
-            "arm": asdict(self.arm.identity),
-            "bath": {key: value for key, value in self.bath.identity.items() if key != "url"},
-            **stage,
-            "cameras": dict(self.cameras.identity),
-        }
+        bath = {key: value for key, value in self.bath.identity.items() if key != "url"}
+        cameras = dict(self.cameras.identity)
+        return {"arm": asdict(self.arm.identity), "bath": bath, **stage, "cameras": cameras}
 
     def safe_states(self) -> dict[str, str]:
-        """What safe is, as each driver declares it."""
-        stage = {"stage": self.stage.safe_state} if self.stage else {}
-        return {
-            "bath": self.bath.safe_state,
-            **stage,
-            "arm": self.arm.safe_state,
-            "cameras": "nothing to make safe",
-        }
+        drivers = {"bath": self.bath, "stage": self.stage, "arm": self.arm}
+        states = {name: driver.safe_state for name, driver in drivers.items() if driver}
+        return {**states, "cameras": "nothing to make safe"}
 
     def make_safe(
         self, tell: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False
     ) -> tuple[str, ...]:
-        """Bath to standby, stage still, arm's session ended; returns who could not be made safe.
-
-        Each step is tried whatever another one raised, an interrupt included. ``cut_short`` ends
-        the wait for a pump that runs on.
+        """Bath to standby, stage still, arm's session ended; returns the names that failed. Each
+        step is tried, whatever another one raised. ``cut_short`` ends the pump's run-on.
         """
         steps: dict[str, Callable[[], object]] = {"bath": lambda: heater_off(self.bath)}
         if self.stage:

@@ -1,19 +1,17 @@
-"""Stands up an emulated rig in this process: one world, and an emulator for each instrument, on a
-loopback port or a pty.
-"""
+"""Stands up an emulated rig: one world, an emulator for each instrument, on ports or ptys."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import located, read_text
-from bench.rig.emulation_model import EmulatedFault, EmulatedStage, make_renderer
 from bench.rig.loading import LoadedRig
-from bench.rig.model import Stage
+from bench.rig.model import EmulatedFault, EmulatedStage, Stage, make_renderer
 from detector.geometry import Motion
 from instruments.bath.emulator import BathEmulator, Framing, RelayEmulator
 from instruments.bath.profile import Profile, RelayProfile
@@ -51,12 +49,9 @@ class PlacedHand:
 
 
 class EmulatedRig:
-    """The emulators of ``rig``; ``urls`` says where each listens. To be closed, or used with
-    ``with``.
-
-    With ``pty``, what has a serial port is on a pseudo-terminal; with ``paced``, it speaks at the
-    rig's rate in real time. Raises OSError for an address that can't be had, ValueError for either
-    under virtual time, and ConfigError for a fault that the bath can't have there.
+    """The emulators of ``rig``. ``pty``: serial ports are pseudo-terminals; ``paced``: real baud.
+    Raises OSError for an address, ValueError for either under virtual time, ConfigError for a
+    fault.
     """
 
     def __init__(
@@ -90,8 +85,7 @@ class EmulatedRig:
             check_point_mm=rig.rig.arm.check_point_mm,
             mistakes=emulation.mistakes,
         )
-        self._clock = clock
-        self._host, self._pty, self._paced = host, pty, paced
+        self._clock, self._host, self._pty, self._paced = clock, host, pty, paced
         self._listeners: dict[str, Listener | PtyListener] = {}
         placed = Motion.from_vectors(emulation.arm_placed.om, emulation.arm_placed.T)
         self.arm = ArmEmulator(
@@ -116,12 +110,11 @@ class EmulatedRig:
                 except ValueError as error:
                     key = ("emulation", "faults", at, "name")
                     raise located(rig.path, rig.text, [(key, str(error), False)]) from error
+            # the rate of each serial port; a network has none
             self._listen("arm", self.arm, r.arm.baud)
-            self._listen(
-                "bath", self.bath, rig.profile.baud if self.bath.framing == "rtu" else None
-            )
-            if self.pump and relay:
-                self._listen("pump", self.pump, relay.baud if self.pump.framing == "rtu" else None)
+            for name, modbus, of in (("bath", self.bath, rig.profile), ("pump", self.pump, relay)):
+                if modbus and of:
+                    self._listen(name, modbus, of.baud if modbus.framing == "rtu" else None)
             if self.stage and r.stage:
                 self._listen("stage", self.stage, r.stage.baud)
         except BaseException:
@@ -133,9 +126,7 @@ class EmulatedRig:
 
     @property
     def urls(self) -> dict[str, str]:
-        """What a driver opens, by instrument. One on a pseudo-terminal moves when the instrument
-        itself hangs up.
-        """
+        """What a driver opens, by instrument; a pseudo-terminal's changes after a hang-up."""
         urls = {name: listener.url for name, listener in self._listeners.items()}
         for name, device in (("bath", self.bath), ("pump", self.pump)):
             if device and name in urls:
@@ -144,7 +135,6 @@ class EmulatedRig:
         return urls
 
     def close(self) -> None:
-        """Close all listeners, and the world behind them."""
         for listener in self._listeners.values():
             listener.close()
         self.world.close()
@@ -156,9 +146,7 @@ class EmulatedRig:
         self.close()
 
     def _stage(self, said: Stage, errors: EmulatedStage) -> StageEmulator:
-        """A stage that carries the world's phantom; at its reference place the phantom stands as
-        its layout says.
-        """
+        """A stage that carries the phantom; at its reference place it stands as laid out."""
         axes = 4 if "A" in said.axes else 3
         dialect = GRBL_HAL if errors.dialect == "grblHAL" else CLASSIC
         play_mm = (*errors.backlash_mm, errors.backlash_deg)[:axes]
@@ -184,33 +172,34 @@ class EmulatedRig:
         return stage
 
     def _listen(self, name: str, device: Device, serial_baud: int | None) -> None:
-        """``serial_baud`` is the rate of the instrument's serial port; None where it has none, but
-        a network.
-        """
-        clock, lock, baud = self._clock, self.world.lock, serial_baud if self._paced else None
-        if self._pty and serial_baud is not None:
-            self._listeners[name] = PtyListener(device, clock, lock=lock, name=name, baud=baud)
-        else:
-            self._listeners[name] = Listener(
-                device, clock, lock=lock, name=name, host=self._host, baud=baud
-            )
+        how: dict[str, Any] = {"lock": self.world.lock, "name": name}
+        how["baud"] = serial_baud if self._paced else None
+        self._listeners[name] = (
+            PtyListener(device, self._clock, **how)
+            if self._pty and serial_baud is not None
+            else Listener(device, self._clock, host=self._host, **how)
+        )
 
     def _plan(self, fault: EmulatedFault) -> None:
-        """Have a fault come at its time, and go where it is said when; one that is there from the
-        start comes at once.
-        """
+        """Put a fault in at its time and take it out at its end."""
+
+        def later(seconds: float, action: Callable[[], None]) -> None:
+            def run() -> None:
+                with self.world.lock:
+                    action()
+
+            self._clock.call_at(self._clock.now() + seconds, run)
+
         break_it, mend_it = self._actions(fault)
         if fault.at_s:
-            self._later(fault.at_s, break_it)
+            later(fault.at_s, break_it)
         else:
             break_it()
         if fault.for_s is not None:
-            self._later(fault.at_s + fault.for_s, mend_it)
+            later(fault.at_s + fault.for_s, mend_it)
 
     def _actions(self, fault: EmulatedFault) -> tuple[Callable[[], None], Callable[[], None]]:
-        """What breaks something and what mends it. Raises ValueError for what a bath of this
-        profile, or its relay, can't have on this port.
-        """
+        """What puts a fault in, and out. Raises ValueError for a fault that can't be."""
         name, amount, stage = fault.name, fault.amount, self.stage
         times = FOREVER if fault.times is None else fault.times
         if fault.instrument == "cameras":
@@ -224,12 +213,10 @@ class EmulatedRig:
             return lambda: of_arm.inject(name, times, amount=amount), lambda: of_arm.clear(name)
         if fault.instrument == "stage" and stage:
             kind = StageFault(name)
-            late_s = LATE_S if kind is StageFault.LATE_OK else 0.0
-            if kind is StageFault.LOST_STEP:
-                lost_mm = LOST_MM if amount is None else amount
-                return lambda: stage.inject(kind, lost_mm=lost_mm), lambda: stage.cure(kind)
-            after_s = late_s if amount is None else amount
-            return lambda: stage.inject(kind, after_s), lambda: stage.cure(kind)
+            key = "lost_mm" if kind is StageFault.LOST_STEP else "after_s"
+            usual = {StageFault.LOST_STEP: LOST_MM, StageFault.LATE_OK: LATE_S}.get(kind, 0.0)
+            how = {key: usual if amount is None else amount}
+            return lambda: stage.inject(kind, **how), lambda: stage.cure(kind)
         device = self.bath if fault.instrument == "bath" else self.pump
         if device is None or fault.instrument == "stage":
             raise ValueError(f"this rig has no {fault.instrument} that could fail")
@@ -240,10 +227,3 @@ class EmulatedRig:
             device.fault(name)
 
         return break_it, lambda: device.fault(name, on=False)
-
-    def _later(self, seconds: float, action: Callable[[], None]) -> None:
-        def run() -> None:
-            with self.world.lock:
-                action()
-
-        self._clock.call_at(self._clock.now() + seconds, run)

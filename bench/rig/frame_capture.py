@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any
 
 import cv2
@@ -35,9 +34,7 @@ Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """How well the pictures fit as they are and exchanged: correlation of their edges at the best
-    disparity, 0 to 1.
-    """
+    """Correlation of the edges at the best disparity, as they are and exchanged, 0 to 1."""
 
     as_is: float
     exchanged: float
@@ -49,10 +46,8 @@ class Order:
 
 
 class StereoOrder:
-    """Whether the left and the right picture have changed places, by the calibration: rectified
-    both ways, as they are and exchanged, they fit with one at a disparity that a thing in front of
-    the cameras can have. Whole rows of edges are compared, not single features: that works on
-    smooth teats, in dim light and in noise. Pictures are of the calibration's size.
+    """Whether left and right are exchanged, by the calibration: rectified both ways, rows of edges
+    fit with one at a disparity in front of the cameras. Pictures of the calibration's size.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -75,17 +70,11 @@ class StereoOrder:
         )
 
     def judge(self, left: Grey, right: Grey) -> Order:
-        """How well the pictures fit in either order."""
         return Order(self._fit(left, right), self._fit(right, left))
 
     def _fit(self, left: Grey, right: Grey) -> float:
-        """Correlation (normalised, summed over all rows) of the pictures' edges at the best
-        disparity of a thing in front.
-        """
-        edges = [
-            self._edges(picture, maps)
-            for picture, maps in zip((left, right), self._maps, strict=True)
-        ]
+        """Normalised correlation of the edges, over all rows, at the best disparity in front."""
+        edges = [*map(self._edges, (left, right), self._maps)]
         size = 2 * edges[0].shape[1]
         spectra = [np.fft.rfft(edge, size, axis=1) for edge in edges]
         correlation = np.fft.irfft(np.sum(spectra[0] * np.conj(spectra[1]), axis=0), size)
@@ -95,15 +84,10 @@ class StereoOrder:
         return float(correlation[shifts].max() / norm) if norm > 0 else 0.0
 
     def _edges(self, picture: Grey, maps: Maps) -> Array:
-        small = cv2.resize(
-            picture, None, fx=1.0 / REDUCED, fy=1.0 / REDUCED, interpolation=cv2.INTER_AREA
-        )
-        even = cv2.remap(
-            small,
-            (maps[0] - (REDUCED - 1) / 2) / REDUCED,
-            (maps[1] - (REDUCED - 1) / 2) / REDUCED,
-            cv2.INTER_LINEAR,
-        )
+        by = 1.0 / REDUCED
+        small = cv2.resize(picture, None, fx=by, fy=by, interpolation=cv2.INTER_AREA)
+        x, y = ((of - (REDUCED - 1) / 2) / REDUCED for of in maps)
+        even = cv2.remap(small, x, y, cv2.INTER_LINEAR)
         even = even.T if self._upright else even
         smooth = cv2.GaussianBlur(even.astype(np.float32), (0, 0), SIGMA_PX)
         gradient = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1), dtype=np.float64)
@@ -112,13 +96,8 @@ class StereoOrder:
 
 
 def _matrices(camera: Camera) -> tuple[Array, Array]:
-    K = np.array(
-        [
-            [camera.fc[0], camera.alpha_c * camera.fc[0], camera.cc[0]],
-            [0.0, camera.fc[1], camera.cc[1]],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    K = camera.matrix
+    K[0, 1] = camera.alpha_c * camera.fc[0]
     return K, np.array(camera.kc)
 
 
@@ -148,10 +127,8 @@ class FrameProblem:
 
 
 class FrameChecks:
-    """The looks of one rig, with the set that was seen last. Without a calibration neither size nor
-    order is looked at.
-
-    ``flat`` False where nothing warm need stand before the thermal camera.
+    """The checks of one rig, with the last set. Without a calibration neither size nor order is
+    checked; ``flat`` False where nothing warm need be seen.
     """
 
     def __init__(
@@ -162,10 +139,8 @@ class FrameChecks:
         *,
         flat: bool = True,
     ) -> None:
-        self._checks = checks
-        self._max_skew_s = max_skew_s
-        self._calibration = calibration
-        self._flat = flat
+        self._checks, self._max_skew_s = checks, max_skew_s
+        self._calibration, self._flat = calibration, flat
         self._order: StereoOrder | None = None
         self._last: FrameSet | None = None
 
@@ -174,21 +149,20 @@ class FrameChecks:
         last, self._last = self._last, frames
         found = [*self._late(frames), *self._sizes(frames)]
         for part, camera in PARTS.items():
-            image = getattr(frames, part)
-            if image is not None:
-                found += self._picture(
-                    part, camera, image, None if last is None else getattr(last, part)
-                )
+            if getattr(frames, part) is not None:
+                # the first alone: a black one is not called frozen too
+                faults = self._picture(part, getattr(frames, part), getattr(last, part, None))
+                problems = [FrameProblem(fault, camera, said) for fault, said in faults if said]
+                found += problems[:1]
         found += self._thermal_flat(frames)
         if self._checks.swapped and not any(one.camera in ("left", "right") for one in found):
             found += self._swapped(frames)
         return list({(one.fault, one.camera): one for one in found}.values())
 
     def _late(self, frames: FrameSet) -> Iterator[FrameProblem]:
-        if not frames.exposed_s:
-            return
-        latest = max(frames.exposed_s, key=lambda name: frames.exposed_s[name])
-        skew_s = frames.exposed_s[latest] - min(frames.exposed_s.values())
+        times_s = frames.exposed_s
+        latest = max(times_s, key=lambda name: times_s[name], default="")
+        skew_s = times_s[latest] - min(times_s.values()) if latest else 0.0
         if skew_s > self._max_skew_s:
             said = (
                 f"exposed {skew_s:.3f} s after the first of its set, limit {self._max_skew_s:g} s:"
@@ -197,28 +171,19 @@ class FrameChecks:
             yield FrameProblem(FrameFault.LATE, latest, said)
 
     def _sizes(self, frames: FrameSet) -> Iterator[FrameProblem]:
-        c = self._calibration
-        if c is None:
-            return
-        wanted = {
-            "left": c.left.image_size,
-            "right": c.right.image_size,
-            "thermal": c.thermal.image_size,
-            RADIOMETRIC: c.thermal.sensor_size,
-        }
-        for part, (width, height) in wanted.items():
+        for part, camera in PARTS.items() if self._calibration else ():
+            of = getattr(self._calibration, camera)
+            size = of.sensor_size if part == RADIOMETRIC else of.image_size
             image = getattr(frames, part)
-            if image is not None and image.shape != (height, width):
-                said = (
-                    f"{image.shape[1]} x {image.shape[0]}, the calibration is for {width} x"
-                    f" {height}"
-                )
-                yield FrameProblem(FrameFault.WRONG_SIZE, PARTS[part], said)
+            if image is not None and image.shape != size[::-1]:
+                seen, wanted = ("{} x {}".format(*each) for each in (image.shape[::-1], size))
+                said = f"{seen}, the calibration is for {wanted}"
+                yield FrameProblem(FrameFault.WRONG_SIZE, camera, said)
 
     def _picture(
-        self, part: str, camera: str, image: NDArray[Any], last: NDArray[Any] | None
-    ) -> Iterator[FrameProblem]:
-        """The first that is wrong with one picture: a black one is not called frozen too."""
+        self, part: str, image: NDArray[Any], last: NDArray[Any] | None
+    ) -> Iterator[tuple[FrameFault, str]]:
+        """Each fault of one picture, with what is wrong; empty where nothing is."""
         checks = self._checks
         if part == RADIOMETRIC:
             black = "" if image.any() else "every count is zero"
@@ -231,23 +196,13 @@ class FrameChecks:
         full = checks.saturated_share if part in ("left", "right") else THERMAL_FULL
         same = checks.frozen and last is not None and np.array_equal(image, last)
         share = missing_rows(image, last if checks.frozen else None)
-        found = {
-            FrameFault.BLACK: black,
-            FrameFault.SATURATED: (
-                f"{100 * white:.0f} % of it is white, limit {100 * full:.0f} %"
-                if white > full
-                else ""
-            ),
-            FrameFault.FROZEN: "identical to the last frame, noise and all" if same else "",
-            FrameFault.HALF: (
-                f"{100 * share:.0f} % of its rows at an edge are empty or the last frame's"
-                if share > checks.missing_rows_share
-                else ""
-            ),
-            FrameFault.OUT_OF_FOCUS: self._out_of_focus(part, image),
-        }
-        problems = (FrameProblem(fault, camera, said) for fault, said in found.items() if said)
-        yield from islice(problems, 1)
+        yield FrameFault.BLACK, black
+        said = f"{100 * white:.0f} % of it is white, limit {100 * full:.0f} %"
+        yield FrameFault.SATURATED, said if white > full else ""
+        yield FrameFault.FROZEN, "identical to the last frame, noise and all" if same else ""
+        said = f"{100 * share:.0f} % of its rows at an edge are empty or the last frame's"
+        yield FrameFault.HALF, said if share > checks.missing_rows_share else ""
+        yield FrameFault.OUT_OF_FOCUS, self._out_of_focus(part, image)
 
     def _out_of_focus(self, part: str, image: NDArray[Any]) -> str:
         times = self._checks.focus_times
@@ -273,11 +228,9 @@ class FrameChecks:
             yield FrameProblem(FrameFault.FLAT_FIELD, "thermal", said)
 
     def _swapped(self, frames: FrameSet) -> Iterator[FrameProblem]:
-        if self._calibration is None:
-            return
-        if self._order is None:
+        if self._calibration and not self._order:
             self._order = StereoOrder(self._calibration)
-        order = self._order.judge(frames.left, frames.right)
+        order = self._order.judge(frames.left, frames.right) if self._order else Order(0.0, 0.0)
         if order.swapped:
             said = (
                 f"exchanged with the right one: the calibration fits {order.exchanged:.2f} when"
@@ -308,10 +261,8 @@ HINTS: Mapping[FrameFault, str] = {
 
 
 class FrameTaker:
-    """``wait`` lets time pass between tries, ``tell`` writes an event down (its kind and text).
-
-    A recording is not asked twice: its next frame is another trial's. ``checks`` are the table's
-    where none are given.
+    """``wait`` lets time pass between tries, ``tell`` records an event (kind, text). A recording is
+    read once: its next frame is another trial's.
     """
 
     def __init__(
@@ -325,20 +276,16 @@ class FrameTaker:
         checks: FrameChecks | None = None,
     ) -> None:
         recorded = table.url.startswith("recording:")
-        self._cameras = cameras
-        self._recorded = recorded
+        self._cameras, self._recorded, self._wait, self._tell = cameras, recorded, wait, tell
         self._checks = checks or FrameChecks(
             table.checks, table.max_skew_s, calibration, flat=not recorded
         )
-        self._retries = 0 if recorded else table.retries
-        self._retry_s = table.retry_s
-        self._wait = wait
-        self._tell = tell
+        self._retries, self._retry_s = 0 if recorded else table.retries, table.retry_s
         self.counts: Counter[str] = Counter()
 
     def take(self) -> FrameSet:
-        """A frame set without a fault. Raises DeviceError after the last try, and what the cameras
-        raise when they are gone.
+        """A frame set without a fault. Raises DeviceError after the last try, and as the cameras
+        do.
         """
         for left in range(self._retries, -1, -1):
             frames, noticed = self._try()
@@ -346,15 +293,14 @@ class FrameTaker:
                 return frames
             self.counts.update(f"{one.camera}: {one.fault}" for one in noticed)
             what = "; ".join(str(one) for one in noticed)
-            self._tell(EVENT, f"{what}. {_next(left)}.")
+            more = f"Taken again; {left} {'try is' if left == 1 else 'tries are'} left"
+            self._tell(EVENT, f"{what}. {more if left else 'Refused'}.")
             if left:
                 self._wait(self._retry_s)
         raise _refused(noticed, self._retries + 1)
 
     def look(self) -> None:
-        """See whether the cameras give a usable frame set now, which is not kept; a recording is
-        not asked. Raises as ``take``.
-        """
+        """Check that the cameras give a usable set now, but not a recording. Raises as ``take``."""
         if self._recorded:
             return
         frames, noticed = self._try()
@@ -367,12 +313,6 @@ class FrameTaker:
         except FrameError as error:
             return None, [FrameProblem(error.fault, error.camera, str(error))]
         return frames, self._checks.notice(frames)
-
-
-def _next(left: int) -> str:
-    if left == 0:
-        return "Refused"
-    return f"Taken again; {left} {'try is' if left == 1 else 'tries are'} left"
 
 
 def _refused(noticed: Sequence[FrameProblem], tries: int) -> DeviceError:

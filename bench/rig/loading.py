@@ -1,17 +1,18 @@
-"""The rig file: which instruments, at which addresses, with which calibration and limits. An
-emulated rig and a real one have the same keys; what differs are the URLs.
-"""
+"""Finds and loads the rig file, with the files that it names, and boards' descriptions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
+
+from pydantic import Field, model_validator
 
 from bench.config import (
     ConfigError,
     KeyPath,
+    Section,
     did_you_mean,
     located,
     read_calibration,
@@ -23,8 +24,10 @@ from bench.rig.model import Rig
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import EMULATED, SCRIPT
 from detector.calibration import Calibration
+from detector.calibration.boards import DICTIONARIES, Board, BoardKind
 from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_profile, load_relay
 from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
+from instruments.world.boards import Pattern
 
 RIGS = Path(__file__).parents[1] / "rigs"
 NO_RIGS = ("calibration", "thesis-calibration", "lab.example")  # what lies there and can't be run
@@ -34,10 +37,7 @@ TO_COPY = RIGS / "lab.example.toml"
 
 @dataclass(frozen=True, slots=True)
 class LoadedRig:
-    """A rig file as read: where it is, its text, what it says, and the calibration that it names.
-
-    ``made_calibration`` is None on a new rig, whose calibration has still to be made.
-    """
+    """A rig file as read. ``made_calibration`` is None where it has still to be made."""
 
     path: Path
     text: str
@@ -83,9 +83,7 @@ class LoadedRig:
 
     @property
     def arm_files(self) -> dict[str, str]:
-        """The text of each file about the arm that the rig names, by its name; for the run's
-        folder.
-        """
+        """The text of each file about the arm, by its name."""
         return self._texts(self.rig.arm.frame, self.rig.arm.verification)
 
     def _texts(self, *names: str) -> dict[str, str]:
@@ -93,18 +91,14 @@ class LoadedRig:
 
 
 def find_rig(name: str | None) -> Path:
-    """The file of a shipped rig by name, or of any rig by path; the emulated one for None. Raises
-    ConfigError.
-    """
+    """A shipped rig by name, or any by path; None: the emulated one. Raises ConfigError."""
     if name == TO_COPY.stem:
         return TO_COPY
     return find_shipped(name or "emulated", RIGS, "rig", exclude=NO_RIGS)
 
 
 def find_shipped(name: str, folder: Path, kind: str, exclude: tuple[str, ...] = ()) -> Path:
-    """``name`` as a path, or as the name of a file in ``folder``. Raises ConfigError that lists
-    what ships.
-    """
+    """``name`` as a path, or of a file in ``folder``. Raises ConfigError."""
     if name.endswith(".toml") or Path(name).is_file():
         return Path(name)
     known = [stem for stem in shipped(folder) if stem not in exclude]
@@ -122,17 +116,17 @@ def shipped(folder: Path) -> list[str]:
 
 
 def load_rig(path: Path) -> LoadedRig:
-    """The rig file at ``path`` with its calibration, where there is one. An emulated rig needs one.
-
-    Raises ConfigError with all faults of the first wrong file.
-    """
+    """The rig file at ``path`` with its calibration. Raises ConfigError with all faults."""
     rig = read_config(path, Rig)
     text, folder = read_text(path), path.parent
 
     def refuse(message: str, *keys: KeyPath) -> ConfigError:
         return located(path, text, [(key, message, False) for key in keys])
 
-    profile = _loaded(lambda: load_profile(_place(folder, rig.bath.profile)))
+    def place(name: str) -> Path | str:
+        return folder / name if name.endswith(".toml") else name
+
+    profile = _loaded(lambda: load_profile(place(rig.bath.profile)))
     # a person may rehearse
     real = set(rig.urls) - set(rig.emulated)
     real -= set() if rig.operator.url == EMULATED else {"operator"}
@@ -142,46 +136,40 @@ def load_rig(path: Path) -> LoadedRig:
             f" {', '.join(sorted(real))})"
         )
         raise refuse(message, *((name, "url") for name in rig.emulated))
-    if (
-        rig.stage
-        and rig.stage.url == EMULATED
-        and (wrong := rig.emulation.stage.fault(rig.stage.axes))
-    ):
+    emulated_stage = rig.stage if rig.stage and rig.stage.url == EMULATED else None
+    if emulated_stage and (wrong := rig.emulation.stage.fault(emulated_stage.axes)):
         raise refuse(wrong, ("stage", "axes"))
-    there = {*rig.urls, *(["pump"] if rig.bath.pump_url else [])}
-    homeless = [i for i, fault in enumerate(rig.emulation.faults) if fault.instrument not in there]
-    if homeless:
-        keys = [("emulation", "faults", i, "instrument") for i in homeless]
+    there, faults = (
+        {*rig.urls, "pump" if rig.bath.pump_url else ""},
+        enumerate(rig.emulation.faults),
+    )
+    absent = [i for i, fault in faults if fault.instrument not in there]
+    if absent:
+        keys = [("emulation", "faults", i, "instrument") for i in absent]
         raise refuse("this rig has no such instrument", *keys)
     frame = load_frame(folder / rig.arm.frame) if rig.arm.frame else None
-    verification = (
-        load_verification(folder / rig.arm.verification) if rig.arm.verification else None
-    )
+    dated = load_verification(folder / rig.arm.verification) if rig.arm.verification else None
     unit_path = folder / rig.emulation.arm_unit
     try:
         unit = load_unit(unit_path) if rig.emulation.arm_unit else None
     except UnitError as error:
-        faults = [(key, message, False) for key, message in error.located]
-        raise located(unit_path, read_text(unit_path), faults) from error
+        wrong_keys = [(key, message, False) for key, message in error.located]
+        raise located(unit_path, read_text(unit_path), wrong_keys) from error
     if wrong := _relay_fault(rig, profile):
         raise refuse(wrong, ("bath", "pump_url" if rig.bath.pump_url else "pump_profile"))
     pump = rig.bath.pump_profile
-    relay = _loaded(lambda: load_relay(_place(folder, pump))) if pump else None
+    relay = _loaded(lambda: load_relay(place(pump))) if pump else None
     if rig.operator.url.startswith(SCRIPT):
-        # its faults are told before anything is opened
+        # its faults are found before anything is opened
         load_answers(folder / rig.operator.url.removeprefix(SCRIPT))
     calibration_path = folder / rig.calibration
     calibration = read_calibration(calibration_path) if calibration_path.is_file() else None
     loaded = LoadedRig(
-        path, text, rig, profile, calibration_path, calibration, frame, verification, unit, relay
+        path, text, rig, profile, calibration_path, calibration, frame, dated, unit, relay
     )
     if rig.emulated:
         _ = loaded.calibration  # the emulated cameras are made from it
     return loaded
-
-
-def _place(folder: Path, name: str) -> Path | str:
-    return folder / name if name.endswith(".toml") else name
 
 
 def _relay_fault(rig: Rig, profile: Profile) -> str | None:
@@ -211,3 +199,54 @@ def _loaded(load: Callable[[], T]) -> T:
             for key, message in error.faults
         ]
         raise located(Path(error.path), read_text(Path(error.path)), faults) from error
+
+
+BOARDS = Path(__file__).parents[1] / "boards"
+
+
+class BoardFile(Section):
+    """``columns`` and ``rows`` count inner corners or circles; ``pitch_mm`` as measured, with its
+    standard uncertainty ``pitch_u_mm``.
+    """
+
+    kind: BoardKind
+    columns: Annotated[int, Field(ge=3, le=100)]
+    rows: Annotated[int, Field(ge=3, le=100)]
+    pitch_mm: Annotated[float, Field(ge=0.1, le=1000)]
+    marker_mm: Annotated[float, Field(gt=0)] | None = None
+    dictionary: str | None = None
+    circle_mm: Annotated[float, Field(gt=0)] | None = None
+    pitch_u_mm: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+    @model_validator(mode="after")
+    def _whole(self) -> BoardFile:
+        self.board  # noqa: B018 - raises what is wrong with the parts together
+        return self
+
+    @property
+    def board(self) -> Board:
+        return Board(**self.model_dump(exclude={"pitch_u_mm"}))
+
+
+def find_board_file(name: str) -> Path:
+    """The file of a shipped board by name, or of any board by path. Raises ConfigError."""
+    return find_shipped(name, BOARDS, "board")
+
+
+def load_board(path: Path) -> BoardFile:
+    """The board described at ``path``. Raises ConfigError with all its faults."""
+    return read_config(path, BoardFile)
+
+
+def drawn(board: Board, margin: float) -> Pattern:
+    """What the scene draws: squares where ``board`` counts points; ``margin`` in pitches."""
+    more = 0 if board.kind == "circles" else 1
+    return Pattern(
+        board.kind,
+        board.columns + more,
+        board.rows + more,
+        board.pitch_mm,
+        margin * board.pitch_mm,
+        DICTIONARIES[board.dictionary] if board.dictionary else Pattern().dictionary,
+        board.marker_mm or board.circle_mm or 0.0,
+    )

@@ -1,14 +1,17 @@
-"""The tables of a rig file: what may stand in them, and what is wrong where it can't be. Values
-only; reads no other file.
+"""The tables of a rig file, with their checks. Values only; reads no other file.
+
+What `[emulation]` leaves out of a sensor is as in `OpticalSensor` and `ThermalSensor`; the thermal
+camera's size and form are as in the calibration.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from datetime import date
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from urllib.parse import urlsplit
 
 from pydantic import (
@@ -20,8 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from bench.config import Millimetres, Point, Positive, Section, did_you_mean
-from bench.rig.emulation_model import Emulation
+from bench.config import Millimetres, Point, Positive, Radians, Section, did_you_mean
 from bench.rig.urls import (
     ELSEWHERE,
     EMULATED,
@@ -35,9 +37,15 @@ from bench.rig.urls import (
 )
 from instruments.bath.connection import parse_line
 from instruments.bath.profile import profile_names, relay_names
+from instruments.camera import emulator as camera_faults
 from instruments.camera.frame import Channel, Conversion, Flip, Radiometry, Turn
 from instruments.camera.settings import Settings, Trigger, Value
+from instruments.microscribe import faults as arm_faults
+from instruments.operators.emulated import Mistake
+from instruments.world.microbolometer import Drift, ThermalSensor
 from instruments.world.phantom import PlatePose
+from instruments.world.scene import Renderer
+from instruments.world.sensor import Focus, OpticalSensor
 
 Baud = Literal[9600, 14400, 19200, 28800, 38400, 57600, 115200]
 
@@ -109,16 +117,12 @@ class Stage(Section):
     repeatability_mm: Annotated[float, Field(ge=0, le=10)] = 0.02
 
     def machine(self, pose: PlatePose) -> dict[str, float]:
-        """Where the stage's axes are when the plate stands at ``pose``: arguments of
-        `Stage.move_to`, of the axes that there are.
-        """
+        """The axes' places for the plate at ``pose``: arguments of `Stage.move_to`."""
         x, y = self.reference_mm
         there = {"x_mm": x + pose.x_mm, "y_mm": y + pose.y_mm}
-        more = {
-            "Z": ("z_mm", self.reference_z_mm + pose.z_mm),
-            "A": ("a_deg", self.reference_a_deg + math.degrees(pose.yaw_rad)),
-        }
-        return there | dict(more[axis] for axis in self.axes[2:])
+        there |= {"z_mm": self.reference_z_mm + pose.z_mm} if "Z" in self.axes else {}
+        a_deg = self.reference_a_deg + math.degrees(pose.yaw_rad)
+        return there | ({"a_deg": a_deg} if "A" in self.axes else {})
 
 
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -182,12 +186,8 @@ class OneCamera(Section):
 
     @model_validator(mode="after")
     def _fits(self) -> OneCamera:
-        given = [
-            name
-            for name in GENICAM_ONLY
-            if getattr(self, name)
-            != type(self).model_fields[name].get_default(call_default_factory=True)
-        ]
+        usual = OneCamera.model_construct(url="")
+        given = [name for name in GENICAM_ONLY if getattr(self, name) != getattr(usual, name)]
         if given and not self.url.startswith("genicam:"):
             raise ValueError(
                 f'{given[0]} is for cameras of the kind "genicam:", this one is {self.url}'
@@ -196,13 +196,11 @@ class OneCamera(Section):
 
     @property
     def settings(self) -> Settings:
-        """What is asked of the camera."""
         tries = frozenset({"all"} if self.tries is True else self.tries or ())
         asked = {name: getattr(self, name) for name in (*Setting.__args__, *GENICAM_ONLY)}  # type: ignore[attr-defined]
         return Settings(**asked, tries=tries)
 
     def conversion(self) -> Conversion:
-        """What becomes of its frames."""
         return Conversion(self.grey, bool(self.mirrored), self.turn_deg, self.flip, self.white)
 
 
@@ -218,9 +216,7 @@ class ThermalTable(OneCamera):
     radiometric: RadiometricTable | None = None
 
     def calibrated(self, *, mirrored: bool, hot_is_black: bool) -> Conversion:
-        """To the picture as the calibration has it, which its arguments tell, or to temperatures,
-        which are never mirrored.
-        """
+        """To the calibration's picture, or to temperatures, which are never mirrored."""
         comes_mirrored = mirrored if self.mirrored is None else self.mirrored
         comes_black = hot_is_black if self.polarity is None else self.polarity == "hot_is_black"
         r = self.radiometric
@@ -270,7 +266,7 @@ class Cameras(Section):
 
     @model_validator(mode="after")
     def _one_way(self) -> Cameras:
-        tables = [name for name, table in self.tables.items() if table is not None]
+        tables = [*self.tables]
         if self.url and tables:
             raise ValueError(
                 "either url for all cameras or a table for each, not both (here: url and"
@@ -283,16 +279,11 @@ class Cameras(Section):
 
     @property
     def tables(self) -> dict[str, OneCamera]:
-        """Each camera that has a table of its own."""
-        return {
-            name: table
-            for name in ("left", "right", "thermal")
-            if (table := getattr(self, name)) is not None
-        }
+        named = {"left": self.left, "right": self.right, "thermal": self.thermal}
+        return {name: table for name, table in named.items() if table}
 
     @property
     def told(self) -> str:
-        """Where the cameras are, in one line."""
         return self.url or ", ".join(f"{name} {table.url}" for name, table in self.tables.items())
 
 
@@ -329,6 +320,203 @@ class Limits(Section):
         return self
 
 
+_Kelvin = Annotated[float, Field(ge=0, le=20)]
+_Pixels = Annotated[float, Field(ge=0, le=20)]
+_Share = Annotated[float, Field(ge=0, le=1)]
+_Count = Annotated[int, Field(ge=8, le=4096)]
+
+LATE_ANSWER = "late answer"  # of a bath or a relay; its amount is in seconds
+
+
+class EmulatedOptical(Section):
+    """``[emulation.optical]``: both optical cameras."""
+
+    full_well_e: Annotated[float, Field(ge=100, le=1e6)] | None = None
+    read_noise_e: Annotated[float, Field(ge=0, le=1e4)] | None = None
+    dark_e_per_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    offset_dn: Annotated[float, Field(ge=0, le=255)] | None = None
+    prnu: _Share | None = None
+    dsnu_e: Annotated[float, Field(ge=0, le=1e4)] | None = None
+    blur_px: _Pixels | None = None
+    vignetting: _Share | None = None
+    aperture_mm: Annotated[float, Field(ge=0, le=50)] | None = None
+    focus_mm: Annotated[float, Field(ge=50, le=1e6)] | None = None
+
+    def sensor(self) -> OpticalSensor:
+        said, usual = self.model_dump(exclude_none=True), Focus()
+        aperture_mm = said.pop("aperture_mm", usual.aperture_mm)
+        focus = Focus(aperture_mm, said.pop("focus_mm", usual.distance_mm))
+        return replace(OpticalSensor(), focus=focus, **said)
+
+
+class EmulatedThermal(Section):
+    """``[emulation.thermal]``: the thermal camera."""
+
+    sensor_size: tuple[_Count, _Count] | None = None
+    netd_k: _Kelvin | None = None
+    row_flicker_k: _Kelvin | None = None
+    column_flicker_k: _Kelvin | None = None
+    level_flicker_k: _Kelvin | None = None
+    fixed_k: _Kelvin | None = None
+    row_k: _Kelvin | None = None
+    column_k: _Kelvin | None = None
+    time_constant_s: Annotated[float, Field(ge=0, le=1)] | None = None
+    blur_px: _Pixels | None = None
+    drift_level_k_per_min: _Kelvin | None = None
+    drift_pattern_k_per_min: _Kelvin | None = None
+    flat_field_every_s: Annotated[float, Field(gt=0)] | None = None
+    flat_field_lasts_s: Annotated[float, Field(ge=0, le=10)] | None = None
+
+    def sensor(self, table: Mapping[str, Any]) -> ThermalSensor:
+        said = self.model_dump(exclude_none=True)
+        usual = Drift()
+        drift = Drift(
+            said.pop("drift_level_k_per_min", usual.level_k_per_min),
+            said.pop("drift_pattern_k_per_min", usual.pattern_k_per_min),
+            said.pop("flat_field_every_s", usual.every_s),
+            said.pop("flat_field_lasts_s", usual.lasts_s),
+        )
+        size = said.pop("sensor_size", None)
+        sensor = replace(ThermalSensor.from_calibration(table), drift=drift, **said)
+        return sensor if size is None else replace(sensor, width_px=size[0], height_px=size[1])
+
+
+def make_renderer(
+    table: Mapping[str, Any], seed: int, optical: EmulatedOptical, thermal: EmulatedThermal
+) -> Renderer:
+    """The three cameras of a calibration ``table``. Raises ValueError for a table that is wrong."""
+    return Renderer.from_calibration(
+        table, seed, optical=optical.sensor(), thermal=thermal.sensor(table)
+    )
+
+
+_Scale = Annotated[float, Field(ge=-0.1, le=0.1)]
+_Angle = Annotated[float, Field(ge=-0.2, le=0.2)]
+_Setting = Annotated[float, Field(ge=0, le=1e6)]
+_Play = Annotated[float, Field(ge=0, le=5)]
+
+
+class EmulatedStage(Section):
+    """``[emulation.stage]``. Axes in the order X Y Z A; ``settings`` by number without the dollar
+    sign, the others as `store.DEFAULTS`.
+    """
+
+    dialect: Literal["grbl", "grblHAL"] = "grbl"
+    settings: dict[int, _Setting] = Field(default_factory=dict)
+    scale_errors: tuple[_Scale, _Scale, _Scale, _Scale] = (0.0, 0.0, 0.0, 0.0)
+    squareness_rad: _Angle = 0.0
+    yaw_rad: _Angle = 0.0
+    backlash_mm: tuple[_Play, _Play, _Play] = (0.0, 0.0, 0.0)
+    backlash_deg: _Play = 0.0
+
+    def fault(self, axes: str) -> str | None:
+        """What is wrong with it for a stage of ``axes``, as a sentence; None if nothing."""
+        if "A" in axes and self.dialect == "grbl":
+            return (
+                'the firmware "grbl" has no axis A: set dialect = "grblHAL", or declare [stage]'
+                " axes without A"
+            )
+        if not self.settings:  # a real rig needs no emulator
+            return None
+        from instruments.stage.emulator.store import CLASSIC, GRBL_HAL, Store
+
+        dialect = GRBL_HAL if self.dialect == "grblHAL" else CLASSIC
+        try:
+            Store(self.settings, dialect=dialect, axes=4 if "A" in axes else 3)
+        except ValueError as error:
+            return f"[emulation.stage] settings: {error}"
+        return None
+
+
+class Placed(Section):
+    """Where something stands: X_world = R(om) X + T, a rotation vector in rad and mm."""
+
+    om: tuple[Radians, Radians, Radians] = (0.0, 0.0, 0.0)
+    T: Point = (0.0, 0.0, 0.0)
+
+
+class EmulatedFault(Section):
+    """A fault from ``at_s`` after the start, for ``for_s``; for good where that is left out."""
+
+    instrument: Literal["arm", "bath", "pump", "stage", "cameras"]
+    name: str
+    at_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    for_s: Positive | None = None
+    times: Annotated[int, Field(ge=1)] | None = None
+    camera: Literal["left", "right", "thermal"] | None = None
+    amount: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+
+    @model_validator(mode="after")
+    def _known(self) -> EmulatedFault:
+        instrument, known = self.instrument, fault_names(self.instrument)
+        if self.name not in known:
+            has = "have" if instrument == "cameras" else "has"
+            raise ValueError(
+                f'the {instrument} {has} no fault "{self.name}"{did_you_mean(self.name, known)}'
+                f" (there are: {', '.join(known)})"
+            )
+        if self.times is not None and instrument not in ("arm", "cameras"):
+            raise ValueError(
+                f'"times" is for faults of the arm and the cameras; one of the {instrument} lasts'
+                " until for_s have passed"
+            )
+        if self.camera is not None and instrument != "cameras":
+            raise ValueError(f'"camera" is for faults of the cameras, the {instrument} has none')
+        if instrument == "arm":
+            arm_faults.check_amount(arm_faults.named(self.name), self.amount)
+        elif instrument == "cameras":
+            camera_faults.check_amount(camera_faults.named(self.name), self.amount)
+            camera_faults.check_camera(camera_faults.named(self.name), self.camera)
+        elif instrument == "stage":
+            from instruments.stage.emulator.board import AMOUNTS, Fault
+
+            if self.amount is not None and Fault(self.name) not in AMOUNTS:
+                having = ", ".join(f'"{fault.value}" ({unit})' for fault, unit in AMOUNTS.items())
+                raise ValueError(
+                    f'the stage\'s fault "{self.name}" has no amount; one have {having}'
+                )
+        elif self.amount is not None and self.name != LATE_ANSWER:
+            raise ValueError(
+                f'of the {instrument}\'s faults only "{LATE_ANSWER}" has an amount, in seconds'
+            )
+        return self
+
+
+def fault_names(instrument: str) -> tuple[str, ...]:
+    """The faults of the emulated "arm", "bath", "pump" (its relay), "cameras" or "stage"."""
+    if instrument == "arm":
+        return tuple(arm_faults.Fault)
+    if instrument == "cameras":
+        return tuple(camera_faults.FAULTS)
+    if instrument == "stage":
+        from instruments.stage.emulator.board import Fault
+
+        return tuple(fault.value for fault in Fault)
+    from instruments.bath.emulator import FAULTS, RELAY_FAULTS
+
+    return tuple(FAULTS) if instrument == "bath" else RELAY_FAULTS
+
+
+class Emulation(Section):
+    """What the emulated world is like; a real rig has no use for it."""
+
+    ambient_c: Annotated[float, Field(ge=-10, le=40)] = 20.0
+    bath_start_c: Annotated[float, Field(ge=0, le=40)] = 20.0
+    arm_accuracy_mm: Annotated[float, Field(ge=0, le=5)] = 0.23
+    hand_tremor_mm: Annotated[float, Field(ge=0, le=5)] = 0.05
+    hand_error_mm: Annotated[float, Field(ge=0, le=10)] = 0.1
+    placement_error_mm: Annotated[float, Field(ge=0, le=20)] = 0.0
+    placement_error_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
+    prompt_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    mistakes: tuple[Mistake, ...] = ()
+    arm_placed: Placed = Placed()
+    arm_unit: Annotated[str, AfterValidator(beside_if_named)] = ""
+    optical: EmulatedOptical = EmulatedOptical()
+    thermal: EmulatedThermal = EmulatedThermal()
+    stage: EmulatedStage = EmulatedStage()
+    faults: tuple[EmulatedFault, ...] = ()
+
+
 class Rig(Section):
     name: str
     seed: Annotated[int, Field(ge=0)] = 1
@@ -343,7 +531,6 @@ class Rig(Section):
 
     @property
     def urls(self) -> dict[str, str]:
-        """Each instrument's URL by its name."""
         tables = {name: getattr(self, name, None) for name in ("arm", "bath", "stage", "operator")}
         urls = {name: table.url for name, table in tables.items() if table}
         cameras: Cameras | None = getattr(self, "cameras", None)
@@ -356,9 +543,8 @@ class Rig(Section):
 
     @property
     def bath_emulated(self) -> bool:
-        """Whether the bath is an emulator's: of this process, or of a `teatbench emulate` on this
-        machine. That one's operator and bath both are at the loopback or a pseudo-terminal; either
-        alone, or an address of another host, may be a real bath's.
+        """Whether the bath is an emulator's: of this process, or of a `teatbench emulate` here.
+        Then operator and bath are at the loopback or a pty; either alone may be a real bath's.
         """
         if self.bath.url == EMULATED:
             return True

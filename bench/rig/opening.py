@@ -1,6 +1,5 @@
-"""Opens the instruments of a rig, real or emulated: the only place that does, for runs, single
-commands, checks, calibration and dry runs. A bring-up that fails names every instrument that
-failed, not only the first.
+"""Opens the instruments of a rig, real or emulated: the only place that does. A bring-up that fails
+names every instrument that failed.
 """
 
 from __future__ import annotations
@@ -8,14 +7,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 from bench.rig.devices import Cameras, Devices
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.emulation_model import Emulation
 from bench.rig.loading import LoadedRig
-from bench.rig.model import OneCamera, Operator, Rig, ThermalTable
+from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
 from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import CONSOLE, ELSEWHERE, EMULATED, SCRIPT
 from detector.calibration import Calibration
@@ -67,14 +66,10 @@ def open_instruments(
     start_s: float = 0.0,
     identify: bool = True,
 ) -> Iterator[Devices]:
-    """The instruments of ``rig`` called ``names``, with its emulators where it is an emulated one;
-    what isn't asked for is None. Closed at the end.
-
-    Without ``clock`` time is virtual where nothing real and nobody in person takes part, else it
-    goes on from ``start_s``. ``twin`` has the emulators that are there already; ``capture`` taps
-    links; ``screen`` is entered around each question at the terminal; ``identify`` False puts the
-    look at the bath off. Raises BringUpError, or the fault itself where one instrument was asked
-    for, and ConfigError.
+    """The instruments ``names`` of ``rig``; others are None. Closed at the end. Without ``clock``
+    time is virtual where all is emulated and no person takes part. ``twin``: emulators already up;
+    ``capture`` taps links; ``screen`` is entered around a question; ``identify`` False puts the
+    check of the bath off. Raises BringUpError, or a single instrument's fault, and ConfigError.
     """
     emulated = twin is not None or any(rig.rig.urls.get(name) == EMULATED for name in names)
     with ExitStack() as stack:
@@ -92,9 +87,6 @@ def open_instruments(
             )
         openers = _openers(rig, clock, twin, capture, identify=identify)
         opened: dict[str, Any] = {}
-        arm: Any
-        bath: Any
-        cameras: Any
         faults: dict[str, InstrumentError] = {}
         for name in names:
             if name in openers:
@@ -107,35 +99,31 @@ def open_instruments(
         if isinstance(answerer, Console) and twin is None and "arm" in opened:
             answerer.watch_pedals(lambda: pedal_watch(opened["arm"], clock))
         hands: Any = twin.operator if twin and "operator" in names else opened.get("operator")
+        arm: Any
+        bath: Any
+        cameras: Any
         arm, bath, stage, cameras = (opened.get(n) for n in ("arm", "bath", "stage", "cameras"))
         if answerer:
             answerer.hands = hands
-        operator = answerer or hands
         exact_ends = twin.world.ends_mm if twin else None
-        yield Devices(clock, arm, bath, stage, cameras, operator, exact_ends)
+        yield Devices(clock, arm, bath, stage, cameras, answerer or hands, exact_ends)
 
 
 def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
-    """Whether a run on ``rig`` need not wait: all is emulated, and nobody takes part in person, who
-    lives in real time.
-    """
+    """Whether a run need not wait: all is emulated, and no person takes part."""
     return bool(rig.rig.emulated) and not realtime and rig.rig.operator.url != CONSOLE
 
 
-def rig_of(profile: Profile | None = None, path: Path = Path(), **tables: Any) -> LoadedRig:
-    """A rig of single instruments without a rig file, as commands with ``--port`` name them:
-    ``tables`` are those of a rig file, by name; ``profile`` is the bath's.
-    """
+def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
+    """A rig without a file: ``tables`` by name, and the bath's ``profile``."""
     more = {"stage": None, "operator": Operator(url=CONSOLE), "emulation": Emulation(), "seed": 1}
     rig = Rig.model_construct(**(more | tables))
-    return LoadedRig(path, "", rig, cast(Profile, profile), path, None)
+    return LoadedRig(Path(), "", rig, cast(Profile, profile), Path(), None)
 
 
 def pedal_watch(arm: MicroScribe, clock: Clock) -> Callable[[float], bool]:
-    """For one prompt: what watches the pedals for some seconds, and says whether one was pressed
-    since the first time it was asked. It raises as polling does.
-
-    A foot that is down at first has to come up before its press counts.
+    """For one prompt: watches the pedals for some seconds; True once one was pressed since the
+    first call. A pedal that is down at first must come up. Raises as polling does.
     """
     debouncer = Debouncer()
 
@@ -152,9 +140,7 @@ def pedal_watch(arm: MicroScribe, clock: Clock) -> Callable[[float], bool]:
 
 
 def conversion_of(table: OneCamera, calibration: Calibration | None) -> Conversion:
-    """What becomes of a camera's frames so that they are as the calibration has them; as delivered
-    without one.
-    """
+    """Conversion of a camera's frames to the calibration's; as delivered without one."""
     if not isinstance(table, ThermalTable):
         return table.conversion()
     thermal = calibration.thermal if calibration else None
@@ -182,29 +168,18 @@ def _open_cameras(rig: LoadedRig, clock: Clock) -> Cameras:
     if kind == "opencv":
         sources = rest.split(",")
         if not 2 <= len(sources) <= len(KNOWN):
-            raise DeviceError(
-                "OpenCV cameras",
-                f"needs two or three sources for left, right and thermal, got {rest!r}",
-                hint="Correct the cameras in the rig file.",
-            )
-        tables = {
-            name: OneCamera(url=f"opencv:{source}")
-            for name, source in zip(KNOWN, sources, strict=False)
-        }
-    openers = {
-        name: lambda name=name, table=table: open_camera(name, table, folder, clock)
-        for name, table in tables.items()
-    }
-    return CameraSet(
-        openers,
-        {name: conversion_of(table, rig.made_calibration) for name, table in tables.items()},
-    )
+            what = f"needs two or three sources for left, right and thermal, got {rest!r}"
+            hint = "Correct the cameras in the rig file."
+            raise DeviceError("OpenCV cameras", what, hint=hint)
+        urls = dict(zip(KNOWN, sources, strict=False))
+        tables = {name: OneCamera(url=f"opencv:{url}") for name, url in urls.items()}
+    openers = {name: partial(open_camera, name, t, folder, clock) for name, t in tables.items()}
+    made = rig.made_calibration
+    return CameraSet(openers, {name: conversion_of(t, made) for name, t in tables.items()})
 
 
 def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> PromptedOperator | None:
-    """Who answers prompts; None where an emulated operator acts without being asked. Raises
-    ConfigError.
-    """
+    """Who answers prompts; None for an emulated operator. Raises ConfigError."""
     url = rig.rig.operator.url
     if url == CONSOLE:
         # a progress bar's stand-in ends each question with a line

@@ -1,6 +1,5 @@
-"""Scenes without instruments: members of the situation families drawn by the emulated cameras, as a
-contact sheet or as a recording. A recording's truth is exact: where each end is, and whether every
-camera can see it.
+"""Members of the situation families drawn by the emulated cameras, as a contact sheet or as a
+recording with exact truth.
 """
 
 from __future__ import annotations
@@ -16,14 +15,11 @@ import numpy as np
 
 from bench.config import ConfigError, read_text
 from bench.files import write_synced
-from bench.rig.board import BoardFile, load_board
-from bench.rig.emulation_model import make_renderer
-from bench.rig.loading import LoadedRig
-from detector.calibration.boards import DICTIONARIES
+from bench.rig.loading import LoadedRig, drawn, load_board
+from bench.rig.model import make_renderer
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import RecordingError, RecordingWriter, TruthRow
 from instruments.world import boards
-from instruments.world.boards import Pattern
 from instruments.world.phantom import Phantom
 from instruments.world.plant import PlantConstants
 from instruments.world.scene import Renderer, contact_sheet
@@ -47,39 +43,26 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 
 def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
     """The cameras of a rig file as emulated; ``seed`` is theirs."""
-    return make_renderer(
-        tomllib.loads(read_text(rig.calibration_path)),
-        seed,
-        rig.rig.emulation.optical,
-        rig.rig.emulation.thermal,
-    )
+    table, emulation = tomllib.loads(read_text(rig.calibration_path)), rig.rig.emulation
+    return make_renderer(table, seed, emulation.optical, emulation.thermal)
 
 
 def warm(found: Situation) -> SceneState:
-    """A situation with its bath settled, at temperatures that vary from member to member as from
-    day to day.
-    """
+    """A situation with its bath settled; temperatures vary between members as between days."""
     rng = np.random.Generator(np.random.PCG64([found.seed, *found.name.encode(), *b"warmth"]))
     constants = PlantConstants()
     water_c, ambient_c = float(rng.uniform(32.5, 33.5)), float(rng.uniform(17.0, 24.0))
     share = constants.teat_in_w_per_k / (constants.teat_in_w_per_k + constants.teat_out_w_per_k)
-    teats_c = (
-        ambient_c + share * (water_c - ambient_c) + rng.normal(0.0, 0.15, len(found.phantom.teats))
-    )
-    return found.state(
-        tuple(float(v) for v in teats_c),
-        water_c - 0.02,
-        ambient_c,
-        time_s=float(rng.uniform(0.0, 3600.0)),
-    )
+    noise = rng.normal(0.0, 0.15, len(found.phantom.teats))
+    teats_c = tuple((ambient_c + share * (water_c - ambient_c) + noise).tolist())
+    time_s = float(rng.uniform(0.0, 3600.0))
+    return found.state(teats_c, water_c - 0.02, ambient_c, time_s=time_s)
 
 
 def write_sheet(
     rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], path: Path, seed: int
 ) -> None:
-    """One PNG with a row for each family and each of ``seeds``. Raises ConfigError where it can't
-    be written.
-    """
+    """One PNG, a row for each family and seed. Raises ConfigError."""
     states = {
         f"{name} {one}": warm(situation(name, one)) for name in chosen(names) for one in seeds
     }
@@ -95,11 +78,8 @@ def write_sheet(
 def record(
     rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], folder: Path, seed: int
 ) -> Iterator[str]:
-    """Add a frame for each family and seed to a recording; yields each frame's name once it is
-    written.
-
-    Raises ConfigError where the folder can't be written, RecordingError for a frame that is there
-    already.
+    """Add a frame for each family and seed to a recording; yields each frame's name. Raises
+    ConfigError for the folder, RecordingError for a frame that is there already.
     """
     families = chosen(names)
     renderer = rig_renderer(rig, seed)
@@ -139,14 +119,10 @@ def record_boards(
     *,
     warmer_k: float = 0.0,
 ) -> Iterator[str]:
-    """Pictures of a calibration board in ``poses`` poses that ``cameras`` see whole: a recording
-    without truth, for `teatbench calibrate`.
-
-    What is dark on the board is ``warmer_k`` warmer than the room. Yields each frame's name once it
-    is written. Raises ConfigError for a board that is wrong or too large, or a folder that can't be
-    written.
+    """A recording, without truth, of a board in ``poses`` poses that ``cameras`` see whole; yields
+    each frame's name. What is dark is ``warmer_k`` warmer than the room. Raises ConfigError.
     """
-    pattern = printed(load_board(board))
+    pattern = drawn(load_board(board).board, 0.3)
     renderer = rig_renderer(rig, seed)
     ambient_c = rig.rig.emulation.ambient_c
     watching = [camera for camera in renderer.cameras if camera.name in cameras]
@@ -171,21 +147,3 @@ def record_boards(
         ) from error
     except OSError as error:
         raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
-
-
-def printed(said: BoardFile) -> Pattern:
-    """What the scene draws for a board's description, which counts points: a chessboard has a
-    square more than corners each way.
-    """
-    more = 0 if said.kind == "circles" else 1
-    feature_mm = said.marker_mm or said.circle_mm or 0.0
-    dictionary = DICTIONARIES[said.dictionary] if said.dictionary else Pattern().dictionary
-    return Pattern(
-        said.kind,
-        said.columns + more,
-        said.rows + more,
-        said.pitch_mm,
-        0.3 * said.pitch_mm,
-        dictionary,
-        feature_mm,
-    )

@@ -32,8 +32,6 @@ FORM = (
 
 
 class AnswerTable(Section):
-    """One of ``[[answers]]``."""
-
     to: Kind
     answer: str
     says: str = ""
@@ -58,9 +56,7 @@ class AnswerFile(Section):
 
 
 def load_answers(path: Path, show: Callable[[str], None] = lambda _: None) -> ScriptedAnswers:
-    """The script of answers at ``path``; ``show`` gets each prompt with its answer. Raises
-    ConfigError.
-    """
+    """The answers at ``path``; ``show`` gets each prompt and answer. Raises ConfigError."""
     if path.suffix.lower() == ".toml":
         read = read_config(path, AnswerFile)
         listed = [

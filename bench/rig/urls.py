@@ -1,6 +1,4 @@
-"""Where instruments are, as a rig file says it: links, baths, operators, and files beside the rig
-file. Checks words; opens nothing.
-"""
+"""Checks URLs and file names of a rig file; opens nothing."""
 
 from __future__ import annotations
 

@@ -23,10 +23,8 @@ DICTIONARIES: dict[str, int] = {
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """``columns`` x ``rows`` points, ``pitch_mm`` apart: inner corners, or centres of circles.
-
-    ``marker_mm`` and ``dictionary`` (of `DICTIONARIES`) are for ChArUco boards, ``circle_mm``
-    (diameter) for circles.
+    """``columns`` x ``rows`` points: inner corners, or centres of circles. ``marker_mm`` and
+    ``dictionary`` (of `DICTIONARIES`) for ChArUco, ``circle_mm`` (diameter) for circles.
     """
 
     kind: BoardKind

@@ -46,9 +46,7 @@ class Rig:
 
 @dataclass(frozen=True, slots=True)
 class Freedom:
-    """What may move. ``lens``: each camera's free parameters (of `LENS`); ``aspect``: fx / fy is
-    fixed; ``motions``: cameras may move against each other.
-    """
+    """What may move: each camera's ``lens`` parameters, motions; ``aspect``: fx / fy is fixed."""
 
     lens: Mapping[str, frozenset[str]]
     aspect: frozenset[str] = frozenset()
@@ -61,11 +59,9 @@ class BundleError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adjusted:
-    """The fit: rig, reference_from_board of each pose, and quality.
-
-    ``names`` of free parameters, as ("left", "fx") and ("right", "om1"); their ``covariance`` (k,
-    k) in px, rad and mm, poses integrated out, scaled by ``sigma_px`` squared. ``residuals_px`` of
-    a sighting: seen minus predicted (n, 2).
+    """The fit; poses are reference_from_board. ``covariance`` (k, k) px, rad, mm of ``names`` such
+    as ("left", "fx"), poses integrated out. ``residuals_px`` (n, 2) by sighting: seen minus
+    predicted.
     """
 
     rig: Rig
@@ -88,12 +84,7 @@ class Adjusted:
         return None if variance is None else float(np.sqrt(variance))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _State:
-    """Cameras, and reference_from_board of each view."""
-
-    rig: Rig
-    poses: tuple[Motion, ...]
+_State = tuple[Rig, tuple[Motion, ...]]  # reference_from_board of each view
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +112,6 @@ class _Layout:
 
     @property
     def size(self) -> int:
-        """How many parameters there are."""
         return len(self.shared) + 6 * self.poses
 
     def columns(self, camera: str, names: Sequence[str]) -> tuple[list[int], list[int]]:
@@ -132,7 +122,8 @@ class _Layout:
 
     def moved(self, state: _State, step: Array) -> _State:
         """The state after a step (size,)."""
-        cameras, motions = dict(state.rig.cameras), dict(state.rig.from_reference)
+        rig, poses = state
+        cameras, motions = dict(rig.cameras), dict(rig.from_reference)
         for name, camera in cameras.items():
             values = camera.lens
             places, columns = self.columns(name, LENS)
@@ -146,11 +137,10 @@ class _Layout:
             if places:
                 motions[name] = motions[name].shifted(step[columns])
         tail = step[len(self.shared) :].reshape(-1, 6)
-        poses = tuple(pose.shifted(part) for pose, part in zip(state.poses, tail, strict=True))
-        return _State(Rig(cameras, motions), poses)
+        poses = tuple(pose.shifted(part) for pose, part in zip(poses, tail, strict=True))
+        return Rig(cameras, motions), poses
 
     def describe(self, column: int) -> str:
-        """A parameter's name for a sentence."""
         if column < len(self.shared):
             camera, name = self.shared[column]
             return f"{name} of the {camera} camera"
@@ -165,9 +155,7 @@ SINGULAR = 1e-14  # of the largest eigenvalue: less is rounding
 def adjust(
     start: Rig, poses: Sequence[Motion], sightings: Sequence[Sighting], freedom: Freedom
 ) -> Adjusted:
-    """The least-squares fit from ``start`` and ``poses`` (reference_from_board), with equal,
-    independent noise of all corners. Raises BundleError.
-    """
+    """The least-squares fit, with equal, independent noise of all corners. Raises BundleError."""
     layout = _Layout.of(start, len(poses), freedom)
     rows = sum(2 * len(s.board_mm) for s in sightings)
     if rows <= layout.size:
@@ -175,13 +163,21 @@ def adjust(
             f"{rows // 2} corners can't fix {layout.size} parameters: more views, or fewer free"
             " parameters"
         )
-    state, normal = _descend(_State(start, tuple(poses)), layout, sightings)
+    state, normal = _descend((start, tuple(poses)), layout, sightings)
     variance = normal.cost / (rows - layout.size)
-    covariance = _covariance(normal, layout) * variance
+    k = len(layout.shared)
+    scale = np.sqrt(np.diag(normal.shared))
+    scaled = normal.reduced(0.0)[0] / np.outer(scale, scale)
+    values, directions = np.linalg.eigh(scaled) if k else (np.ones(1), np.ones((1, 1)))
+    if values[0] < SINGULAR * values[-1]:
+        weakest = int(np.argmax(np.abs(directions[:, 0])))
+        raise BundleError(
+            f"the views don't tell {layout.describe(weakest)} apart from the rest: tilt the board"
+            " more, or hold it fixed"
+        )
+    covariance = np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale)) * variance
     sigma_px = float(np.sqrt(variance))
-    return Adjusted(
-        state.rig, state.poses, layout.shared, covariance, sigma_px, normal.residuals_px
-    )
+    return Adjusted(*state, layout.shared, covariance, sigma_px, normal.residuals_px)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,8 +259,9 @@ def _normal(state: _State, layout: _Layout, sightings: Sequence[Sighting]) -> _N
 
 def _linearised(state: _State, layout: _Layout, seen: Sighting) -> tuple[Array, Array, Array]:
     """A sighting's derivatives by shared parameters (2n, k) and pose (2n, 6); residuals (2n,)."""
-    camera, motion = state.rig.cameras[seen.camera], state.rig.from_reference[seen.camera]
-    pose = state.poses[seen.pose]
+    rig, poses = state
+    camera, motion = rig.cameras[seen.camera], rig.from_reference[seen.camera]
+    pose = poses[seen.pose]
     # composed om and T, then their derivatives: of om by om1, T1, om2, T2, and the same of T
     om, T, *by_part = map(np.asarray, cv2.composeRT(pose.om, pose.T, motion.om, motion.T))
     by_pose, by_motion = (
@@ -285,19 +282,3 @@ def _linearised(state: _State, layout: _Layout, seen: Sighting) -> tuple[Array, 
     places, columns = layout.columns(seen.camera, LENS)
     by_shared[:, columns] = lens[:, places]
     return by_shared, by_whole @ by_pose, np.asarray(residual, dtype=np.float64)
-
-
-def _covariance(normal: _Normal, layout: _Layout) -> Array:
-    """Of the shared parameters, for a variance of 1."""
-    if not layout.shared:
-        return np.zeros((0, 0))
-    scale = np.sqrt(np.diag(normal.shared))
-    scaled = normal.reduced(0.0)[0] / np.outer(scale, scale)
-    values, directions = np.linalg.eigh(scaled)
-    if values[0] < SINGULAR * values[-1]:
-        weakest = int(np.argmax(np.abs(directions[:, 0])))
-        raise BundleError(
-            f"the views don't tell {layout.describe(weakest)} apart from the rest: tilt the board"
-            " more, or hold it fixed"
-        )
-    return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))

@@ -1,5 +1,5 @@
-"""Cameras from views of a board: each alone, then the pair with fixed and with joint lenses.
-OpenCV's solver gives the start, the bundle adjustment the answer and its covariance.
+"""Cameras from views of a board: each alone, then the pair with fixed and with joint lenses; and
+what a set of views covers. OpenCV's solver gives the start, the bundle adjustment the answer.
 
 The split-half comparison tests the stated standard deviations: two calibrations, each from every
 other view. Reprojection error can't: few views reproject better, and are worse.
@@ -154,10 +154,8 @@ def join_cameras(
     model: str = "k1 k2 p1 p2",
     square_pixels: bool = False,
 ) -> Calibrated:
-    """The cameras of ``alone`` against each other, in the first one's frame.
-
-    Lenses of ``joint_lenses`` are fitted again, others are held. All views take part; shared ones
-    move a camera. Raises TooFewViewsError.
+    """The cameras of ``alone`` in the first one's frame; ``joint_lenses`` are fitted again, others
+    held. All views take part; shared ones move a camera. Raises TooFewViewsError.
     """
     first, *others = alone
     motions = {first: Motion.identity()}
@@ -221,28 +219,119 @@ def split_half(
     in_right = {view.name for view in views["right"]}
     shared = [view.name for view in views["left"] if view.name in in_right]
     lens: dict[str, Any] = {"model": model, "square_pixels": square_pixels}
-    fits, values, variances = [], [], []
+    fits, variances = [], []
+    values: list[dict[tuple[str, str], float]] = []
     for half in (set(shared[::2]), set(shared[1::2])):
-        alone = {
-            name: calibrate_camera(
-                name, [v for v in views[name] if v.name in half], image_size, **lens
-            )
-            for name in ("left", "right")
-        }
+        seen = {name: [v for v in views[name] if v.name in half] for name in ("left", "right")}
+        alone = {name: calibrate_camera(name, v, image_size, **lens) for name, v in seen.items()}
         found = join_cameras(alone, joint_lenses=("left", "right"), **lens)
         fits.append(found)
-        rig = found.fit.rig
-        values.append(
-            {(n, p): v for n, c in rig.cameras.items() for p, v in zip(LENS, c.lens, strict=True)}
-            | {
-                (n, p): v
-                for n, m in rig.from_reference.items()
-                for p, v in zip(POSE, (*m.om, *m.T), strict=True)
-            }
-        )
+        values.append({})
+        for n, camera in found.fit.rig.cameras.items():
+            motion = found.fit.rig.from_reference[n]
+            numbers = zip((*LENS, *POSE), (*camera.lens, *motion.om, *motion.T), strict=True)
+            values[-1] |= {(n, p): v for p, v in numbers}
         variances.append(dict(zip(found.fit.names, np.diag(found.fit.covariance), strict=True)))
     differences = {
         at: float((values[0][at] - values[1][at]) / np.sqrt(variances[0][at] + variances[1][at]))
         for at in fits[0].fit.names
     }
     return Halves((pair_of(fits[0]), pair_of(fits[1])), differences)
+
+
+COLUMNS, ROWS = 4, 3  # cells of the picture
+LEAST_CORNERS = 12  # in a cell that counts as covered
+TILT_DEG = 15.0  # from here on a view counts as tilted to a side
+LEAST_TILTED = 2  # views a side
+DISTANCE_RATIO = 1.3  # farthest over nearest view
+ENOUGH_VIEWS = 12
+# what a rough focal length is believed to be, in widths of the picture
+FOCAL_OVER_WIDTH = (0.5, 8.0)
+SIDES = (
+    "its left edge towards the cameras",
+    "its right edge towards the cameras",
+    "its upper edge towards the cameras",
+    "its lower edge towards the cameras",
+)
+_ROW_NAMES = ("top", "middle", "bottom")
+_COLUMN_NAMES = ("far left", "left", "right", "far right")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coverage:
+    """``corners`` (ROWS, COLUMNS) by cell; ``tilted`` views by `SIDES`; nearest and farthest mm."""
+
+    views: int
+    corners: Array
+    tilted: tuple[int, ...]
+    distances_mm: tuple[float, float] | None
+
+    @property
+    def share(self) -> float:
+        """Share of the picture's cells that are covered, 0 to 1."""
+        return float(np.mean(self.corners >= LEAST_CORNERS))
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What is still to be shown, as instructions; empty when nothing is."""
+        found = []
+        empty = [
+            f"{_ROW_NAMES[row]} {_COLUMN_NAMES[column]}"
+            for row, column in np.argwhere(self.corners < LEAST_CORNERS)
+        ]
+        if empty:
+            found.append(f"show the board in the picture's {', '.join(empty)}")
+        for side, count in zip(SIDES, self.tilted, strict=True):
+            if count < LEAST_TILTED:
+                found.append(f"tilt the board by 20 to 40 degrees, {side}")
+        near, far = self.distances_mm or (0.0, 0.0)
+        if self.distances_mm and far < DISTANCE_RATIO * near:
+            found.append(
+                f"hold the board nearer and farther: all views are {near:.0f} to {far:.0f} mm away"
+            )
+        more = ENOUGH_VIEWS - self.views
+        if more > 0:
+            found.append(f"{more} more view{'s' if more > 1 else ''}")
+        return tuple(found)
+
+
+def coverage(
+    pixels_px: Sequence[Array], image_size: tuple[int, int], poses: Sequence[Motion] = ()
+) -> Coverage:
+    """Of views with corners (n, 2) in (columns, rows) px; ``poses``: camera_from_board if known."""
+    corners = np.zeros((ROWS, COLUMNS), dtype=np.float64)
+    for pixels in pixels_px:
+        cell = np.clip(
+            (pixels + 0.5) / image_size * (COLUMNS, ROWS), 0, (COLUMNS - 1e-9, ROWS - 1e-9)
+        ).astype(int)
+        np.add.at(corners, (cell[:, 1], cell[:, 0]), 1.0)
+    # a normal (away from the camera) that points to the right: the left edge is farther away
+    normals = np.array([pose.R[:2, 2] * np.copysign(1, pose.R[2, 2]) for pose in poses])
+    x, y = np.degrees(np.arcsin(np.clip(normals.reshape(-1, 2), -1.0, 1.0))).T
+    sides = (x < -TILT_DEG, x > TILT_DEG, y < -TILT_DEG, y > TILT_DEG)
+    depths = [float(pose.T[2]) for pose in poses]
+    tilted = tuple(int(side.sum()) for side in sides)
+    return Coverage(len(pixels_px), corners, tilted, (min(depths), max(depths)) if depths else None)
+
+
+def rough_poses(
+    board_mm: Sequence[Array], pixels_px: Sequence[Array], image_size: tuple[int, int]
+) -> list[Motion]:
+    """camera_from_board of views, points (n, 3) mm at (n, 2) px, with a guessed lens: for a guide.
+
+    Focal length by Zhang 2000, closed form; central principal point; no distortion.
+    """
+    if not board_mm:
+        return []
+    object_points, image_points = (
+        [np.asarray(part, dtype=np.float32) for part in parts] for parts in (board_mm, pixels_px)
+    )
+    guessed = float(cv2.initCameraMatrix2D(object_points, image_points, image_size, 1.0)[0, 0])
+    low, high = (ratio * image_size[0] for ratio in FOCAL_OVER_WIDTH)
+    focal = min(max(guessed, low), high) if np.isfinite(guessed) else float(image_size[0])
+    middle = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
+    lens = Camera(image_size, (focal, focal), middle)
+    return [
+        flat_pose(board, pixels, lens.matrix, np.array(lens.kc))
+        for board, pixels in zip(object_points, image_points, strict=True)
+    ]

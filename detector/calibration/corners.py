@@ -83,10 +83,8 @@ class ViewRefusedError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """The board in one picture: ``ids`` (n,) of its points, ``pixels_px`` (n, 2).
-
-    ``edges_px``: 10 to 90 % of the rise along rows and columns, None where not measurable.
-    ``window_px``: half the sub-pixel window's side.
+    """``ids`` (n,) at ``pixels_px`` (n, 2); ``edges_px``: 10 to 90 % of the rise along rows and
+    columns, None if not measurable; ``window_px``: half the sub-pixel window's side.
     """
 
     ids: NDArray[np.intp]
@@ -99,22 +97,26 @@ class Found:
         return replace(self, ids=np.asarray(board.columns * board.rows - 1 - self.ids))
 
 
-def find_board(
-    image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel(), inverted: bool | None = None
-) -> Found:
-    """The board in an 8-bit picture. ``inverted``: bright for dark, as a heated board may look;
-    None tries both. Raises ViewRefusedError.
-    """
+def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel()) -> Found:
+    """The board in an 8-bit picture, dark or bright. Raises ViewRefusedError."""
     if image.ndim != 2 or image.dtype != np.uint8:
         raise ValueError(
             f"find_board wants an 8-bit grey picture, not {image.dtype} of shape {image.shape}"
         )
-    pictures = [image, np.asarray(255 - image, dtype=np.uint8)]
     finder = {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}[board.kind]
-    for picture in pictures if inverted is None else [pictures[inverted]]:
-        found = finder(picture, board, sub_pixel)
-        if found is not None:
-            _refuse_blurred(found)
+    for picture in (image, np.asarray(255 - image, dtype=np.uint8)):  # a heated board is bright
+        if found := finder(picture, board, sub_pixel):
+            worse, better = max(found.edges_px or (0.0,)), min(found.edges_px or (0.0,))
+            if worse > BLURRED_PX and worse > MOVED_RATIO * better:
+                raise ViewRefusedError(
+                    f"the board moved: edges are {worse:.1f} px wide along one direction,"
+                    f" {better:.1f} px along the other"
+                )
+            if worse > BLURRED_PX:
+                raise ViewRefusedError(
+                    f"blurred: edges are {worse:.1f} px wide, at most {BLURRED_PX:g} px are of"
+                    " use; focus, or hold it still"
+                )
             return found
     raise ViewRefusedError(
         f"no {board.columns} x {board.rows} {board.kind} found: is the whole board in the picture,"
@@ -123,9 +125,7 @@ def find_board(
 
 
 def order_alike(first: Found, second: Found, board: Board) -> Found:
-    """``second`` counted from the same end as ``first``, for boards that read the same turned; the
-    cameras differ by less than a right angle.
-    """
+    """``second`` counted from ``first``'s end; the cameras differ by less than a right angle."""
     if not board.reads_the_same_turned:
         return second
     ways = []
@@ -179,10 +179,8 @@ def _charuco(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
 
 
 def _circles(image: Gray, board: Board, _: SubPixel) -> Found | None:
-    """Dark circles: OpenCV's finder with our dark blobs, as its own blob detector wants 8 px and
-    more.
-
-    Dark is below one threshold or, where that finds no board (shade), below its surroundings.
+    """Dark blobs in OpenCV's grid finder (its own detector needs 8 px), by one threshold or by
+    their surroundings.
     """
     for dark in _darknesses(image):
         pixels = _grid_of_blobs(image, dark, board)
@@ -220,8 +218,7 @@ def _grid_of_blobs(image: Gray, dark: NDArray[Any], board: Board) -> Array | Non
     blobs = np.flatnonzero(alike)
     if not wanted <= len(blobs) <= MOST_BLOBS * wanted:
         return None
-    middles = [_centre(image, labels, stats[n], n) for n in blobs.tolist()]
-    centres = np.array(middles, dtype=np.float32)
+    centres = np.array([_centre(image, labels, stats[n], n) for n in blobs.tolist()], np.float32)
     shape, settings = (board.columns, board.rows), cv2.CirclesGridFinderParameters()
     # The manual allows None with points in place of a picture; OpenCV's type stubs don't.
     done, ordered = cv2.findCirclesGrid(  # type: ignore[call-overload]
@@ -252,19 +249,3 @@ def _dark_before_first(image: Gray, grid_px: Array) -> bool:
     columns, rows = np.clip(places, 0, np.array(image.shape[::-1]) - 1).T
     values = image[rows, columns].astype(int)
     return bool(values[0] + values[1] < values[2] + values[3])
-
-
-def _refuse_blurred(found: Found) -> None:
-    if found.edges_px is None:
-        return
-    worse, better = max(found.edges_px), min(found.edges_px)
-    if worse > BLURRED_PX and worse > MOVED_RATIO * better:
-        raise ViewRefusedError(
-            f"the board moved: edges are {worse:.1f} px wide along one direction, {better:.1f} px"
-            " along the other"
-        )
-    if worse > BLURRED_PX:
-        raise ViewRefusedError(
-            f"blurred: edges are {worse:.1f} px wide, at most {BLURRED_PX:g} px are of use; focus,"
-            " or hold it still"
-        )

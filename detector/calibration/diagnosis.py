@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from detector.calibration.boards import Board
-from detector.calibration.rigid import cross_matrix
+from detector.calibration.rigid import WorldFit, cross_matrix
 from detector.calibration.values import Pair
-from detector.calibration.world import WorldFit
 from detector.geometry import Array, Motion, homogeneous
 
 Ids = NDArray[np.intp]
@@ -36,11 +35,9 @@ class PairView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """One view measured again; mm and px; ``scale``: measured over printed lengths.
-
-    ``off_plane_mm`` (n,): height over the fitted plane, towards the cameras. ``epipolar_px`` (n,):
-    signed distance from the epipolar line in the right picture, positive downwards. ``spacing_mm``
-    (m,): neighbours' distances less the pitch.
+    """One view, mm and px. ``scale``: over printed lengths; ``off_plane_mm`` (n,): towards the
+    cameras; ``epipolar_px`` (n,): positive downwards; ``spacing_mm`` (m,): neighbours' less the
+    pitch.
     """
 
     name: str
@@ -54,8 +51,6 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Remeasured:
-    """All views of a board measured again with ``pair``."""
-
     board: Board
     views: tuple[Measured, ...]
 
@@ -105,8 +100,12 @@ def remeasure(pair: Pair, board: Board, views: Sequence[PairView]) -> Remeasured
 
 def _measured(pair: Pair, board: Board, view: PairView) -> Measured:
     points, printed = pair.in_right_mm(view.left_px, view.right_px), board.points_mm[view.ids]
-    a, b = _neighbours(board, view.ids)
-    spacing = np.linalg.norm(points[a] - points[b], axis=1) - board.pitch_mm
+    # distances to the next point in a row and in a column, where both were seen
+    grid = np.full((board.rows, board.columns, 3), np.nan)
+    grid.reshape(-1, 3)[view.ids] = points
+    apart = [np.linalg.norm(np.diff(grid, axis=axis), axis=2).ravel() for axis in (1, 0)]
+    spacing = np.concatenate(apart) - board.pitch_mm
+    spacing = spacing[np.isfinite(spacing)]
     centred, centred_printed = points - points.mean(axis=0), printed - printed.mean(axis=0)
     scale = float(np.sqrt(np.sum(centred**2) / np.sum(centred_printed**2)))
     normal = np.linalg.svd(centred, full_matrices=False)[2][2]
@@ -116,10 +115,8 @@ def _measured(pair: Pair, board: Board, view: PairView) -> Measured:
 
 
 def epipolar_px(pair: Pair, view: PairView) -> Array:
-    """Signed distances (n,) px of right pixels from their epipolar lines, positive downwards.
-
-    In the undistorted picture at the right camera's focal length. Hartley and Zisserman, 2nd ed.,
-    section 9.6.
+    """Signed distances (n,) px of right pixels from epipolar lines, positive downwards,
+    undistorted, at the right focal length. Hartley and Zisserman, 2nd ed., section 9.6.
     """
     a = homogeneous(pair.left.normalize(view.left_px))
     b = homogeneous(pair.right.normalize(view.right_px))
@@ -128,19 +125,6 @@ def epipolar_px(pair: Pair, view: PairView) -> Array:
     lines *= np.where(lines[:, 1:2] < 0, -1.0, 1.0)
     off = np.sum(lines * b, axis=1) / np.linalg.norm(lines[:, :2], axis=1)
     return np.asarray(off * pair.right.fc[1])
-
-
-def _neighbours(board: Board, ids: Ids) -> tuple[Ids, Ids]:
-    """Rows of ``ids`` that are next to each other on the board, as two lists of places."""
-    place = np.full(board.columns * board.rows, -1)
-    place[ids] = np.arange(len(ids))
-    grid = place.reshape(board.rows, board.columns)
-    pairs = np.vstack([
-        np.column_stack([grid[:, :-1].reshape(-1), grid[:, 1:].reshape(-1)]),
-        np.column_stack([grid[:-1].reshape(-1), grid[1:].reshape(-1)]),
-    ])  # fmt: skip
-    both = pairs[(pairs >= 0).all(axis=1)]
-    return both[:, 0], both[:, 1]
 
 
 def _bend_mm(board: Board, view: Measured) -> float:
@@ -209,7 +193,15 @@ def measured_again(again: Remeasured, pair: Pair) -> list[Finding]:
     if any(view.depth_mm <= 0 for view in again.views):
         said = "the board is measured behind the cameras: left and right pictures are swapped"
         return [Finding("swapped cameras", said)]
-    return [*bent(again), *_scale(again, pair), *_rows(again)]
+    offset = again.epipolar[0]
+    said = (
+        f"the right camera's rows are {abs(offset):.2f} px too {'low' if offset > 0 else 'high'}"
+        " against the left's: pixel centres counted from 0 in one and 0.5 in the other, or a lens"
+        " or camera that moved"
+    )
+    rows = _matters(again.epipolar, ROWS_MATTER_PX, again)
+    shifted = [Finding("shifted rows", said)] if rows else []
+    return [*bent(again), *_scale(again, pair), *shifted]
 
 
 def against_the_arm(world: WorldFit) -> list[Finding]:
@@ -254,21 +246,8 @@ def _scale(again: Remeasured, pair: Pair) -> list[Finding]:
     return [Finding("shifted columns", said)]
 
 
-def _rows(again: Remeasured) -> list[Finding]:
-    offset = again.epipolar[0]
-    said = (
-        f"the right camera's rows are {abs(offset):.2f} px too {'low' if offset > 0 else 'high'}"
-        " against the left's: pixel centres counted from 0 in one and 0.5 in the other, or a lens"
-        " or camera that moved"
-    )
-    found = _matters(again.epipolar, ROWS_MATTER_PX, again)
-    return [Finding("shifted rows", said)] if found else []
-
-
 def bent(again: Remeasured) -> list[Finding]:
-    """Whether the board's middle stands off its rim. What the calibration's lenses took up is
-    missing, so what is left is real.
-    """
+    """Whether the middle stands off the rim, beyond what the calibration's lenses took up."""
     bend, least = again.bend[0], BEND_MATTERS * float(np.hypot(*again.board.size_mm))
     said = (
         f"the board's middle stands {abs(bend):.2f} mm {'before' if bend > 0 else 'behind'} its"

@@ -43,9 +43,7 @@ THERMAL_KEYS = ("image_size", "sensor_size", "mirrored", "polarity")
 
 
 def dump_calibration(calibration: Calibration | Part, heading: str = "") -> str:
-    """The file's text, whole or a part; each line of `heading` becomes a comment. Numbers have 10
-    significant digits, a covariance 12, to keep its sign.
-    """
+    """The file's text; ``heading`` becomes comments. 10 significant digits, a covariance 12."""
     part = calibration if isinstance(calibration, Part) else calibration.part
     lines = [f"# {line}".rstrip() for line in heading.splitlines()]
     for name, block in _blocks(part).items():
@@ -59,13 +57,14 @@ def dump_calibration(calibration: Calibration | Part, heading: str = "") -> str:
 
 def _blocks(part: Part) -> dict[str, Mapping[str, Any]]:
     blocks: dict[str, Mapping[str, Any]] = {}
-    for name, camera in (("left", part.left), ("right", part.right)):
+    for name in ("left", "right", "thermal"):
+        camera: Camera | ThermalCamera | None = getattr(part, name)
+        lens = camera.lens if isinstance(camera, ThermalCamera) else camera
         if camera:
-            blocks[f"cameras.{name}"] = {"image_size": camera.image_size, **_lens_keys(camera)}
-    if thermal := part.thermal:
-        form = {name: getattr(thermal, name) for name in THERMAL_KEYS}
-        size = {"image_size": form.pop("image_size")}
-        blocks["cameras.thermal"] = {**size, **_lens_keys(thermal.lens), **form}
+            block = {"image_size": camera.image_size}
+            block |= {key: getattr(lens, key) for key in LENS_KEYS if lens}
+            form = THERMAL_KEYS[1:] if isinstance(camera, ThermalCamera) else ()
+            blocks[f"cameras.{name}"] = block | {key: getattr(camera, key) for key in form}
     poses = part.right_from_left, part.thermal_from_left, part.world_from_right
     for name, pose in zip(("stereo", "thermal", "world"), poses, strict=True):
         if pose:
@@ -78,16 +77,10 @@ def _blocks(part: Part) -> dict[str, Mapping[str, Any]]:
     if part.record:
         record = asdict(part.record)
         tables = {f"record.{name}": record.pop(name) for name in ("cameras", "inputs")}
-        blocks |= {"record": record, **{name: _quoted_keys(t) for name, t in tables.items()}}
+        blocks["record"] = record
+        for name, table in tables.items():
+            blocks[name] = {_toml(key): value for key, value in table.items()}
     return blocks
-
-
-def _lens_keys(lens: Camera | None) -> dict[str, Any]:
-    return {name: getattr(lens, name) for name in LENS_KEYS} if lens else {}
-
-
-def _quoted_keys(table: Mapping[str, str]) -> dict[str, str]:
-    return {_toml(name): value for name, value in table.items()}
 
 
 def _toml(value: Any, digits: int = 10) -> str:
@@ -129,14 +122,8 @@ class _WrongError(Exception):
 
 
 Check = Callable[[Any], Any]
-_KINDS: dict[type, str] = {
-    bool: "true or false",
-    int: "a number",
-    float: "a number",
-    str: "text",
-    list: "an array",
-    dict: "a table",
-}
+_KINDS: dict[type, str] = {bool: "true or false", int: "a number", float: "a number"}
+_KINDS |= {str: "text", list: "an array", dict: "a table"}
 
 
 def _kind(value: Any) -> str:
@@ -177,12 +164,9 @@ def _positive(value: Any) -> float:
 
 
 def _numbers(length: int, what: str, *, positive: bool = False) -> Check:
-    """An array of exactly `length` finite numbers."""
-
     def check(value: Any) -> tuple[float, ...]:
         expected = f"{length} numbers ({what})"
-        is_list = isinstance(value, list)
-        _refuse(not is_list, f"must be an array of {expected}, not {_kind(value)}")
+        _refuse(type(value) is not list, f"must be an array of {expected}, not {_kind(value)}")
         _refuse(len(value) != length, f"must have {expected}, has {len(value)}")
         found = tuple(_number(v) for v in value)
         _refuse(positive and min(found) <= 0, f"must be above zero ({what}), got {value}")
@@ -192,7 +176,7 @@ def _numbers(length: int, what: str, *, positive: bool = False) -> Check:
 
 
 def _size(value: Any) -> tuple[int, int]:
-    whole = isinstance(value, list) and len(value) == 2 and {type(v) for v in value} == {int}
+    whole = isinstance(value, list) and [type(v) for v in value] == [int, int]
     _refuse(not whole, "must be [columns, rows], two whole numbers of pixels")
     fits = all(1 <= v <= 65535 for v in value)
     _refuse(not fits, f"must be [columns, rows] of 1 to 65535 pixels, got {value}")
@@ -210,11 +194,11 @@ def _polarity(value: Any) -> str:
 def _matrix(value: Any) -> tuple[tuple[float, ...], ...]:
     three = isinstance(value, list) and len(value) == 3
     _refuse(not three, "must be three rows of three numbers")
-    row = _numbers(3, "a row of a homography")
-    (a, b, c), (d, e, f), (g, h, i) = rows = tuple(row(r) for r in value)
+    rows: tuple[tuple[float, ...], ...] = tuple(map(_numbers(3, "a row of a homography"), value))
+    (a, b, c), (d, e, f), (g, h, i) = rows
     determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
     _refuse(
-        not (i > 0 and math.isfinite(determinant) and determinant > 0),
+        not (i > 0 and 0 < determinant < math.inf),
         "must be a homography that neither mirrors nor flattens, its last entry above zero: "
         f"determinant {determinant:g}, last entry {i:g}",
     )
@@ -242,7 +226,6 @@ def _parameters(value: Any) -> tuple[tuple[str, str], ...]:
 
 
 def _triangle(value: Any) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """The symmetric matrix of a lower triangle."""
     rows = isinstance(value, list) and all(isinstance(row, list) for row in value)
     _refuse(not rows, f"must be an array of rows, not {_kind(value)}")
     uneven = any(len(row) != n for n, row in enumerate(value, 1))
@@ -316,38 +299,29 @@ def file_hash(path: Path) -> str:
 
 
 def _part(found: Mapping[Key, Mapping[str, Any]]) -> Part:
-    """What checked blocks say."""
-    motions = {
-        name: Motion.from_vectors(found[name,]["om"], found[name,]["T"])
-        for name in ("stereo", "thermal", "world")
-        if (name,) in found
-    }
-    lenses = {
-        name: Camera(**{"image_size": block["image_size"], **_lens_keys_of(block)})
-        for (room, *names), block in found.items()
-        for name in names
-        if room == "cameras" and "fc" in block
-    }
+
+    def lens(name: str) -> Camera | None:
+        block = found.get(("cameras", name), {})
+        values = {key: block[key] for key in ("image_size", *LENS_KEYS) if key in block}
+        return Camera(**values) if "fc" in block else None
+
+    def motion(name: str) -> Motion | None:
+        pose = found.get((name,))
+        return Motion.from_vectors(pose["om"], pose["T"]) if pose else None
+
     seen, maps = found.get(("cameras", "thermal")), found.get(("homography",), {})
+    form = {key: seen[key] for key in THERMAL_KEYS} if seen else {}
     return Part(
-        lenses.get("left"),
-        lenses.get("right"),
-        motions.get("stereo"),
-        ThermalCamera(**{n: seen[n] for n in THERMAL_KEYS}, lens=lenses.get("thermal"))
-        if seen
-        else None,
-        motions.get("thermal"),
-        Homographies(maps["left"], maps["right"], maps.get("plane_depth_mm"))
-        if "left" in maps
-        else None,
-        motions.get("world"),
-        found.get(("uncertainty",), {}).get("matrix"),
-        Record(**found["record",]) if ("record",) in found else None,
+        left=lens("left"),
+        right=lens("right"),
+        right_from_left=motion("stereo"),
+        thermal=ThermalCamera(**form, lens=lens("thermal")) if form else None,
+        thermal_from_left=motion("thermal"),
+        homographies=Homographies(**{"plane_depth_mm": None, **maps}) if "left" in maps else None,
+        world_from_right=motion("world"),
+        covariance=found.get(("uncertainty",), {}).get("matrix"),
+        record=Record(**found["record",]) if ("record",) in found else None,
     )
-
-
-def _lens_keys_of(block: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: block[name] for name in LENS_KEYS if name in block}
 
 
 def _read(path: Path) -> dict[str, Any]:

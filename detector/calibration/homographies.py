@@ -24,9 +24,7 @@ RANSAC_SEED = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedPairs:
-    """The homography (3, 3) from un-mirrored thermal to optical px, its inliers (n,), and
-    ``missed_px`` (n,) of all pairs.
-    """
+    """``H`` (3, 3) from un-mirrored thermal to optical px, ``inliers`` (n,), ``missed_px`` (n,)."""
 
     H: Array
     inliers: NDArray[np.bool_]
@@ -82,9 +80,7 @@ def thermal_grid(image_size: tuple[int, int]) -> Array:
 def through_plane(
     thermal_px: Array, thermal: Camera, thermal_from_right: Motion, plane_depth_mm: float
 ) -> Array:
-    """Points (n, 3), right camera's frame, where rays of thermal pixels (n, 2) meet Z =
-    plane_depth_mm; NaN behind the thermal camera.
-    """
+    """Points (n, 3), right frame, of thermal pixels (n, 2) on Z = plane_depth_mm; NaN behind."""
     right_from_thermal = thermal_from_right.inverse()
     origin = right_from_thermal.T
     direction = thermal.rays(thermal_px) @ right_from_thermal.R.T
@@ -99,8 +95,8 @@ def plane_homography(
     optical_from_right: Motion,
     plane_depth_mm: float,
 ) -> Array:
-    """(3, 3), last entry 1, from un-mirrored thermal to optical pixels on Z = plane_depth_mm (right
-    camera's frame). Raises ValueError unless the plane is before both cameras.
+    """(3, 3) from un-mirrored thermal to optical pixels on Z = plane_depth_mm (right camera's
+    frame). Raises ValueError unless the plane is before both cameras.
     """
     grid = thermal_grid(thermal.image_size)
     on_plane = through_plane(grid, thermal, thermal_from_right, plane_depth_mm)

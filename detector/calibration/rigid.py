@@ -1,9 +1,9 @@
-"""Rigid, similarity and affine fits of points to points, with residuals and held-out errors.
+"""Rigid, similarity and affine fits of points to points, and camera to world by them.
 
-The rigid fit is the answer; a much better affine one means that a set is measured wrongly. Points
-in a plane: its normal maps to the other's, at scale 1. Kabsch 1976 (rigid), Umeyama 1991
-(similarity); Fitzpatrick, West and Maurer, IEEE Trans. Med. Imaging 17 (1998) 694 (fiducial and
-target error).
+The rigid fit is the answer; a much better affine one means that a set is measured wrongly. The
+world's covariance is joint with lenses and stereo: their errors partly cancel at touched points.
+Kabsch 1976 (rigid), Umeyama 1991 (similarity); Fitzpatrick, West and Maurer, IEEE Trans. Med.
+Imaging 17 (1998) 694 (fiducial and target error).
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from detector.geometry import Array, rigid_fit
+from detector.calibration.bundle import POSE
+from detector.calibration.values import STEP, Pair, ParameterCovariance
+from detector.geometry import Array, Motion, rigid_fit
 
 _FLAT = 1e-9  # of the largest extent: thinner than this is no extent
 
@@ -54,7 +56,6 @@ class Comparison:
 
     @property
     def fits(self) -> tuple[Fit, Fit, Fit]:
-        """In the order of their freedom."""
         return self.rigid, self.similarity, self.affine
 
 
@@ -137,10 +138,7 @@ def fle_from_fre_mm(fre_mm: float, n: int) -> float:
 
 def target_error_mm(fle_mm: float, fiducials_mm: ArrayLike, at_mm: ArrayLike) -> Array:
     """Expected target error (m,) at points (m, 3): <TRE^2(r)> = <FLE^2>/N (1 + 1/3 sum d_k^2 /
-    f_k^2).
-
-    d_k: the point's distance from principal axis k of the fiducials (n, 3); f_k: theirs, rms
-    (Fitzpatrick, West and Maurer 1998, eq. 46). Infinite for fiducials on one line.
+    f_k^2), d_k, f_k (rms): distances from principal axis k (Fitzpatrick et al. 1998, eq. 46).
     """
     source, at = _arrays(fiducials_mm, np.atleast_2d(at_mm))
     _enough(len(source))
@@ -154,9 +152,8 @@ def target_error_mm(fle_mm: float, fiducials_mm: ArrayLike, at_mm: ArrayLike) ->
 
 
 def rotation_covariance(fiducials_mm: ArrayLike, u_mm: float) -> Array:
-    """Covariance (3, 3) rad^2 of a fit's rotation vector about the axes of fiducials (n, 3), first
-    order. ``u_mm``: standard uncertainty of each coordinate, uncorrelated. Raises ValueError for a
-    line.
+    """Covariance (3, 3) rad^2 of a fit's rotation about the axes of fiducials (n, 3), first order.
+    ``u_mm``: of each coordinate. Raises ValueError for a line.
     """
     source = np.asarray(fiducials_mm, dtype=np.float64)
     _enough(len(source))
@@ -177,3 +174,97 @@ def _enough(n: int) -> int:
     if n < 3:
         raise ValueError(f"a registration needs at least 3 points, has {n}")
     return n
+
+
+POINT_STEP_MM = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WorldFit:
+    """The fit of touched to triangulated points (n, 3), and the joint covariance of the pair and
+    the world's six.
+    """
+
+    world_from_right: Motion
+    comparison: Comparison
+    covariance: ParameterCovariance
+    in_right_mm: Array
+    touched_mm: Array
+
+    @property
+    def scale(self) -> float:
+        """Touched over triangulated lengths: far from 1, squares or baseline are wrong."""
+        return float(np.cbrt(np.linalg.det(self.comparison.similarity.A)))
+
+    @property
+    def scale_sd(self) -> float:
+        """Standard deviation of `scale` as the residuals tell it."""
+        left_over = self.comparison.similarity.residuals_mm
+        freedom = max(left_over.size - 7, 1)
+        spread = self.in_right_mm - self.in_right_mm.mean(axis=0)
+        return float(np.sqrt(np.sum(left_over**2) / freedom / np.sum(spread**2)))
+
+    def target_error_mm(self, world_mm: ArrayLike) -> Array:
+        """Expected error (m,) at world points (m, 3), by the fit's residuals."""
+        fle_mm = fle_from_fre_mm(self.comparison.rigid.fre_mm, len(self.touched_mm))
+        return target_error_mm(fle_mm, self.touched_mm, world_mm)
+
+
+def fit_world(
+    pair: Pair,
+    left_px: ArrayLike,
+    right_px: ArrayLike,
+    touched_mm: ArrayLike,
+    *,
+    pair_covariance: ParameterCovariance | None,
+    pixel_sd_px: float,
+    touch_sd_mm: float,
+) -> WorldFit:
+    """World from pixel pairs (n, 2) of points touched at (n, 3) mm; noise by axis. Raises
+    ValueError.
+    """
+    data = [np.array(each, dtype=np.float64) for each in (left_px, right_px, touched_mm)]
+    in_right = pair.in_right_mm(data[0], data[1])
+    if not np.isfinite(in_right).all():
+        bad = int(np.flatnonzero(~np.isfinite(in_right).all(axis=1))[0]) + 1
+        raise ValueError(
+            f"point {bad} can't be triangulated: its pixels are outside of what the lenses were"
+            " calibrated for"
+        )
+    here = rigid_fit(data[2], in_right)
+    given = pair_covariance or ParameterCovariance((), np.zeros((0, 0)))
+
+    def world(changed: Pair, left_px: Array, right_px: Array, touched_mm: Array) -> Array:
+        there = rigid_fit(touched_mm, changed.in_right_mm(left_px, right_px))
+        return np.concatenate([_near(there.om, here.om), there.T])
+
+    by_pair = np.zeros((6, len(given.names)))
+    for column, ((owner, name), sd) in enumerate(given.sds.items()):
+        h = STEP * sd
+        near, far = (world(pair.moved(owner, name, s), *data) for s in (-h, h))
+        by_pair[:, column] = (far - near) / (2.0 * h)
+    own = np.zeros((6, 6))
+    for each, sd in zip(data, (pixel_sd_px, pixel_sd_px, touch_sd_mm), strict=True):
+        total = np.zeros((6, 6))
+        for at in np.ndindex(each.shape):
+            kept, ends = each[at], []
+            for step in (-POINT_STEP_MM, POINT_STEP_MM):
+                each[at] = kept + step
+                ends.append(world(pair, *data))
+            each[at] = kept
+            slope = (ends[1] - ends[0]) / (2.0 * POINT_STEP_MM)
+            total += np.outer(slope, slope)
+        own += sd**2 * total
+    # the pair's parameters pass through; the world's follow from them, pixels and touches
+    M, B = given.matrix, by_pair
+    joint = np.block([[M, M @ B.T], [B @ M, B @ M @ B.T + own]])
+    names = (*given.names, *(("world", name) for name in POSE))
+    covariance = ParameterCovariance(names, joint)
+    return WorldFit(here, compare(data[2], in_right), covariance, in_right, data[2])
+
+
+def _near(om_rad: Array, reference_rad: Array) -> Array:
+    """The same rotation with its vector on the reference's side of half a turn."""
+    angle = float(np.linalg.norm(om_rad))
+    other = om_rad * (1.0 - 2.0 * np.pi / angle) if angle > 0 else om_rad
+    return min((om_rad, other), key=lambda om: float(np.linalg.norm(om - reference_rad)))

@@ -26,9 +26,8 @@ MOTIONS = ("stereo", "thermal pose", "world")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterCovariance:
-    """``matrix`` (k, k) of ``names``: (of `LENSES`, of `bundle.LENS`) or (of `MOTIONS`, of
-    `bundle.POSE`); px, rad, mm. Other parameters were fixed. Raises ValueError where it is no
-    covariance.
+    """``matrix`` (k, k) of ``names``: (`LENSES`, `bundle.LENS`) or (`MOTIONS`, `bundle.POSE`); px,
+    rad, mm. Others were fixed. Raises ValueError for no covariance.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -64,7 +63,6 @@ class ParameterCovariance:
 
     @property
     def sds(self) -> Mapping[tuple[str, str], float]:
-        """Standard deviations by parameter."""
         return dict(zip(self.names, np.sqrt(np.diag(self.matrix)).tolist(), strict=True))
 
 
@@ -105,9 +103,7 @@ class Pair:
 def covariance_of_points(
     pair: Pair, covariance: ParameterCovariance | None, world_mm: ArrayLike, pixel_sd_px: float
 ) -> Array:
-    """(n, 3, 3) mm^2 of triangulated world points (n, 3); NaN for one that a camera can't see.
-    ``pixel_sd_px``: of each pixel coordinate; alone where there is no covariance.
-    """
+    """(n, 3, 3) mm^2 of world points (n, 3), NaN unseen; ``pixel_sd_px`` of each coordinate."""
     points = np.atleast_2d(np.asarray(world_mm, dtype=np.float64))
     left_px, right_px = pair.project(points)
     total = np.zeros((len(points), 3, 3))
@@ -129,10 +125,8 @@ def covariance_of_points(
 
 @dataclass(frozen=True, slots=True)
 class ThermalCamera:
-    """The thermal picture's form, and a lens where calibrated.
-
-    image_size (columns, rows) px as delivered, sensor_size of the sensor; `lens` is for the
-    un-mirrored picture at image_size.
+    """The thermal picture's form; ``lens`` is for the un-mirrored picture at image_size (columns,
+    rows).
     """
 
     image_size: tuple[int, int]
@@ -144,9 +138,8 @@ class ThermalCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Homographies:
-    """Un-mirrored thermal to left and right pixels, (3, 3) each, on one plane.
-
-    plane_depth_mm: its Z in the right camera's frame; None if unknown.
+    """Un-mirrored thermal to left and right pixels, (3, 3) each, on the plane at Z =
+    ``plane_depth_mm`` (right camera's frame; None if unknown).
     """
 
     left: Array
@@ -189,10 +182,8 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration(Pair):
-    """A calibrated rig. Lengths mm; motions take points from the frame named last to the first.
-
-    `thermal.lens` and `thermal_from_left` are both given or both None. `covariance` is of all
-    fitted parameters; None where the file has none.
+    """A calibrated rig, mm. ``thermal.lens`` and ``thermal_from_left`` are both given or both None;
+    ``covariance`` is of all fitted parameters.
     """
 
     thermal: ThermalCamera
@@ -213,8 +204,8 @@ class Calibration(Pair):
         return float(np.linalg.norm(self.right_from_left.T))
 
     def covariance_of(self, world_mm: ArrayLike, pixel_sd_px: float = 0.0) -> Array:
-        """(n, 3, 3) mm^2, world axes, of triangulated points (n, 3): calibration and `pixel_sd_px`.
-        NaN for a point that a camera can't see; zero without covariance and pixel noise.
+        """(n, 3, 3) mm^2 of triangulated points (n, 3); NaN unseen; zero without covariance or
+        noise.
         """
         return covariance_of_points(self, self.covariance, world_mm, pixel_sd_px)
 
@@ -224,8 +215,8 @@ class Calibration(Pair):
         return Part(**{field.name: getattr(self, field.name) for field in fields(Part)})
 
     def depth_per_disparity_px_mm(self, world_mm: ArrayLike) -> Array:
-        """Motion (n,) of world points (n, 3) along the viewing axis for 1 px of disparity: Z^2 / (f
-        B), f the mean horizontal focal length. No stereo method here is better per pixel.
+        """Motion (n,) mm of world points (n, 3) along the viewing axis for 1 px of disparity: Z^2 /
+        (f B).
         """
         depth = self.world_from_right.inverse().apply(np.atleast_2d(world_mm))[:, 2]
         focal_px = 0.5 * (self.left.fc[0] + self.right.fc[0])

@@ -19,8 +19,8 @@ from unittest.mock import patch
 from bench.record.reader import RunRecord, read_run
 from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.emulation_model import EmulatedFault, fault_names
 from bench.rig.loading import load_rig
+from bench.rig.model import EmulatedFault, fault_names
 from bench.run.events import Events
 from bench.run.start import RunOptions, run_script
 from bench.run.states import EVENT

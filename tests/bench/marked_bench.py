@@ -35,7 +35,7 @@ from bench.safety.signals import CTRL_CLOSE_EVENT, Handler, installed
 from bench.script.model import load_script
 from instruments.camera.recording import RecordingCameras
 from instruments.stage.driver import Stage
-from tests.bench.real_rig import RealRig
+from tests.bench.real_rig import Child, RealRig
 
 MARK = "@@ "
 LINGER_S = 0.6
@@ -173,13 +173,13 @@ def child(
     sys.exit(CODES[ending])
 
 
-class MarkedBench:
-    """A running bench with a person at its terminal."""
+class MarkedBench(Child):
+    """A running bench that tells of its steps."""
 
     def __init__(self, rig: RealRig, step: str) -> None:
         context = multiprocessing.get_context("forkserver")
         answers, self._answers = context.Pipe(duplex=False)
-        self._said, said = context.Pipe(duplex=False)
+        self._out, said = context.Pipe(duplex=False)
         paths = (rig.rig_path, rig.script_path, rig.out)
         self.process = context.Process(
             target=child, args=(answers, said, step, *paths), daemon=True
@@ -187,17 +187,9 @@ class MarkedBench:
         self.process.start()
         for end in (answers, said):
             end.close()
-        self._pieces: list[bytes] = []
         self._read_to = 0
-        self._reader = threading.Thread(target=self._listen, daemon=True)
-        self._reader.start()
-
-    @property
-    def said(self) -> str:
-        return b"".join(self._pieces).decode("utf-8", "replace")
-
-    def enter(self) -> None:
-        os.write(self._answers.fileno(), b"\n")
+        ends = self._answers.fileno(), self._out.fileno()
+        super().__init__(*ends, lambda: self.process.exitcode)
 
     def signal(self, name: str) -> None:
         os.kill(self.process.pid or 0, getattr(signal, name))
@@ -207,15 +199,6 @@ class MarkedBench:
         self.until(lambda: words in self.said[self._read_to :], f"said {words!r}", within_s)
         self._read_to = self.said.index(words, self._read_to) + len(words)
 
-    def until(self, there: Callable[[], bool], what: str, within_s: float = 240.0) -> None:
-        deadline = time.monotonic() + within_s
-        while not there():
-            assert time.monotonic() < deadline, f"never {what}:\n{self.said}"
-            assert self.process.exitcode is None, (
-                f"ended with {self.process.exitcode} before it {what}:\n{self.said}"
-            )
-            time.sleep(0.005)
-
     def until_longer(self, than: int, there: Callable[[], bool]) -> None:
         """Until the bench has said more than ``than`` characters in all, or ``there``."""
         self.until(lambda: there() or len(self.said) > than, "came on")
@@ -224,14 +207,10 @@ class MarkedBench:
         if self.process.is_alive():
             self.process.kill()
         self.process.join()
-        self._reader.join(60)
-        for end in (self._answers, self._said):
+        self.reader.join(60)
+        for end in (self._answers, self._out):
             end.close()
         self.process.close()
-
-    def _listen(self) -> None:
-        while piece := os.read(self._said.fileno(), 4096):
-            self._pieces.append(piece)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from bench.rig.emulated_rig import EmulatedRig
@@ -182,35 +182,48 @@ def record_one(folder: Path, frames: int = 3) -> Path:
     return folder
 
 
-@dataclass
-class Bench:
-    """The bench as a child of this process, with a person at its terminal."""
+class Child:
+    """A bench in another process, with a person at its terminal: the ends of its two pipes."""
 
-    process: subprocess.Popen[str]
-    pieces: list[str] = field(default_factory=list)
+    def __init__(self, stdin: int, stdout: int, code: Callable[[], int | None]) -> None:
+        self._stdin, self._stdout, self._code = stdin, stdout, code
+        self._pieces: list[bytes] = []
+        self.reader = threading.Thread(target=self._listen, daemon=True)
+        self.reader.start()
 
     @property
     def said(self) -> str:
-        return "".join(self.pieces)
+        return b"".join(self._pieces).decode("utf-8", "replace")
 
-    def answer(self, times: int = 1) -> None:
+    def enter(self, times: int = 1) -> None:
         """Press Enter."""
-        assert self.process.stdin is not None
-        self.process.stdin.write("\n" * times)
-        self.process.stdin.flush()
+        os.write(self._stdin, b"\n" * times)
 
     def wait_for(self, words: str, within_s: float = 240.0) -> None:
         """Until the terminal shows ``words``."""
-        self.wait_until(lambda: words in self.said, f"said {words!r}", within_s)
+        self.until(lambda: words in self.said, f"said {words!r}", within_s)
 
-    def wait_until(self, there: Callable[[], bool], what: str, within_s: float = 240.0) -> None:
+    def until(self, there: Callable[[], bool], what: str, within_s: float = 240.0) -> None:
         deadline = time.monotonic() + within_s
         while not there():
             assert time.monotonic() < deadline, f"never {what}:\n{self.said}"
-            assert self.process.poll() is None, (
-                f"ended with {self.process.returncode} before it {what}:\n{self.said}"
-            )
+            code = self._code()
+            assert code is None, f"ended with {code} before it {what}:\n{self.said}"
             time.sleep(0.005)
+
+    def _listen(self) -> None:
+        while piece := os.read(self._stdout, 4096):  # prompts don't end with a line
+            self._pieces.append(piece)
+
+
+class Bench(Child):
+    """`teatbench run` as a child."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdin
+        assert process.stdout
+        super().__init__(process.stdin.fileno(), process.stdout.fileno(), process.poll)
+        self.process = process
 
 
 def touch_as_asked(
@@ -246,22 +259,12 @@ def bench(rig: RealRig, more: Sequence[str] = ()) -> Iterator[Bench]:
     command = [sys.executable, "-m", "bench.cli", *given, *more]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
     pipe, out = subprocess.PIPE, subprocess.STDOUT
-    with subprocess.Popen(
-        command, stdin=pipe, stdout=pipe, stderr=out, encoding="utf-8", env=environment
-    ) as process:
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=out, env=environment) as process:
         running = Bench(process)
-        reader = threading.Thread(target=_listen, args=(running,), daemon=True)
-        reader.start()
         try:
             yield running
         finally:
             if process.poll() is None:
                 process.kill()
             process.wait()
-            reader.join(60)
-
-
-def _listen(running: Bench) -> None:
-    assert running.process.stdout is not None
-    while piece := running.process.stdout.read(1):  # prompts don't end with a line
-        running.pieces.append(piece)
+            running.reader.join(60)

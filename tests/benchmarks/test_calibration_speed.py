@@ -14,8 +14,7 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from bench.calibrate.cameras import Lens, calibrate_pair
-from bench.calibrate.capture import pattern_of, write_picture
-from bench.calibrate.views import find_pictures, find_views
+from bench.calibrate.views import find_pictures, find_views, pattern_of, write_picture
 from bench.rig.loading import RIGS
 from detector.calibration import Calibration, load_calibration
 from detector.calibration.boards import Board

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import numpy as np
 
 from bench.rig.loading import RIGS
-from detector.calibration import Calibration, load_calibration
+from detector.calibration import Calibration, ParameterCovariance, load_calibration
 from detector.calibration.boards import Board
-from detector.calibration.cameras import View
+from detector.calibration.bundle import LENS, POSE
+from detector.calibration.cameras import Calibrated, View, pair_of
 from detector.calibration.diagnosis import PairView
-from detector.calibration.world import fit_world
+from detector.calibration.rigid import WorldFit, fit_world
+from detector.calibration.values import Pair
 from detector.geometry import Array, Camera, Motion
 
 BOARD = Board("chessboard", 9, 6, 40.0)
@@ -29,8 +30,20 @@ TOUCHED = np.array(
         for y in (150.0, 235.0, 320.0)
     ]
 )
-# with the noise of pixels and touches
-world_fit = partial(fit_world, pixel_sd_px=NOISE_PX, touch_sd_mm=0.2)
+
+
+def world_fit(
+    left: Camera,
+    right: Camera,
+    motion: Motion,
+    *points: Array,
+    pair_covariance: ParameterCovariance | None,
+) -> WorldFit:
+    """With the noise of pixels and touches."""
+    pair = Pair(left, right, motion, Motion.identity())
+    return fit_world(
+        pair, *points, pixel_sd_px=NOISE_PX, touch_sd_mm=0.2, pair_covariance=pair_covariance
+    )
 
 
 def thesis_rig() -> Calibration:
@@ -104,3 +117,16 @@ def pair_views(views: Mapping[str, list[View]]) -> list[PairView]:
 
 def shifted(views: list[View], by_px: tuple[float, float]) -> list[View]:
     return [replace(view, pixels_px=view.pixels_px + np.array(by_px)) for view in views]
+
+
+def missed(found: Calibrated, put_in: Pair) -> Array:
+    """Found minus put in, by parameter in the order of the covariance."""
+    pair, off = pair_of(found), dict[tuple[str, str], float]()
+    for name, camera, known in (
+        ("left", pair.left, put_in.left),
+        ("right", pair.right, put_in.right),
+    ):
+        off |= {(name, p): v for p, v in zip(LENS, camera.lens - known.lens, strict=True)}
+    got, was = ([*m.om, *m.T] for m in (pair.right_from_left, put_in.right_from_left))
+    off |= {("right", p): v for p, v in zip(POSE, np.subtract(got, was), strict=True)}
+    return np.array([off[name] for name in found.fit.names])

@@ -22,8 +22,8 @@ from detector.calibration.cameras import (
 )
 from detector.calibration.corners import SubPixel, find_board
 from detector.calibration.diagnosis import PairView, remeasure
-from detector.geometry import Array, Camera, Motion
-from tests.detector.boards_seen import BOARD, seen, thesis_rig
+from detector.geometry import Camera, Motion
+from tests.detector.boards_seen import BOARD, missed, seen, thesis_rig
 
 SIZE = (1360, 1024)
 OPENCV_MODEL = "k1 k2 p1 p2 k3"
@@ -37,25 +37,11 @@ def joined(seed: int) -> Calibrated:
     return join_cameras(alone_of(seen(thesis_rig(), seed)), joint_lenses=("left", "right"))
 
 
-def miss(found: Calibrated) -> Array:
-    """Found minus put in, by parameter in the order of the covariance."""
-    rig, pair = thesis_rig(), pair_of(found)
-    differences: dict[tuple[str, str], float] = {}
-    for name, put_in, got in (("left", rig.left, pair.left), ("right", rig.right, pair.right)):
-        values = np.array([*got.fc, *got.cc, *got.kc]) - [*put_in.fc, *put_in.cc, *put_in.kc]
-        differences |= {(name, p): v for p, v in zip(LENS, values, strict=True)}
-    got_pose, put_in_pose = (
-        np.array([*motion.om, *motion.T]) for motion in (pair.right_from_left, rig.right_from_left)
-    )
-    differences |= {("right", p): v for p, v in zip(POSE, got_pose - put_in_pose, strict=True)}
-    return np.array([differences[name] for name in found.fit.names])
-
-
 @pytest.mark.slow
 def test_rigs_are_found_within_the_stated_covariance() -> None:
     distances = []
     for found in map(joined, range(8)):
-        off = miss(found)
+        off = missed(found, thesis_rig())
         distances.append(float(off @ np.linalg.solve(found.fit.covariance, off)))
     freedom = 22 * len(distances)  # 8 parameters a lens, 6 of the motion: a chi-square of so many
     assert abs(sum(distances) - freedom) < 4 * np.sqrt(2 * freedom), np.mean(distances)

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from detector.calibration.cameras import View, calibrate_camera, join_cameras, pair_of
-from detector.calibration.coverage import coverage
+from detector.calibration.cameras import View, calibrate_camera, coverage, join_cameras, pair_of
 from detector.calibration.diagnosis import (
     Finding,
     against_the_arm,
@@ -18,8 +17,8 @@ from detector.calibration.diagnosis import (
     remeasure,
     swapped,
 )
+from detector.calibration.rigid import WorldFit
 from detector.calibration.values import Pair
-from detector.calibration.world import WorldFit
 from detector.geometry import Array, Motion
 from tests.detector.boards_seen import (
     BOARD,

@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
-from detector.calibration.thesis_rig import thesis_published
 from detector.external.serve import Pictures
 from detector.protocol import Detection
 from detector.registry import available, create
 from tests.detector.conftest import Draw
+from tests.detector.thesis_fits import thesis_published
 
 NAMES = list(available([]))
 

@@ -128,17 +128,3 @@ def test_target_error_is_what_the_formula_says() -> None:
         "both are the same first-order error"
     )
     assert np.allclose(np.cov(np.transpose(missed)), covariance, atol=0.1 * np.trace(covariance))
-
-
-def test_the_centre_of_the_points_is_known_best() -> None:
-    centre = SQUARE.mean(axis=0)
-    at_centre, away = target_error_mm(
-        1.0, SQUARE, np.array([centre, centre + np.array([300.0, 0.0, 0.0])])
-    )
-    assert at_centre == pytest.approx(0.5)
-    assert away > at_centre
-
-
-def test_the_cross_matrix_is_the_cross_product() -> None:
-    a, b = np.array([1.0, -2.0, 3.0]), np.array([0.5, 4.0, -1.0])
-    assert np.allclose(cross_matrix(a) @ b, np.cross(a, b))

@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
-from detector.calibration.thesis_rig import thesis_published
 from detector.protocol import Detection
 from detector.thesis.detector import (
     ThesisDetector,
@@ -21,6 +20,7 @@ from detector.thesis.detector import (
     published_homography_no_refinement,
 )
 from tests.detector import thesis_tables as tables
+from tests.detector.thesis_fits import thesis_published
 
 # Canny's edges at sigma 12 lie where the outline's corners are smoothed away, not on the outline
 SIDE_COLUMNS, SIDE_ROWS, END_COLUMNS, END_ROWS = 2, 9, 16, 4

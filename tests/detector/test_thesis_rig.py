@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from detector.calibration import Calibration, load_calibration, plane_homography
-from detector.calibration import thesis_rig as made
-from detector.geometry import Array, Motion, apply_homography
+from detector.calibration import Calibration, load_calibration
+from detector.geometry import Array, apply_homography
+from tests.detector import thesis_fits as made
 
 CORNERS = np.array([[0.0, 0], [639, 0], [0, 479], [639, 479], [319.5, 239.5]])
 
@@ -101,14 +101,6 @@ def test_the_plane_of_the_homographies_is_that_of_the_teats(rig: Calibration) ->
     # % short along this axis
     assert rig.depth_per_disparity_px_mm(made.TEAT_ENDS_MM).min() > 7.6 / 0.92 - 0.2
     assert rig.depth_per_disparity_px_mm(made.TEAT_ENDS_MM).max() < 9.3 / 0.92
-
-
-def test_a_plane_behind_the_camera_is_refused(rig: Calibration) -> None:
-    assert rig.thermal.lens is not None
-    assert rig.thermal_from_right is not None
-    lens, pose = rig.thermal.lens, rig.thermal_from_right
-    with pytest.raises(ValueError, match="isn't in front"):
-        plane_homography(lens, rig.right, pose, Motion.identity(), -500.0)
 
 
 def test_an_independent_fit_agrees_to_a_few_pixels(rig: Calibration, shared: Path) -> None:

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.calibration.thesis_rig import thesis_published
 from detector.external.serve import Pictures
 from detector.thesis.detector import published_homography
 from tests.detector.conftest import teats_picture
+from tests.detector.thesis_fits import thesis_published
 
 GOLDEN = Path(__file__).parent / "golden"
 TABLE_4_1_COLUMNS = (104, 148, 182, 222, 272, 316, 359, 407)

@@ -22,11 +22,9 @@ from bench.calibrate.exchange import (
     write_ros,
 )
 from bench.config import ConfigError
-from bench.rig.board import BOARDS, load_board
-from bench.rig.loading import RIGS
+from bench.rig.loading import BOARDS, RIGS, load_board
 from detector.calibration import load_calibration
 from detector.calibration.corners import find_board
-from detector.calibration.thesis_rig import thesis_published
 from tests.bench.calibrate.board_pictures import (
     BOARD_TOML,
     LEFT,
@@ -36,6 +34,7 @@ from tests.bench.calibrate.board_pictures import (
     write_pairs,
 )
 from tests.bench.commands import Said
+from tests.detector.thesis_fits import thesis_published
 
 pytestmark = pytest.mark.slow
 

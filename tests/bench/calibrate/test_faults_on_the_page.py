@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import html
 import re
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ import pytest
 
 from detector.calibration import Part, dump_calibration, load_part
 from detector.geometry import Camera, Motion
-from tests.bench.calibrate.board_pictures import BOARD_TOML, write_pairs
+from tests.bench.calibrate.board_pictures import BOARD_TOML
 from tests.bench.calibrate.conftest import calibrate_cameras
 from tests.bench.calibrate.touched import write_touched
 from tests.bench.commands import Said
@@ -76,26 +75,6 @@ def test_a_calibration_that_went_wrong(
     in_lab(1, f"calibrate check {fault}.toml day1 --board board.toml --page {fault}.page")
     faults = named(lab / f"{fault}.page" / "index.html")
     assert re.search(seen, faults), faults
-
-
-@pytest.mark.slow
-def test_swapped_cameras(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name, other in (("left", "right"), ("right", "left")):
-        shutil.copytree(lab / "day1" / other, lab / "swapped" / name)
-    assert calibrate_cameras(lab, lab / "sc.toml", frames="swapped") == 1
-    seen = "swapped cameras: the right camera stands 100 mm to the left of the left one"
-    assert seen in named(lab / "sc.page" / "index.html")
-    assert seen in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_bent_board(lab: Path) -> None:
-    write_pairs(lab / "bent", 12, bend_mm=4.0)
-    assert calibrate_cameras(lab, lab / "bent.toml", frames="bent") == 1
-    assert re.search(
-        r"bent board: the board's middle stands \d\.\d\d mm before its rim",
-        named(lab / "bent.page" / "index.html"),
-    )
 
 
 @pytest.mark.slow

@@ -12,8 +12,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.calibrate.capture import GUIDE, Guide, ViewsRequest, free_folder, gather, pattern_of
-from bench.calibrate.views import find_pictures
+from bench.calibrate.views import (
+    GUIDE,
+    Guide,
+    ViewsRequest,
+    find_pictures,
+    free_folder,
+    gather,
+    pattern_of,
+)
 from bench.config import ConfigError
 from detector.calibration.boards import Board
 from detector.geometry import Camera, Motion

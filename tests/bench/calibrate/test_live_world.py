@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.calibrate.touch_board import Asking, gather_points, nine, under_ball
+from bench.calibrate.world import Asking, gather_points, nine, under_ball
 from bench.rig.model import Arm
 from bench.truth.arm_tip import TipReader
 from detector.calibration.boards import Board

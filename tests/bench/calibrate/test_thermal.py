@@ -73,17 +73,6 @@ def test_lens_and_pose_come_out_as_they_were_put_in(lab: Path, in_lab: Said) -> 
     assert "Derived at a plane 900 mm" in page
 
 
-def test_the_derived_homography_maps_a_point_of_its_plane(lab: Path, in_lab: Said) -> None:
-    in_lab(0, f"{CALIBRATE} --mirrored --plane 900", "cameras.toml", "plane.toml")
-    maps = load_part(lab / "plane.toml").homographies
-    assert maps is not None
-    in_right = np.array([[-40.0, 20.0, 900.0], [10.0, -30.0, 900.0]])
-    in_left = RIGHT_FROM_LEFT.inverse().apply(in_right)
-    thermal = np.column_stack([THERMAL.project(THERMAL_FROM_LEFT.apply(in_left)), np.ones(2)])
-    mapped = thermal @ maps.right.T
-    np.testing.assert_allclose(mapped[:, :2] / mapped[:, 2:], RIGHT.project(in_right), atol=3.0)
-
-
 def test_without_the_pair_it_is_refused(lab: Path, in_lab: Said) -> None:
     empty = Part(record=Record("2026-11-20", "", "test", {}, {}))
     (lab / "empty.toml").write_text(dump_calibration(empty), encoding="utf-8")

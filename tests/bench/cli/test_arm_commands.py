@@ -112,7 +112,7 @@ def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
         answer_all(terminal, *prompts)
     assert "limit 0.46 mm" in terminal.text
     assert "limit 0.7 mm" in terminal.text
-    found = load_verification(out, serial_number="40937")
+    found = load_verification(out)
     assert [test.calibrated_mm for test in found.lengths] == [250.0, 250.0]
     assert re.search(rf"Articulated location error {found.location_mm:.2f} mm", terminal.text)
 

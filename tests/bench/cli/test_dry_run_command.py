@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.emulation_model import EmulatedStage
 from bench.rig.loading import RIGS, find_rig, load_rig
+from bench.rig.model import EmulatedStage
 from bench.script.model import find_script
 from instruments.clock import RealClock
 from tests.bench.commands import Said

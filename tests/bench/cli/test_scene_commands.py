@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from bench.config import ConfigError, read_config
-from bench.rig.emulation_model import EmulatedOptical, EmulatedThermal
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.model import Rig
+from bench.rig.model import EmulatedOptical, EmulatedThermal, Rig
 from bench.rig.scenes import chosen, record, rig_renderer, warm
 from instruments.camera.recording import Recording, RecordingError
 from instruments.world.situations import SITUATIONS, situation

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from bench.rig.stage_alone import step
+from bench.rig.alone import step
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.stage.emulator import GRBL_HAL, Fault, StageEmulator

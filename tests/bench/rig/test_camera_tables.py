@@ -118,7 +118,7 @@ def test_every_key_reaches_its_camera(tmp_path: Path) -> None:
 def test_the_thermal_picture_comes_as_the_calibration_declares_it(
     tmp_path: Path, keys: str, expected: Conversion
 ) -> None:
-    rig = rig_of(tmp_path, f'{TABLES}\n[cameras.thermal]\nurl = "opencv:2"\n{keys}\n')
+    rig = rig_of(tmp_path, f"{TABLES}{THERMAL}{keys}\n")
     assert rig.calibration.thermal.mirrored
     assert rig.calibration.thermal.polarity == "hot_is_black"
     assert conversion_of(rig.rig.cameras.tables["thermal"], rig.calibration) == expected
@@ -133,49 +133,42 @@ def test_another_calibration_asks_for_another_picture(tmp_path: Path) -> None:
     assert asked == Conversion(mirrored=True, inverted=True)
 
 
+ALL, THERMAL = '[cameras]\nurl = "{}"\n', '\n[cameras.thermal]\nurl = "opencv:2"\n'
+NO_GAIN = "radiometric = { kelvin_per_count = 0 }\n"
+LEFT, RIGHT = TABLES.split("[cameras.right]")
+
+
 @pytest.mark.parametrize(
-    ("cameras", "message"),
+    ("old", "new", "message"),
     [
+        ("gain = 1.5", "gian = 1.5", 'cameras.left.gian: unknown key; did you mean "gain"?'),
+        ('"genicam:SERIAL"', '"SERIAL"', "cameras.left.url: not a camera; allowed:"),
         (
-            TABLES.replace("gain = 1.5", "gian = 1.5"),
-            'cameras.left.gian: unknown key; did you mean "gain"?',
-        ),
-        (
-            TABLES.replace('"genicam:SERIAL"', '"SERIAL"'),
-            "cameras.left.url: not a camera; allowed:",
-        ),
-        (
-            TABLES.replace('"genicam:SERIAL"', '"opencv:0"'),
+            "genicam:SERIAL",
+            "opencv:0",
             'cameras.left: features is for cameras of the kind "genicam:"',
         ),
+        ('["gain", "GevSCPD"]', '["gein"]', 'cameras.left.try: "gein" is no setting'),
+        ("turn_deg = 90", "turn_deg = 45", "cameras.left.turn_deg"),
         (
-            TABLES.replace('["gain", "GevSCPD"]', '["gein"]'),
-            'cameras.left.try: "gein" is no setting',
-        ),
-        (TABLES.replace("turn_deg = 90", "turn_deg = 45"), "cameras.left.turn_deg"),
-        (
-            '[cameras]\nurl = "opencv:0,1"\n' + TABLES,
+            LEFT,
+            ALL.format("opencv:0,1") + LEFT,
             "cameras: either url for all cameras or a table for each, not both",
         ),
+        (f"[cameras.right]{RIGHT}", "", "cameras: no url for all cameras, and no [cameras.right]"),
+        (TABLES, ALL.format("genicam:X"), "cameras.url: not a camera; allowed:"),
         (
-            TABLES.split("[cameras.right]")[0],
-            "cameras: no url for all cameras, and no [cameras.right]",
-        ),
-        ('[cameras]\nurl = "genicam:X"\n', "cameras.url: not a camera; allowed:"),
-        (
-            TABLES + "\n[cameras.checks]\nblack = 3\n",
+            RIGHT,
+            f"{RIGHT}\n[cameras.checks]\nblack = 3\n",
             'cameras.checks.black: unknown key; did you mean "black_dn"?',
         ),
-        (
-            TABLES
-            + '\n[cameras.thermal]\nurl = "opencv:2"\nradiometric = { kelvin_per_count = 0 }\n',
-            "kelvin_per_count: input should be greater than 0",
-        ),
+        (RIGHT, RIGHT + THERMAL + NO_GAIN, "kelvin_per_count: input should be greater than 0"),
     ],
 )
-def test_each_fault_is_shown_in_its_place(tmp_path: Path, cameras: str, message: str) -> None:
+def test_each_fault_is_shown_in_its_place(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in TABLES
     with pytest.raises(ConfigError) as caught:
-        rig_of(tmp_path, cameras)
+        rig_of(tmp_path, TABLES.replace(old, new))
     assert message in str(caught.value)
 
 

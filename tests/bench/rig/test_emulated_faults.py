@@ -15,10 +15,10 @@ import pytest
 from bench.cli.main import main
 from bench.config import ConfigError
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.emulation_model import fault_names
 from bench.rig.loading import load_rig
+from bench.rig.model import fault_names
 from instruments.clock import RealClock, VirtualClock
-from instruments.errors import InstrumentError, LinkError
+from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.unit import SHIPPED
@@ -34,6 +34,9 @@ def with_emulation(folder: Path, *lines: str) -> Path:
     assert "[emulation]" not in text
     path.write_text("\n".join([text, "[emulation]", *lines]), encoding="utf-8")
     return path
+
+
+ARM, CAMERAS = 'instrument = "arm", name', 'instrument = "cameras", name'
 
 
 def arm_of(twin: EmulatedRig) -> MicroScribe:
@@ -73,55 +76,20 @@ def test_faults_are_there_from_the_start_so_often_and_so_much(tmp_path: Path) ->
         link.close()
 
 
-def test_faults_of_the_stage_and_the_bath(tmp_path: Path) -> None:
-    faults = [
-        '{ instrument = "stage", name = "limit hit", amount = 0.5 }',
-        '{ instrument = "bath", name = "low level", at_s = 60.0 }',
-        '{ instrument = "bath", name = "late answer", amount = 0.7, for_s = 1.0 }',
-    ]
-    rig = load_rig(with_emulation(tmp_path, f"faults = [{', '.join(faults)}]"))
-    with EmulatedRig(rig, VirtualClock(), seed=1) as twin:
-        clock = twin.world.clock
-        assert twin.bath.faults == {"late answer"}
-        assert twin.bath.late_s == 0.7
-        clock.sleep(2.0)
-        assert twin.bath.faults == frozenset()
-        stage = Stage(Link(twin.urls["stage"], clock, who="stage"), clock)
-        stage.connect()
-        stage.home()
-        with pytest.raises(InstrumentError, match=r"(?i)limit|alarm"):
-            stage.move_to(-130.0, -147.5)
-        stage.close()
-        clock.sleep(60.0)
-        assert twin.bath.faults == {"low level"}
-
-
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        (
-            'instrument = "arm", name = "power los"',
-            'the arm has no fault "power los"; did you mean "power loss"?',
-        ),
+        (f'{ARM} = "power los"', 'the arm has no fault "power los"; did you mean "power loss"?'),
         ('instrument = "bath", name = "power loss"', "the bath has no fault"),
         ('instrument = "bath", name = "silence", times = 2', '"times" is for faults of the arm'),
         ('instrument = "bath", name = "silence", amount = 2.0', 'only "late answer" has an amount'),
         ('instrument = "arm", name = "silent", amount = 2.0', "has no amount 2"),
         ('instrument = "arm", name = "silent", at_s = -1.0', "greater than or equal to 0"),
         ('instrument = "camera", name = "dark"', "'camera' is not allowed"),
-        (
-            'instrument = "cameras", name = "blak"',
-            'the cameras have no fault "blak"; did you mean "black"?',
-        ),
-        ('instrument = "cameras", name = "frozen", amount = 2.0', '"frozen" has none'),
-        (
-            'instrument = "cameras", name = "flat-field event", camera = "left"',
-            "only the thermal camera",
-        ),
-        (
-            'instrument = "arm", name = "silent", camera = "left"',
-            '"camera" is for faults of the cameras',
-        ),
+        (f'{CAMERAS} = "blak"', 'the cameras have no fault "blak"; did you mean "black"?'),
+        (f'{CAMERAS} = "frozen", amount = 2.0', '"frozen" has none'),
+        (f'{CAMERAS} = "flat-field event", camera = "left"', "only the thermal camera"),
+        (f'{ARM} = "silent", camera = "left"', '"camera" is for faults of the cameras'),
         ('instrument = "arm", name = "silent", at = 1.0', 'unknown key; did you mean "at_s"'),
         ('instrument = "stage", name = "silent", amount = 1.0', '"silent" has no amount; one have'),
     ],
@@ -180,15 +148,12 @@ def test_an_arm_file_with_faults_is_shown_in_its_places(tmp_path: Path) -> None:
     lines = text.split("\n")
     with pytest.raises(ConfigError) as caught:
         load_rig(path)
-    beta, mask = (
-        next(i for i, line in enumerate(lines, 1) if line.startswith(key))
-        for key in ("beta", "button_mask")
-    )
-    assert f"other.toml:{beta}: parameters.bta: unknown key" in str(caught.value)
-    assert (
-        f"other.toml:{mask}: maxima.button_mask: input should be less than or equal to 127 (found"
-        " 1008)" in str(caught.value)
-    )
+    for key, fault in {
+        "beta": "parameters.bta: unknown key",
+        "button_mask": "maxima.button_mask: input should be less than or equal to 127 (found 1008)",
+    }.items():
+        number = next(i for i, line in enumerate(lines, 1) if line.startswith(key))
+        assert f"other.toml:{number}: {fault}" in str(caught.value)
     with pytest.raises(ConfigError, match=r"emulation\.arm_unit: no such file beside the rig file"):
         load_rig(with_emulation(tmp_path, 'arm_unit = "none.toml"'))
 

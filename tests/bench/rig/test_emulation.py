@@ -13,14 +13,12 @@ import pytest
 
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, find_rig, load_rig
-from bench.rig.opening import open_instruments
 from bench.script.phantom import shipped_phantom
 from instruments.bath.driver import Bath
 from instruments.clock import VirtualClock
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.operators.operator import Arrangement, Release, Touch
-from instruments.stage.driver import Stage
 
 pytestmark = pytest.mark.slow
 
@@ -86,19 +84,6 @@ def test_a_cold_phantom_gives_the_detector_nothing_to_see(twin: EmulatedRig) -> 
     assert thermal.std() < 15, "the gain isn't opened on noise until it fills the range"
 
 
-def test_the_phantom_stands_where_the_stage_stands(twin: EmulatedRig) -> None:
-    clock = twin.world.clock
-    stage = Stage(Link(twin.urls["stage"], clock, who="stage"), clock)
-    stage.connect()
-    stage.home()
-    stage.move_to(-150.0, -137.5)
-    before = twin.world.ends_mm()
-    stage.move_to(-130.0, -147.5)
-    moved = twin.world.ends_mm() - before
-    stage.close()
-    assert np.allclose(moved, [[20.0, -10.0, 0.0]] * 4, atol=0.02)
-
-
 def test_the_arm_reads_where_the_hand_holds_it(rig: LoadedRig, twin: EmulatedRig) -> None:
     clock = twin.world.clock
     arm = MicroScribe(Link(twin.urls["arm"], clock, who="arm"), clock)
@@ -121,12 +106,3 @@ def test_two_captures_differ_by_noise_and_two_worlds_of_one_seed_by_nothing(
         again = other.cameras.capture()
     for camera in ("left", "right", "thermal", "thermal_ck"):
         assert np.array_equal(getattr(first, camera), getattr(again, camera))
-
-
-def test_every_driver_of_the_rig_opens_by_its_url(rig: LoadedRig, twin: EmulatedRig) -> None:
-    assert all(
-        url.startswith(("socket://127.0.0.1:", "tcp://127.0.0.1:")) for url in twin.urls.values()
-    )
-    with open_instruments(rig, clock=twin.world.clock, twin=twin) as devices:
-        assert devices.exact_ends is not None
-        assert devices.exact_ends().shape == (4, 3)

@@ -19,7 +19,7 @@ from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Checks, FocusTable
 from detector.calibration import Calibration
 from instruments.camera.emulator import FAULTS, KEPT_BACK, EmulatedCameras
-from instruments.camera.frame import FrameError, FrameFault, FrameSet
+from instruments.camera.frame import FrameFault, FrameSet
 from instruments.camera.recording import Recording
 from instruments.world.situations import situation as drawn_situation
 from tests.instruments.camera.small_world import GalleryWorld, SmallWorld
@@ -118,28 +118,6 @@ def test_each_fault_of_another_camera(fault: FrameFault, camera: str) -> None:
     assert looks.notice(cameras.capture()) == []
     cameras.faults.inject(fault, camera=camera, amount=12.0 if blurred else None)
     assert {(one.fault, one.camera) for one in looks.notice(cameras.capture())} >= {(fault, camera)}
-
-
-@pytest.mark.parametrize("fault", KEPT_BACK)
-def test_frames_that_do_not_come(fault: FrameFault) -> None:
-    cameras = EmulatedCameras(GalleryWorld())
-    cameras.faults.inject(fault, times=1, camera="right")
-    with pytest.raises(FrameError, match="right camera, emulated") as error:
-        cameras.capture()
-    assert (error.value.fault, error.value.camera) == (fault, "right")
-    cameras.capture()
-
-
-def test_a_late_camera_has_seen_a_later_world() -> None:
-    cameras = EmulatedCameras(GalleryWorld())
-    cameras.faults.inject("late", amount=0.3)
-    frames = cameras.capture()
-    assert frames.exposed_s == {"left": 0.0, "right": 0.0, "thermal": 0.3}
-    (noticed,) = checks().notice(frames)
-    assert str(noticed) == (
-        "thermal camera: late: exposed 0.300 s after the first of its set, limit 0.05 s: what"
-        " moves would be scored wrongly"
-    )
 
 
 def grey(height: int, width: int, seed: int = 1) -> NDArray[np.uint8]:

@@ -98,7 +98,9 @@ def test_a_written_rig_is_calibrated_before_there_is_a_calibration(
 ) -> None:
     text = written_rig.read_text(encoding="utf-8")
     whole = load_rig(written_rig).calibration_path.as_posix()
-    (tmp_path / "new.toml").write_text(text.replace(whole, "calibration.toml"), encoding="utf-8")
+    text = text.replace(whole, "calibration.toml")
+    text = text.replace("[cameras]\n", "[cameras]\nsettle_s = 0.2\n")  # in real time, 48 views
+    (tmp_path / "new.toml").write_text(text, encoding="utf-8")
     rig = ["--rig", str(tmp_path / "new.toml")]
     cameras, thermal = tmp_path / "cameras.toml", tmp_path / "thermal.toml"
     given = ["calibrate", "cameras", *rig, "--board", "chessboard-9x6-40", "--out", str(cameras)]

@@ -60,43 +60,36 @@ def test_both_forms_say_the_same(name: str, text: str, tmp_path: Path) -> None:
     assert shown[0] == "On its peg. > go"
 
 
+TOUCH = '[[answers]]\nto = "touch"\n'
+WRONG_KIND = ("a.toml:2", "'tuch' is not allowed", 'did you mean "touch"')
+KINDS = ("a.txt:3: ", 'no prompt is of the kind "tuch"', 'did you mean "touch"')
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
+        ("a.toml", TOUCH.replace("ou", "u") + 'answer = "go"', WRONG_KIND),
+        ("a.toml", TOUCH + 'answer = "skip"\n', ('"skip" needs a reason',)),
+        ("a.toml", TOUCH + 'ansver = "go"\n', ("a.toml:3", 'did you mean "answer"')),
+        ("a.toml", '[otherwise]\nhoming = "skip it"\n', ("a.toml:", 'there are "go", "abort"')),
         (
             "a.toml",
-            '[[answers]]\nto = "tuch"\nanswer = "go"\n',
-            ["a.toml:2", "'tuch' is not allowed", 'did you mean "touch"'],
+            TOUCH + 'answer = "go"\ntimes = 0\n',
+            ("a.toml:4", "greater than or equal to 1"),
         ),
-        ("a.toml", '[[answers]]\nto = "touch"\nanswer = "skip"\n', ['"skip" needs a reason']),
-        (
-            "a.toml",
-            '[[answers]]\nto = "touch"\nansver = "go"\n',
-            ["a.toml:3", 'did you mean "answer"'],
-        ),
-        ("a.toml", '[otherwise]\nhoming = "skip it"\n', ["a.toml:", 'there are "go", "abort"']),
-        (
-            "a.toml",
-            '[[answers]]\nto = "touch"\nanswer = "go"\ntimes = 0\n',
-            ["a.toml:4", "greater than or equal to 1"],
-        ),
-        (
-            "a.txt",
-            "homing: go\n\ntuch: go\n",
-            ["a.txt:3: ", 'no prompt is of the kind "tuch"', 'did you mean "touch"'],
-        ),
-        ("a.txt", "touch\n", ["a.txt:1: ", 'a line is "KIND: ANSWER"']),
-        ("a.txt", "touch: skip\n", ["a.txt:1: ", '"skip" needs a reason']),
+        ("a.txt", "homing: go\n\ntuch: go\n", KINDS),
+        ("a.txt", "touch\n", ("a.txt:1: ", 'a line is "KIND: ANSWER"')),
+        ("a.txt", "touch: skip\n", ("a.txt:1: ", '"skip" needs a reason')),
         (
             "a.txt",
             "otherwise touch: go x4\n",
-            ["a.txt:1: ", "leave the words in brackets and the times out"],
+            ("a.txt:1: ", "leave the words in brackets and the times out"),
         ),
-        ("a.txt", "otherwise homing: 3\n", ["a.txt:1: ", "Not understood: '3'"]),
+        ("a.txt", "otherwise homing: 3\n", ("a.txt:1: ", "Not understood: '3'")),
     ],
 )
 def test_a_wrong_file_is_told_with_its_place(
-    name: str, text: str, words: list[str], tmp_path: Path
+    name: str, text: str, words: tuple[str, ...], tmp_path: Path
 ) -> None:
     (tmp_path / name).write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as error:
@@ -108,12 +101,6 @@ def test_a_wrong_file_is_told_with_its_place(
 def rig_with(url: str, folder: Path) -> Path:
     table = '[operator]\nurl = "{}"'
     return emulated_rig(folder, {table.format("emulator:"): table.format(url)})
-
-
-def test_a_rig_with_emulated_instruments_takes_each_operator(tmp_path: Path) -> None:
-    (tmp_path / "answers.txt").write_text(TEXT, encoding="utf-8")
-    for url in ("emulator:", "console:", "script:answers.txt"):
-        assert load_rig(rig_with(url, tmp_path)).rig.operator.url == url
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ import pytest
 
 from bench.record.reader import RunRecord, read_run
 from bench.results.latency import latency_of
-from bench.rig.emulation_model import EmulatedFault
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import load_rig
+from bench.rig.model import EmulatedFault
 from bench.run.context import RunContext
 from bench.run.recovery import GARBLED, GONE, POLICIES, REFUSES, instrument_of, policy_for
 from bench.run.start import RunOptions, run_script

@@ -35,8 +35,8 @@ SEEN_LATE_S = 5.0  # so much later than it was said a busy machine may show us t
 
 def heating(rig: RealRig, running: Bench) -> None:
     running.wait_for("on its peg")
-    running.answer()
-    running.wait_until(lambda: rig.twin.world.plant.running, "heated")
+    running.enter()
+    running.until(lambda: rig.twin.world.plant.running, "heated")
 
 
 def reported(rig: RealRig, capsys: pytest.CaptureFixture[str]) -> tuple[str, str]:
@@ -128,9 +128,9 @@ def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path
     with real_rig(tmp_path / "rig", recording) as rig, bench(rig) as running:
         heating(rig, running)
         running.wait_for("Enter when it stands")
-        running.answer()
+        running.enter()
         touch_as_asked(
-            rig, lambda: running.said, running.answer, lambda: running.process.poll() is not None
+            rig, lambda: running.said, running.enter, lambda: running.process.poll() is not None
         )
         assert running.process.returncode == 0, running.said
         assert not rig.twin.world.plant.running

@@ -144,13 +144,13 @@ def test_a_trip_during_a_prompt_makes_safe_at_once_and_stays_until_it_is_acknowl
         plant = rig.twin.world.plant
         with bench(rig) as running:
             running.wait_for("on its peg")
-            running.answer()
+            running.enter()
             running.wait_for("Enter when it stands")
             assert plant.running
             with rig.twin.world.lock:
                 plant.bath_c = 39.0
             # and nobody pressed Enter
-            running.wait_until(lambda: not plant.running, "made safe")
+            running.until(lambda: not plant.running, "made safe")
             running.wait_for("interlock over-temperature")
             running.wait_for("No answer is needed any more")
             assert running.process.wait(240) == 3, running.said

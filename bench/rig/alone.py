@@ -1,0 +1,337 @@
+"""Instruments without a run: cameras looked at, focused and grabbed; one stage homed, moved and
+jogged; every instrument of a rig connected to once, for who it is and one reading.
+
+Opening a stage's port resets most controllers, and nothing moves before homing: home first.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import asdict, dataclass, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from bench.config import ConfigError, read_text
+from bench.rig.devices import Cameras
+from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.frame_capture import FrameChecks
+from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.model import Cameras as CamerasTable
+from bench.rig.model import OneCamera, camera_url
+from bench.rig.model import Stage as StageTable
+from bench.rig.opening import ALL, conversion_of, open_camera, open_instruments, rig_of
+from bench.rig.urls import ELSEWHERE, EMULATED
+from instruments.bath.profile import PUMP
+from instruments.bath.sequence import has_own_pump
+from instruments.camera.cameras import KNOWN
+from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
+from instruments.camera.genicam import load_aravis
+from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
+from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.errors import DeviceError, InstrumentError
+from instruments.stage import targets
+from instruments.stage.driver import Stage
+
+Seen = TypeVar("Seen")
+Look = Callable[[], Mapping[str, Grey]]
+TRIES = 4
+ONE = "single"  # what one camera without a place in a rig is called
+
+
+@dataclass(frozen=True, slots=True)
+class Alone:
+    """Open cameras. ``look`` gives pictures by camera; ``frame_set`` is None for a single one."""
+
+    clock: Clock
+    identity: Callable[[], Mapping[str, str]]
+    look: Look
+    frame_set: Cameras | None
+    rig: LoadedRig
+
+    @property
+    def table(self) -> CamerasTable:
+        return self.rig.rig.cameras
+
+    @property
+    def checks(self) -> FrameChecks:
+        """The rig's looks; a phantom that is still cold is no fault here."""
+        table, calibration = self.table, self.rig.made_calibration
+        return FrameChecks(table.checks, table.max_skew_s, calibration, flat=False)
+
+
+@contextmanager
+def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
+    """Cameras of a rig (none: the emulated one) or by URL. Raises ConfigError, InstrumentError."""
+    by_url = any(source.partition(":")[0] in ("opencv", "genicam") for source in sources)
+    if by_url and len(sources) > len(KNOWN):
+        raise ConfigError.plain(
+            f"at most {len(KNOWN)} cameras: {', '.join(KNOWN)}; got {len(sources)}"
+        )
+    if not by_url and len(sources) > 1:
+        raise ConfigError.plain(
+            "one rig, or one to three cameras by URL (opencv:…, genicam:…); got"
+            f" {' '.join(sources)}"
+        )
+    if not by_url:
+        rig = load_rig(find_rig(sources[0] if sources else None))
+    elif len(sources) == 1:
+        rig, table = rig_of(cameras=CamerasTable(url="emulator:")), _table(sources[0])
+        with (
+            closing(RealClock()) as clock,
+            closing(open_camera(ONE, table, Path(), clock)) as camera,
+        ):
+
+            def picture() -> dict[str, Grey]:
+                camera.begin()
+                return {ONE: Conversion().picture(camera.take())}
+
+            look = patient(picture)
+            yield Alone(clock, lambda: {ONE: camera.identity}, look, None, rig)
+        return
+    else:
+        tables = {
+            name: {"url": _table(source).url} for name, source in zip(KNOWN, sources, strict=False)
+        }
+        rig = rig_of(cameras=CamerasTable.model_validate(tables))
+    with open_instruments(rig, ("cameras",)) as devices:
+        cameras = devices.cameras
+        look = patient(lambda: pictures(cameras.capture()))
+        yield Alone(devices.clock, lambda: cameras.identity, look, cameras, rig)
+
+
+def _table(source: str) -> OneCamera:
+    try:
+        return OneCamera(url=camera_url(source))
+    except ValueError as error:
+        raise ConfigError.plain(f"{source}: {error}") from error
+
+
+def patient(look: Callable[[], Seen]) -> Callable[[], Seen]:
+    """``look`` again where a frame did not come whole, three times. Raises FrameError then."""
+
+    def again() -> Seen:
+        for _ in range(TRIES - 1):
+            with suppress(FrameError):
+                return look()
+        return look()
+
+    return again
+
+
+def pictures(frames: FrameSet) -> dict[str, Grey]:
+    """Each camera's 8-bit picture; temperatures are stretched where there is nothing else."""
+    thermal = frames.thermal
+    if thermal is None and frames.thermal_ck is not None:
+        low, high = np.percentile(frames.thermal_ck, [0.5, 99.5])
+        stretched = np.rint((frames.thermal_ck - low) * (255.0 / max(1.0, high - low)))
+        thermal = np.clip(stretched, 0.0, 255.0).astype(np.uint8)
+    pair = {"left": frames.left, "right": frames.right}
+    return pair if thermal is None else {**pair, "thermal": thermal}
+
+
+def figures(picture: Grey) -> dict[str, object]:
+    """What one picture says of its camera; units are in the names."""
+    return {
+        "size_px": f"{picture.shape[1]} x {picture.shape[0]}",
+        "mean_dn": round(float(picture.mean()), 1),
+        "brightest_dn": level_dn(picture, 0.995),
+        "white_percent": round(100.0 * saturated_share(picture), 2),
+        "edge_blur_px": None if (blur_px := edge_blur_px(picture)) is None else round(blur_px, 2),
+    }
+
+
+def calibration_text(alone: Alone) -> str | None:
+    """The rig's calibration file; None for cameras by URL, and where it has not been made."""
+    return read_text(alone.rig.calibration_path) if alone.rig.made_calibration else None
+
+
+def attached() -> Iterator[tuple[str, str]]:
+    """URL and name of each camera that this machine lists; OpenCV's devices are not opened."""
+    for device in sorted(Path("/sys/class/video4linux").glob("video*")):
+        name = (device / "name").read_text(encoding="utf-8").strip()
+        yield f"opencv:{device.name.removeprefix('video')}", name
+    try:
+        aravis = load_aravis()
+    except DeviceError as error:
+        yield "genicam:", f"not looked for: {error}"
+        return
+    aravis.update_device_list()
+    for i in range(aravis.get_n_devices()):
+        keys = ("vendor", "model", "serial_nbr", "protocol")
+        who = " ".join(str(getattr(aravis, f"get_device_{key}")(i)) for key in keys)
+        yield f"genicam:{aravis.get_device_id(i)}", f"{who} at {aravis.get_device_address(i)}"
+
+
+def cameras_of_rig(name: str) -> Iterator[tuple[str, str]]:
+    """Each camera of a rig with its URL and what becomes of its frames; nothing is opened."""
+    rig = load_rig(find_rig(name))
+    cameras = rig.rig.cameras
+    if cameras.url:
+        yield "all", cameras.url
+    for camera, table in cameras.tables.items():
+        yield camera, f"{table.url} {conversion_of(table, rig.made_calibration)}"
+
+
+KEYS = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "a_deg"}
+_STEP = re.compile(r"([XYZA])([-+]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
+
+
+def stage_of_rig(name: str) -> StageTable:
+    """The stage of a rig. Raises ConfigError where it has none, or an emulated one."""
+    rig = load_rig(find_rig(name))
+    stage = rig.rig.stage
+    if stage and stage.url != EMULATED:
+        return stage
+    emulated = "its stage is emulated; 'teatbench emulate' serves one at a port, for --port"
+    why = emulated if stage else "this rig has no stage; the operator moves its phantom"
+    raise ConfigError.plain(f"{rig.path}: {why}")
+
+
+@contextmanager
+def open_stage(at: StageTable, capture: Captures = NO_CAPTURE) -> Iterator[Stage]:
+    """The stage, connected, in real time, stopped if anything fails. Raises InstrumentError."""
+    with open_instruments(rig_of(stage=at), ("stage",), capture=capture) as devices:
+        stage = devices.stage
+        assert stage  # noqa: S101 - it was asked for
+        try:
+            stage.connect()
+            yield stage
+        except BaseException as error:
+            try:
+                stage.safe()
+            except InstrumentError as worse:
+                error.add_note(str(worse))
+            raise
+
+
+def described(stage: Stage) -> dict[str, object]:
+    """Identity, state, position and travel; units are in the names."""
+    identity, settings, status = stage.identity, stage.settings, stage.status()
+    travel = {f"travel_{KEYS[axis]}": [at.low_mm, at.high_mm] for axis, at in stage.limits.items()}
+    return {
+        **{key: getattr(identity, key) for key in ("dialect", "version", "build")},
+        "state": status.name,
+        "homed": stage.homed,
+        **position(stage),
+        **travel,
+        **{key: getattr(settings, key) for key in ("homing", "soft_limits", "hard_limits")},
+    }
+
+
+def position(stage: Stage) -> dict[str, float]:
+    """Where the controller believes the stage is, by axis with its unit, machine coordinates."""
+    return {
+        KEYS[axis]: round(float(at), 3)
+        for axis, at in zip("XYZA", stage.position(), strict=False)
+        if axis in stage.axes
+    }
+
+
+def shown(stage: Stage) -> str:
+    return ", ".join(f"{key[0].upper()} {at:.3f} {key[2:]}" for key, at in position(stage).items())
+
+
+def check_target(
+    stage: Stage, x_mm: float, y_mm: float, *, z_mm: float | None = None, a_deg: float | None = None
+) -> None:
+    """Raise LimitError for a place that the stage can't go to, before anything moves."""
+    wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
+    target = targets.declared(wanted, stage.axes, who="stage")
+    targets.check_within(target, stage.settings, "move", who="stage")
+
+
+def step(text: str) -> dict[str, float]:
+    """A way as ``X-5Y2.5``: arguments of `Stage.jog`. Raises ValueError."""
+    found = _STEP.findall(text)
+    axes = [axis.upper() for axis, _ in found]
+    whole = "".join(axis + way for axis, way in found) == text
+    if not found or not whole or len(set(axes)) != len(axes):
+        raise ValueError(
+            f"{text!r} is no way to go; write X-5, or X-5Y2.5 for both at once (mm, degrees for A)"
+        )
+    return {KEYS[axis]: float(way) for axis, (_, way) in zip(axes, found, strict=True)}
+
+
+def jog(stage: Stage, way: dict[str, float], feed_mm_min: float | None) -> None:
+    """Go by ``way`` and wait; an interrupt ends the jog where it is. Raises InstrumentError."""
+    stage.jog(**way, feed_mm_min=feed_mm_min)
+    try:
+        stage.finish_move()
+    except KeyboardInterrupt:
+        stage.cancel_jog()
+        raise
+
+
+def check_rig(
+    rig: LoadedRig, capture: Captures = NO_CAPTURE
+) -> Iterator[tuple[str, bool, list[str]]]:
+    """For each instrument: its name, whether it has a fault, and lines to print."""
+    remote = rig.rig.operator.url.startswith(ELSEWHERE)
+    names = [n for n in ALL if n in rig.rig.urls and (n != "operator" or remote)]
+    with ExitStack() as stack:
+        clock: Clock
+        twin = None
+        if rig.rig.emulated:
+            clock = VirtualClock()
+            twin = stack.enter_context(EmulatedRig(rig, clock, rig.rig.seed))
+        else:
+            clock = stack.enter_context(closing(RealClock()))
+        for name in names:
+            try:
+                with open_instruments(rig, (name,), clock, twin=twin, capture=capture) as devices:
+                    device = getattr(devices, name)
+                    told = [*_READ[name](device)]
+                    who: Any = device.identity
+                    if is_dataclass(who) and not isinstance(who, type):
+                        who = asdict(who)
+                    told += who.items()
+                    if hasattr(device, "safe_state"):  # cameras have none
+                        told.append(("safe state", device.safe_state))
+                    yield name, False, [f"{key}: {value}" for key, value in told]
+            except InstrumentError as error:
+                yield name, True, [str(error)]
+
+
+def _arm(arm: Any) -> Iterator[tuple[str, str]]:
+    arm.sign_on()
+    packet = arm.poll()
+    yield "counts", " ".join(str(count) for count in packet.counts)
+    for warning in arm.warnings:
+        yield "warning", warning
+    yield "position", "only after homing is confirmed ('teatbench run' asks for it)"
+
+
+def _bath(bath: Any) -> Iterator[tuple[str, str]]:
+    reading = bath.read()
+    yield "temperature", f"{reading.temp_c:.2f} degC, output {reading.power_percent} %"
+    if has_own_pump(bath):
+        yield "pump", bath.profile.row(PUMP).label(bath.get(PUMP))
+    elif bath.pump == "none":
+        yield "pump", "not fitted to the controller"
+
+
+def _stage(stage: Any) -> Iterator[tuple[str, str]]:
+    stage.connect()
+    yield "position", shown(stage) + " (machine)" + ("" if stage.homed else ", not homed")
+
+
+def _cameras(cameras: Any) -> Iterator[tuple[str, str]]:
+    frames = cameras.capture()
+    for name in KNOWN:
+        image = getattr(frames, name)
+        if image is not None:
+            yield name, f"{image.shape[1]} x {image.shape[0]}, mean level {image.mean():.1f}"
+
+
+_READ: dict[str, Callable[[Any], Iterator[tuple[str, str]]]] = {
+    "arm": _arm,
+    "bath": _bath,
+    "stage": _stage,
+    "cameras": _cameras,
+    "operator": lambda _: iter(()),
+}

@@ -1,0 +1,170 @@
+"""The thesis's rig as a consistent calibration: published figures in, rigid motions and a pinhole
+thermal camera out. The files that ship are made by it.
+
+The rigid motion shows the four teat ends of table 5.2 at the same pixels as the printed matrix. The
+printed homographies fix the thermal camera's focal lengths, direction and plane; it stands midway
+between the optical cameras (section 3.2.2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from detector.calibration import Calibration, Homographies, ParameterCovariance, derive_homographies
+from detector.calibration.bundle import LENS, POSE
+from detector.calibration.homographies import thermal_grid, through_plane
+from detector.calibration.thesis_rig import (
+    HOMOGRAPHY_LEFT as HOMOGRAPHY_LEFT,
+)
+from detector.calibration.thesis_rig import (
+    HOMOGRAPHY_RIGHT as HOMOGRAPHY_RIGHT,
+)
+from detector.calibration.thesis_rig import (
+    LEFT as LEFT,
+)
+from detector.calibration.thesis_rig import (
+    PRINTED_UNCERTAINTY,
+    STEREO_OM_UNCERTAINTY_RAD,
+    STEREO_T_UNCERTAINTY_MM,
+    THERMAL,
+    THERMAL_IMAGE_SIZE,
+)
+from detector.calibration.thesis_rig import (
+    RIGHT as RIGHT,
+)
+from detector.calibration.thesis_rig import (
+    STEREO_OM_RAD as STEREO_OM_RAD,
+)
+from detector.calibration.thesis_rig import (
+    STEREO_T_MM as STEREO_T_MM,
+)
+from detector.calibration.thesis_rig import (
+    TEAT_ENDS_MM as TEAT_ENDS_MM,
+)
+from detector.calibration.thesis_rig import (
+    WORLD_MATRIX as WORLD_MATRIX,
+)
+from detector.calibration.thesis_rig import (
+    WORLD_T_MM as WORLD_T_MM,
+)
+from detector.geometry import (
+    Array,
+    Camera,
+    Motion,
+    apply_homography,
+    rigid_fit,
+    rotation_from_vector,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThermalFit:
+    """A pinhole thermal camera midway between the optical ones; residual_px (2, n, 2): left and
+    right.
+    """
+
+    lens: Camera
+    thermal_from_right: Motion
+    plane_depth_mm: float
+    residual_px: Array
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance between fitted and printed mapping."""
+        return float(np.sqrt(np.mean(np.sum(self.residual_px**2, axis=2))))
+
+    @property
+    def rms_without_constant_px(self) -> tuple[float, float]:
+        """The same, left and right, once each camera's mean difference is taken off."""
+        rest = self.residual_px - self.residual_px.mean(axis=1, keepdims=True)
+        left, right = np.sqrt(np.mean(np.sum(rest**2, axis=2), axis=1))
+        return float(left), float(right)
+
+
+def right_from_left() -> Motion:
+    """The stereo pose as printed."""
+    return Motion.from_vectors(STEREO_OM_RAD, STEREO_T_MM)
+
+
+def printed_teats_in_right_mm() -> Array:
+    """Table 5.2 (4, 3) carried into the right camera's frame by the printed, non-rigid matrix."""
+    turned = np.array(TEAT_ENDS_MM) - np.array(WORLD_T_MM)
+    return np.asarray(np.linalg.solve(np.array(WORLD_MATRIX), turned.T).T)
+
+
+def stereo_pixels(in_right_mm: Array) -> Array:
+    """Left and right pixels (2, n, 2) of points (n, 3) in the right camera's frame."""
+    in_left_mm = right_from_left().inverse().apply(in_right_mm)
+    return np.stack([LEFT.project(in_left_mm), RIGHT.project(in_right_mm)])
+
+
+def fit_world() -> Motion:
+    """`world_from_right` whose teat ends lie closest to the printed matrix's, in px."""
+    teats, wanted = np.array(TEAT_ENDS_MM), stereo_pixels(printed_teats_in_right_mm())
+    start = rigid_fit(printed_teats_in_right_mm(), teats)
+
+    def residual(p: Array) -> Array:
+        return stereo_pixels(Motion.from_vectors(p[:3], p[3:]).apply(teats)) - wanted
+
+    found = _fitted(residual, [*start.om, *start.T], [1e-3] * 3 + [1.0] * 3)
+    return Motion.from_vectors(found[:3], found[3:]).inverse()
+
+
+def fit_thermal() -> ThermalFit:
+    """The thermal camera closest to both printed homographies over an even grid."""
+    # the left camera's centre, in the right camera's frame, is T
+    midway = 0.5 * right_from_left().T
+    grid = thermal_grid(THERMAL_IMAGE_SIZE)
+    printed = HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT
+    wanted = np.stack([apply_homography(printed_map, grid) for printed_map in printed])
+    centre = ((THERMAL_IMAGE_SIZE[0] - 1) / 2, (THERMAL_IMAGE_SIZE[1] - 1) / 2)
+
+    def camera(p: Array) -> tuple[Camera, Motion]:
+        R = rotation_from_vector(p[2:5])
+        lens = Camera(THERMAL_IMAGE_SIZE, (float(p[0]), float(p[1])), centre)
+        return lens, Motion(R, -R @ midway)
+
+    def residual(p: Array) -> Array:
+        return stereo_pixels(through_plane(grid, *camera(p), float(p[5]))) - wanted
+
+    start, scale = [2000.0, 2000.0, 0.0, 0.0, 0.0, 1200.0], [10.0, 10.0, 1e-3, 1e-3, 1e-3, 10.0]
+    found = _fitted(residual, start, scale)
+    return ThermalFit(*camera(found), float(found[5]), residual(found))
+
+
+def _fitted(residual: Callable[[Array], Array], start: list[float], scale: list[float]) -> Array:
+    to_the_end = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    return np.asarray(
+        least_squares(lambda p: residual(p).ravel(), start, x_scale=scale, **to_the_end).x
+    )
+
+
+def thesis_rig() -> Calibration:
+    """The emulated rig's calibration; its homographies hold at table 5.2's mean depth."""
+    world_from_right, fit, stereo = fit_world(), fit_thermal(), right_from_left()
+    thermal_from_left = fit.thermal_from_right @ stereo
+    depth_mm = float(world_from_right.inverse().apply(TEAT_ENDS_MM)[:, 2].mean())
+    maps = derive_homographies(fit.lens, LEFT, RIGHT, thermal_from_left, stereo, depth_mm)
+    thermal = replace(THERMAL, lens=fit.lens)
+    return Calibration(LEFT, RIGHT, stereo, world_from_right, thermal, thermal_from_left, maps)
+
+
+def thesis_published() -> Calibration:
+    """What the thesis printed, with a third of the toolbox's uncertainties; no correlations. The
+    world is `fit_world`; the thermal camera has homographies only.
+    """
+    sds: dict[tuple[str, str], float] = {}
+    for name, (fc, cc, k1, k2) in PRINTED_UNCERTAINTY.items():
+        sds |= {(name, p): sd for p, sd in zip(LENS, (*fc, *cc, k1, k2), strict=False)}
+    pose = (*STEREO_OM_UNCERTAINTY_RAD, *STEREO_T_UNCERTAINTY_MM)
+    sds |= {("stereo", p): sd for p, sd in zip(POSE, pose, strict=True)}
+    variances = np.diag([(sd / 3.0) ** 2 for sd in sds.values()])
+    maps = Homographies(np.array(HOMOGRAPHY_LEFT), np.array(HOMOGRAPHY_RIGHT), None)
+    return Calibration(
+        LEFT, RIGHT, right_from_left(), fit_world(), THERMAL, None, maps,
+        ParameterCovariance(tuple(sds), variances),
+    )  # fmt: skip
