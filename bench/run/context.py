@@ -11,11 +11,9 @@ from bench.record.writer import Store
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
-from bench.run.events import Events
-from bench.run.states import EVENT, RunStates
+from bench.run.events import EVENT, Events, RunStates
 from bench.safety.bath_monitor import TripHandler
-from bench.safety.guardian_client import GuardianClient
-from bench.safety.heartbeat import BRIEF_S, Heartbeat
+from bench.safety.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.script.model import LoadedScript
 from bench.truth.arm_tip import TipReader
 from instruments.clock import stopwatch_s, wall_time

@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 from bench.record.writer import FolderGoneError
 from bench.run.context import RunContext
 from bench.run.estimate import TimeEstimate
+from bench.run.events import EVENT, RunState
+from bench.run.interruptions import Recovery, Requests
 from bench.run.lock import Reserve
 from bench.run.recordings import Recorder
-from bench.run.recovery import Recovery
-from bench.run.requests import Requests
 from bench.run.resume import RehearsedStore, ResumePoint
 from bench.run.rows import write_arm_facts
-from bench.run.states import EVENT, RunState
-from bench.run.trial import Attempts, TrialRun
-from bench.run.truth_source import choose_truth
+from bench.run.trial import Attempts, TrialRun, choose_truth
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.signals import current, undisturbed
 from bench.script.planned_trials import PlannedTrial

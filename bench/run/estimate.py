@@ -23,8 +23,7 @@ from bench.record.reader import RunRecord
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage
 from bench.rig.urls import CONSOLE
-from bench.run.events import read_events
-from bench.run.states import RunState
+from bench.run.events import RunState, read_events
 from bench.safety.stability import StabilityGate, State
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared

@@ -1,4 +1,5 @@
-"""What happens in a run, said once: one numbered stream of events, and who listens to it.
+"""What happens in a run: its states, which may follow which (docs/runs.md draws the table), and one
+numbered stream of events with its listeners.
 
 An event is a line of JSON: ``number``, ``wall_time``, ``t_s`` (the bench's time, null before it has
 one), ``what`` (`doing`, `trial`, `asked`, `warning`, `event`) and what belongs to it. Listeners are
@@ -6,10 +7,9 @@ the screen, ``--events FILE``, and `events.jsonl` in the run's folder, which goe
 numbers when the run is resumed. A listener that fails is named once, to the others and in the
 record, and gets no more (but for what a person has to see at once); none can stop a run.
 
-The record is no listener: it comes first, and what it can't take ends the run. `events.jsonl` is
-no part of the checked record, which has every `event` itself. Each line is one write at the end of
-the file, so a killed bench leaves whole lines; half a line of a machine that lost its power is cut
-off when the run goes on.
+The record is no listener: it comes first, and what it can't take ends the run. Each line is one
+write at the end of the file, so a killed bench leaves whole lines; half a line of a machine that
+lost its power is cut off when the run goes on.
 """
 
 from __future__ import annotations
@@ -19,12 +19,85 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
+from enum import StrEnum
 from io import FileIO
 from pathlib import Path
 from typing import Any, Protocol
 
 from bench.config import ConfigError
 from instruments.clock import wall_time
+
+EVENT = "run state"  # the kind of a change of state, in the record
+
+
+class RunState(StrEnum):
+    """Where a run is."""
+
+    PLANNED = "planned"
+    PREPARING = "preparing"
+    SETTLING = "settling"
+    RUNNING = "running"
+    PAUSED = "paused"
+    SAFING = "safing"
+    FINISHED = "finished"
+    ABORTED = "aborted"
+    FAULTED = "faulted"
+
+
+_S = RunState
+TABLE: Mapping[RunState, frozenset[RunState]] = {
+    _S.PLANNED: frozenset({_S.PREPARING, _S.SAFING, _S.ABORTED, _S.FAULTED}),
+    _S.PREPARING: frozenset({_S.SETTLING, _S.RUNNING, _S.PAUSED, _S.SAFING}),
+    _S.SETTLING: frozenset({_S.RUNNING, _S.PAUSED, _S.SAFING}),
+    _S.RUNNING: frozenset({_S.SETTLING, _S.PAUSED, _S.SAFING}),
+    _S.PAUSED: frozenset({_S.PREPARING, _S.SETTLING, _S.RUNNING, _S.SAFING}),
+    _S.SAFING: frozenset({_S.FINISHED, _S.ABORTED, _S.FAULTED}),
+    _S.FINISHED: frozenset(),
+    _S.ABORTED: frozenset(),
+    _S.FAULTED: frozenset(),
+}
+ENDS = frozenset(state for state, following in TABLE.items() if not following)
+AWAY = frozenset({_S.PAUSED, _S.SETTLING})
+
+
+class RunStates:
+    """The state of one run. ``tell`` gets each change, ``now_s`` is the time."""
+
+    def __init__(self, tell: Callable[[RunState], None], now_s: Callable[[], float]) -> None:
+        self._tell = tell
+        self._now_s = now_s
+        self._since_s = now_s()
+        self._away_s = 0.0
+        self.current = RunState.PLANNED
+
+    def to(self, state: RunState) -> None:
+        """Change to ``state``; staying is no change. Raises ValueError for a change that the table
+        doesn't have.
+        """
+        if state is self.current:
+            return
+        if state not in TABLE[self.current]:
+            only = ", ".join(sorted(TABLE[self.current])) or "nothing"
+            raise ValueError(f"a run that is {self.current} can't be {state} next (only {only})")
+        self._away_s, self._since_s = self.away_s, self._now_s()
+        self.current = state
+        self._tell(state)
+
+    @contextmanager
+    def during(self, state: RunState) -> Iterator[None]:
+        """In ``state`` while this lasts, then back; where it ends by an exception the state stays,
+        for that is where it happened.
+        """
+        before = self.current
+        self.to(state)
+        yield
+        self.to(before)
+
+    @property
+    def away_s(self) -> float:
+        """Seconds spent paused or settling so far."""
+        return self._away_s + (self._now_s() - self._since_s if self.current in AWAY else 0.0)
+
 
 # rich ends the program where the reader of its output has gone (`| head`)
 FAILURES = (Exception, SystemExit)

@@ -25,7 +25,7 @@ from bench.record.reader import RunRecord, TrialRecord, read_run
 from bench.record.schema import SCRIPT, Row
 from bench.record.writer import Store
 from bench.rig.loading import LoadedRig, load_rig
-from bench.run.states import EVENT, RunState
+from bench.run.events import EVENT, RunState
 from bench.script.model import LoadedScript, load_script
 
 ASKED, DEATHS = "asked", "deaths"  # facts

@@ -27,7 +27,7 @@ from bench.run.lock import lock_path, locked, run_lock
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
 from bench.run.rows import frame_rows, judged, truth_row, write_facts
-from bench.run.truth_source import refuse_carry
+from bench.run.trial import refuse_carry
 from bench.safety.guardian_client import GuardianTarget, guarded
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed

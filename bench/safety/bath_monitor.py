@@ -18,8 +18,7 @@ from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
-from bench.safety.guardian_client import GuardianClient
-from bench.safety.heartbeat import Heartbeat
+from bench.safety.guardian_client import GuardianClient, Heartbeat
 from bench.safety.interlocks import (
     GUARDIAN,
     Interlocks,

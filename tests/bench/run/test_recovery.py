@@ -14,9 +14,9 @@ from bench.rig.emulation_model import EmulatedFault
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import load_rig
 from bench.run.context import RunContext
-from bench.run.recovery import GARBLED, GONE, POLICIES, REFUSES, instrument_of, policy_for
+from bench.run.events import EVENT
+from bench.run.interruptions import GARBLED, GONE, POLICIES, REFUSES, instrument_of, policy_for
 from bench.run.start import RunOptions, run_script
-from bench.run.states import EVENT
 from bench.run.trial import TrialRun
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial

@@ -12,9 +12,9 @@ from bench.cli.run import typed_lines
 from bench.config import ConfigError
 from bench.record.reader import RunRecord
 from bench.rig.loading import load_rig
-from bench.run.requests import FILE, Requests, leave_wish, read_wish, was_taken
+from bench.run.events import EVENT
+from bench.run.interruptions import FILE, Requests, leave_wish, read_wish, was_taken
 from bench.run.start import RunOptions, run_script
-from bench.run.states import EVENT
 from bench.script.model import load_script
 from instruments.clock import VirtualClock
 from instruments.operators.operator import OperatorAbort, OperatorRepeat, OperatorSkip

@@ -7,8 +7,8 @@ from itertools import product
 
 import pytest
 
-from bench.run.recovery import GARBLED, GONE, POLICIES, REFUSES
-from bench.run.states import AWAY, ENDS, TABLE, RunState, RunStates
+from bench.run.events import AWAY, ENDS, TABLE, RunState, RunStates
+from bench.run.interruptions import GARBLED, GONE, POLICIES, REFUSES
 from tests.conftest import ROOT
 
 PAGE = ROOT / "docs" / "runs.md"

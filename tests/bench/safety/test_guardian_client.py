@@ -17,8 +17,14 @@ from typing import Any
 import pytest
 
 from bench.safety.guardian import main as guardian
-from bench.safety.guardian_client import BEAT_S, UNANSWERED, GuardianClient, GuardianTarget, guarded
-from bench.safety.heartbeat import Heartbeat
+from bench.safety.guardian_client import (
+    BEAT_S,
+    UNANSWERED,
+    GuardianClient,
+    GuardianTarget,
+    Heartbeat,
+    guarded,
+)
 from instruments.bath.driver import Bath
 from instruments.clock import VirtualClock
 from instruments.errors import LinkError

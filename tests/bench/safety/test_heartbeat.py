@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from bench.safety.heartbeat import Heartbeat
+from bench.safety.guardian_client import Heartbeat
 from instruments.clock import RealClock, stopwatch_s
 from instruments.link import Link
 
@@ -20,7 +20,7 @@ class Stopwatch:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 1000.0
-        monkeypatch.setattr("bench.safety.heartbeat.stopwatch_s", lambda: self.now_s)
+        monkeypatch.setattr("bench.safety.guardian_client.stopwatch_s", lambda: self.now_s)
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from bench.record.schema import DATABASE, Row
 from bench.report.truth import deviation_parts
 from bench.results.verdicts import scored
 from bench.rig.loading import RIGS, load_rig
-from bench.run.truth_source import REGISTRATION_FILE, refuse_carry
+from bench.run.trial import REGISTRATION_FILE, refuse_carry
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.registration_file import (
