@@ -3,9 +3,8 @@
 A finished, skipped or checked trial is durable when its call returns, with all that was said
 before. So are events and facts, but for those within ``step``: they are durable when the step or
 `flush` ends, which has to come before a physical action counts as done. Events of `URGENT` kinds
-never wait.
-Bath readings wait for the next write, at most `FLUSH_EVERY` of them. A frame's file and folder are
-synced before its row is written.
+never wait. Bath readings wait for the next write, at most `FLUSH_EVERY` of them. A frame's file and
+folder are synced before its row is written.
 """
 
 from __future__ import annotations
@@ -137,9 +136,7 @@ class Store:
                     self.flush()
 
     def fact(self, key: str, value: Any) -> None:
-        """Write down (or over) something that holds for the whole
-        run; ``value`` is kept as JSON.
-        """
+        """Write down (or over) something that holds for the whole run; ``value`` is kept as JSON."""
         row = {"key": key, "value": json.dumps(value, ensure_ascii=False), "wall_time": self._now()}
         self._say(LATER_WORD, row, urgent=not self._steps)
 

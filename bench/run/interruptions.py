@@ -40,9 +40,7 @@ GONE, GARBLED, REFUSES = "gone", "garbled", "refuses"
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """``times`` it is tried again in one trial, or one step of preparing, at most; ``check`` is for
-    the person.
-    """
+    """At most ``times`` tries in a trial or a step of preparing; ``check`` is for the person."""
 
     times: int
     check: str
@@ -95,8 +93,8 @@ SETTLED_S = 1.0
 
 
 class Recovery:
-    """Runs work that instruments may interrupt; one that has dropped out is waited for as long as
-    the rig says. ``look`` raises while the cameras give nothing usable.
+    """Runs work that instruments may interrupt, and waits for them as long as the rig says.
+    ``look`` raises while the cameras give nothing usable.
     """
 
     def __init__(self, ctx: RunContext, look: Callable[[], None]) -> None:
@@ -111,9 +109,7 @@ class Recovery:
         whose instrument does not come back.
         """
         tried: Counter[str] = Counter()
-        # whoever waited for it was told to do something else, and it may be back, but not where it
-        # was
-        if self._missing:
+        if self._missing:  # the wait was given up, and it may be back, but not where it was
             self._pause(what, *self._missing, "still away")
         while True:
             self._ctx.check()
@@ -131,7 +127,7 @@ class Recovery:
                 self._pause(what, fault, policy, f"try {tried[kind]} of {policy.times}")
 
     def _pause(self, what: str, fault: InstrumentError, policy: Policy, count: str) -> None:
-        """Until the instrument is back; then as before. Raises ``fault`` where it stays away."""
+        """Until the instrument is back. Raises ``fault`` where it stays away."""
         ctx, name = self._ctx, str(instrument_of(fault))
         are = "are" if name == "cameras" else "is"
         self._missing = (fault, policy)
@@ -154,49 +150,33 @@ class Recovery:
         self._missing = None
 
     def _back(self, name: str) -> bool:
-        self._ctx.events.state(f"waiting for the {name}")
-        bath = self._ctx.devices.bath  # its driver connects again by itself
-        back: dict[str, Callable[[], object]] = {
-            "arm": self._arm,
-            "stage": self._stage,
-            "bath": bath.read,
-            "cameras": self._cameras,
-        }
+        """Whether it is back: the arm signed on and homed on its peg, for it may have lost its
+        power; the stage restarted and homed; cameras that give a usable frame set.
+        """
+        ctx, devices = self._ctx, self._ctx.devices
+        ctx.events.state(f"waiting for the {name}")
         try:
-            back[name]()
+            if name == "arm":
+                ctx.long("looking for the arm", 120.0)
+                devices.arm.recover(EVERY_S)
+                ctx.ask(Homing(HOMING))
+                devices.arm.home()
+            elif name == "stage" and devices.stage:
+                ctx.long("homing the stage again", 600.0)
+                devices.stage.reconnect()
+                ctx.look()  # a stage that a trip has braked meanwhile is not to move
+                devices.stage.home()
+            elif name == "cameras":
+                ctx.wait(SETTLED_S)
+                ctx.long("opening the cameras again", 60.0, silent=True)
+                if isinstance(devices.cameras, CameraSet):
+                    devices.cameras.reopen()
+                self._look()
+            else:
+                devices.bath.read()  # its driver connects again by itself
         except InstrumentError:
             return False
         return True
-
-    def _arm(self) -> None:
-        """Signed on again, and its home counts loaded on its peg: nobody can tell whether it kept
-        its power, and where it stood then.
-        """
-        arm = self._ctx.devices.arm
-        self._ctx.long("looking for the arm", 120.0)
-        arm.recover(EVERY_S)
-        self._ctx.ask(Homing(HOMING))
-        arm.home()
-
-    def _stage(self) -> None:
-        """Restarted and homed: where it stands nobody knows."""
-        stage = self._ctx.devices.stage
-        if stage is None:
-            raise DeviceError("stage", "this rig has none")
-        self._ctx.long("homing the stage again", 600.0)
-        stage.reconnect()
-        # that took its time, and a stage that a trip has braked meanwhile is not to move
-        self._ctx.look()
-        stage.home()
-
-    def _cameras(self) -> None:
-        """Opened again where that is how they are; back is what gives a usable frame set."""
-        self._ctx.wait(SETTLED_S)
-        self._ctx.long("opening the cameras again", 60.0, silent=True)
-        cameras = self._ctx.devices.cameras
-        if isinstance(cameras, CameraSet):
-            cameras.reopen()
-        self._look()
 
 
 FILE, TAKEN = "wish.txt", "wish-taken.txt"
@@ -209,9 +189,7 @@ HELP = "pause, go on, skip REASON, repeat REASON, abort"
 
 
 def read_wish(words: str) -> tuple[str, str]:
-    """The wish and its reason. Raises ValueError for words that mean none, and for a skip or repeat
-    without a reason.
-    """
+    """The request and its reason. Raises ValueError for other words and for a missing reason."""
     text = " ".join(words.split())
     if (whole := SHORT.get(text.lower(), text.lower())) in (PAUSE, GO_ON, ABORT):
         return whole, ""
@@ -225,8 +203,8 @@ def read_wish(words: str) -> tuple[str, str]:
 
 
 def leave_wish(folder: Path, words: str) -> None:
-    """Leave a wish for the run in ``folder``. Raises ConfigError for words that mean none, or where
-    it can't be written.
+    """Leave a request for the run in ``folder``. Raises ConfigError for words that mean none, or
+    where it can't be written.
     """
     try:
         wish, reason = read_wish(words)
@@ -249,7 +227,7 @@ def was_taken(folder: Path, clock: Clock, within_s: float) -> bool:
 
 
 class Requests:
-    """Those left in ``folder``, and those that ``typed`` gives as lines (None: nothing new)."""
+    """Requests left in ``folder``, and lines from ``typed`` (None: nothing new)."""
 
     def __init__(
         self, folder: Path, typed: Callable[[], str | None], tell: Callable[[str], None]
@@ -265,18 +243,20 @@ class Requests:
             told = "Nobody took this in the last session, and it counts no more"
             self._tell(f"{told}: {words.strip()}")
 
-    def look(self) -> None:
-        """Amid a trial; raises OperatorSkip, OperatorRepeat, OperatorAbort, or sets ``paused``."""
-        self._look(amid=True)
+    def look(self, *, amid: bool = True) -> None:
+        """Amid a trial or between two; raises OperatorAbort, amid a trial OperatorSkip and
+        OperatorRepeat too, or sets ``paused``.
+        """
+        for words in (self._left(), self._typed()):
+            if words and words.strip():
+                self._take(words, amid=amid)
 
     def look_between(self) -> None:
-        """While no trial is in flight: there is none to skip or to repeat. Raises OperatorAbort."""
-        self._look(amid=False)
+        """While no trial is in flight: there is none to skip or to repeat."""
+        self.look(amid=False)
 
     def pause_if_asked(self, ctx: RunContext) -> None:
-        """Between two trials, until nobody wants a pause; the bath is watched meanwhile. Raises
-        OperatorAbort, and what an interlock raises.
-        """
+        """Between two trials, while a pause is requested. Raises OperatorAbort, InterlockTrip."""
         self.look_between()
         if not self.paused:
             return
@@ -289,11 +269,6 @@ class Requests:
                     # whoever pauses lives in real time: the bath need not race through days
                     RealClock().sleep(REAL_S)
                 ctx.wait(PAUSE_POLL_S)
-
-    def _look(self, *, amid: bool) -> None:
-        for words in (self._left(), self._typed()):
-            if words and words.strip():
-                self._take(words, amid=amid)
 
     def _take(self, words: str, *, amid: bool) -> None:
         try:
@@ -319,8 +294,6 @@ class Requests:
             self._path.replace(self._taken)
             words = self._taken.read_text(encoding="utf-8", errors="replace")
             self._taken.unlink()
-        # there is none, or it is just being written, on a system that locks files: the next look
-        # finds it
-        except OSError:
+        except OSError:  # there is none, or a system that locks files is just writing it
             return None
         return words

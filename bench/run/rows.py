@@ -35,8 +35,6 @@ from instruments.camera.frame import FrameSet
 from instruments.camera.recording import TruthRow
 from instruments.clock import wall_time
 
-WALL_KEYS = ("seconds", "in_time", "success")  # parts of a score that depend on real time
-
 
 def frame_rows(
     store: Store, trial_id: str, frames: FrameSet, answers: Sequence[Answer]

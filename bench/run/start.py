@@ -239,7 +239,7 @@ def _run(
     # before the engine had the instruments: nothing was switched on
     except (InstrumentError, KeyboardInterrupt) as error:
         if isinstance(store, RehearsedStore):
-            store.go_live()
+            store.silent = False
         if isinstance(error, KeyboardInterrupt):
             return store.folder, _end(store, Ending.ABORTED, INTERRUPTED)
         return store.folder, _end(store, Ending.FAULTED, str(error))

@@ -1,5 +1,5 @@
-"""The table of interlocks, row by row: what trips, what doesn't, and what resets; figures typed from
-the fact sheet, section 4.1. docs/safety.md says of the interlocks what the table does.
+"""The table of interlocks, row by row: what trips, what doesn't, and what resets; figures typed
+from the fact sheet, section 4.1. docs/safety.md says of the interlocks what the table does.
 """
 
 from __future__ import annotations
