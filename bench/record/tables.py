@@ -34,7 +34,9 @@ def needed(module: str, what: str) -> Any:
 
 
 def export_csv(run: Path, out: Path) -> list[Path]:
-    """Write ``out/<table>.csv`` for every table; gives back the files. Raises ConfigError, OSError."""
+    """Write ``out/<table>.csv`` for every table; gives back the files. Raises ConfigError,
+    OSError.
+    """
     written = []
     with opened(run) as db:
         for name, columns, _, rows in _tables(db):

@@ -169,7 +169,9 @@ class GuardianClient:
         self._end(DONE)
 
     def hand_over(self) -> None:
-        """The bath could not be made safe: the guardian goes on trying, as if the bench had died."""
+        """The bath could not be made safe: the guardian goes on trying, as if the bench had
+        died.
+        """
         self._end(TAKE_OVER)
 
     def __enter__(self) -> GuardianClient:

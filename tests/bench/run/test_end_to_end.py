@@ -1,4 +1,6 @@
-"""The main job on the emulated rig: what a user gets, the same every time, and safe at every end."""
+"""The main job on the emulated rig: what a user gets, the same every time, and safe at every
+end.
+"""
 
 from __future__ import annotations
 

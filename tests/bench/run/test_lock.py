@@ -1,4 +1,6 @@
-"""Two benches never have one rig: the second is told who has it; a dead bench's lock is taken over."""
+"""Two benches never have one rig: the second is told who has it; a dead bench's lock is taken
+over.
+"""
 
 from __future__ import annotations
 

@@ -75,7 +75,9 @@ PAST_ENDING = ("going to safe",)  # what is asked there is noted: the run has en
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one bench: the time to standby as the plant saw it, and what the record says."""
+    """What became of one bench: the time to standby as the plant saw it, and what the record
+    says.
+    """
 
     step: str
     seconds: float

@@ -206,7 +206,9 @@ def test_after_a_trip_a_pump_on_a_relay_runs_on_for_a_minute_behind_the_heater(
 def test_a_bath_that_freezes_near_its_set_point_is_never_stable(
     at_s: float, long_script: str, tmp_path: Path
 ) -> None:
-    """Its controller goes on working, and its output moves: that is no evidence of its temperature."""
+    """Its controller goes on working, and its output moves: that is no evidence of its
+    temperature.
+    """
     script = long_script.replace("window_s = 3000.0", "window_s = 600.0\ntimeout_s = 2500.0")
     code, run = run_on(tmp_path, script, FAULT.format(name="frozen sensor", at_s=at_s))
     assert (code, run.ending) == (3, "faulted")
