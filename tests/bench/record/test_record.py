@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from bench.config import ConfigError
-from bench.files import write_synced
 from bench.record.reader import TrialRecord, read_run
 from bench.record.schema import DATABASE
 from bench.record.writer import Store, new_run_folder
@@ -103,14 +102,6 @@ def test_two_runs_of_one_second_get_two_folders(tmp_path: Path) -> None:
     second = new_run_folder(tmp_path, "six", now)
     assert first != second
     assert ":" not in second.name
-
-
-def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
-    path = tmp_path / "a" / "b.bin"
-    write_synced(path, b"one")
-    write_synced(path, b"two")
-    assert path.read_bytes() == b"two"
-    assert [p.name for p in path.parent.iterdir()] == ["b.bin"]
 
 
 def test_the_link_over_many_facts_repeats_in_another_process(tmp_path: Path) -> None:

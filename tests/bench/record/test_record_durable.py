@@ -70,13 +70,6 @@ def test_an_event_is_durable_when_it_returns_and_in_a_step_when_that_ends(store:
     assert durable(store) == 4, "a step that fails is a step that ended"
 
 
-def test_before_a_physical_action_counts_as_done_a_flush_makes_all_durable(store: Store) -> None:
-    with store.step():
-        say(store)
-        store.flush()
-        assert durable(store) == 1
-
-
 @pytest.mark.parametrize("kind", sorted(URGENT))
 def test_what_is_urgent_waits_for_no_step(store: Store, kind: str) -> None:
     with store.step():

@@ -235,14 +235,6 @@ def test_one_that_fails_again_each_time_it_is_back_ends_the_run_after_the_tables
     )
 
 
-@pytest.mark.slow
-def test_a_rig_without_patience_ends_at_once(tmp_path: Path) -> None:
-    lost = fault("arm", "power loss", 60.0, 40.0)
-    code, record = faulty(tmp_path, f"{lost}[limits]\naway_s = 0")
-    assert (code, record.ending) == (3, "faulted")
-    assert not texts(record, "back")
-
-
 def test_what_a_fault_is_and_whose() -> None:
     cases: list[tuple[InstrumentError, tuple[str, str] | None]] = [
         (LinkError("arm at COM5", "gone"), ("arm", GONE)),

@@ -100,13 +100,6 @@ def test_an_abort_is_heard_before_the_first_trial_too(tmp_path: Path) -> None:
     assert texts(run, EVENT) == ["preparing", "safing", "aborted"]
 
 
-@pytest.mark.slow
-def test_an_abort_goes_to_safe(tmp_path: Path) -> None:
-    run = run_with(Person("place-2", ["abort"]), tmp_path)
-    assert run.ending == "aborted"
-    assert "bath is safe" in texts(run, "safe")
-
-
 def test_a_wish_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
     wishes = Requests(tmp_path, lambda: None, lambda _: None)
     states = []

@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import FileIO
 from pathlib import Path
 
 import pytest
@@ -129,15 +128,6 @@ def test_a_line_that_cannot_be_made_is_no_trouble_of_the_baths() -> None:
     progress.refresh()
     with pytest.raises(RuntimeError, match="a bug in the line"):
         progress.state("capturing")
-
-
-@pytest.mark.slow
-def test_screen_and_lines_may_fail_both(tmp_path: Path) -> None:
-    files(tmp_path)
-    with FileIO(tmp_path / "e", "a") as closed:
-        pass
-    assert start(tmp_path, progress=Events(Gone(BrokenPipeError()), closed))[1] is Ending.FINISHED
-    assert len(texts(run_of(tmp_path), "not shown")) == 2
 
 
 def test_what_a_person_has_to_see_is_tried_again_all_the_same() -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.safety.signals import Exits, Interrupted, current, installed, undisturbed
+from bench.safety.signals import Interrupted, current, installed, undisturbed
 from tests.conftest import ROOT
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
@@ -126,23 +126,6 @@ def test_on_another_thread_nothing_is_installed() -> None:
     thread.start()
     thread.join()
     assert seen == [[]]
-
-
-def test_a_closed_console_makes_safe_on_its_own_thread_and_in_bounded_time(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The part of the Windows path that is ours; that Windows calls it can't be tested here."""
-    exits, done = Exits(), list[str]()
-    exits.at_close = lambda: done.append(threading.current_thread().name)
-    exits.console_closed()
-    assert done == ["console closed"]
-    monkeypatch.setattr("bench.safety.signals.CLOSE_S", 0.1)
-    ended = threading.Event()
-    exits.at_close = lambda: ended.wait(60.0)
-    start = time.monotonic()
-    exits.console_closed()
-    assert time.monotonic() - start < 30.0
-    ended.set()
 
 
 @pytest.mark.slow

@@ -19,7 +19,6 @@ import pytest
 
 from bench.cli.main import main
 from bench.record.reader import read_run
-from instruments.clock import wall_time
 from tests.bench.real_rig import Bench, RealRig, bench, real_rig, touch_as_asked
 from tests.bench.safety.guards import HANG_S, STANDBY_S, Measured, guardian_record, standby_after
 
@@ -44,29 +43,6 @@ def reported(rig: RealRig, capsys: pytest.CaptureFixture[str]) -> tuple[str, str
     assert main(["report", str(rig.run_folder())]) == 3
     page = rig.run_folder() / "report" / "index.html"
     return " ".join(capsys.readouterr().out.split()), page.read_text(encoding="utf-8")
-
-
-def test_the_report_of_a_killed_bench_says_when_it_died_and_when_the_bath_was_safe(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with real_rig(tmp_path / "rig", recording) as rig:
-        with bench(rig) as running:
-            heating(rig, running)
-            running.wait_for("Enter when it stands")
-            killed = wall_time()
-            running.process.kill()
-            assert standby_after(rig.twin.world.plant) < STANDBY_S
-            guardian_record(rig.run_folder())
-        told = read_run(rig.run_folder()).guardian
-        assert told is not None
-        late = datetime.fromisoformat(told["wall_noticed"]) - killed
-        assert abs(late.total_seconds()) < STANDBY_S
-        sentence = (
-            f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at"
-            f" {told['wall_safe']}"
-        )
-        for said in reported(rig, capsys):
-            assert sentence in said
 
 
 def test_a_bench_that_is_stopped_is_taken_for_dead_after_ten_seconds(

@@ -61,17 +61,6 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) ->
     assert told["why"] == "the main thread hangs: detecting took more than 0.5 s"
 
 
-@pytest.mark.slow
-def test_a_long_wait_that_was_announced_is_no_hang(hot: HotBath) -> None:
-    pulse = Heartbeat()
-    pulse.sign("waiting for the operator", 1e9)
-    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, pulse) as line:
-        time.sleep(2.5)
-        assert line.lost is None
-        line.done()
-    assert hot.plant.running
-
-
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
     with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
@@ -260,9 +249,3 @@ def forward(port: int, url: str) -> None:
                 near.sendall(far.recv(1000))
 
     threading.Thread(target=serve, daemon=True).start()
-
-
-def test_wrong_arguments_are_told(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        guardian(["--url", "tcp://127.0.0.1:1"])
-    assert "--profile" in capsys.readouterr().err

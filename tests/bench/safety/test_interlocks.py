@@ -430,20 +430,3 @@ def test_every_kind_of_lost_communication_is_explained() -> None:
     assert {row[0].strip("`") for row in rows("## When the computer dies")} == set(
         get_args(CommsLoss)
     )
-
-
-def test_it_says_plainly_what_it_is_not() -> None:
-    first = " ".join(TEXT.split()[:40])
-    assert "is no safety device" in first
-    assert "independent over-temperature cut-out" in TEXT
-
-
-def test_the_readme_says_so_too() -> None:
-    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    assert re.search(r"The bench is no safety (device|function)", readme)
-    assert re.search(r"independent, latching over-temperature cut-out", readme)
-    assert "docs/safety.md" in readme
-
-
-def test_what_has_not_been_tried_on_windows_is_said() -> None:
-    assert "**Windows has not been tried.**" in TEXT
