@@ -55,10 +55,8 @@ class Heartbeat:
         silence_s: float | None = None,
         who: str = "the main thread",
     ) -> None:
-        """``who`` is alive and now does ``what``, which takes ``at_most_s``; the next ``sign`` ends
-        it.
-
-        With ``silence_s`` it has to be ``alive`` that often meanwhile.
+        """``who`` is alive and until its next ``sign`` does ``what``, for ``at_most_s``, and with
+        ``silence_s`` is ``alive`` that often meanwhile.
         """
         now_s, quiet_s = stopwatch_s(), at_most_s if silence_s is None else silence_s
         with self._lock:
@@ -67,9 +65,7 @@ class Heartbeat:
             )
 
     def alive(self, asleep_s: float = 0.0) -> None:
-        """The calling thread lives, and will sleep for ``asleep_s``; no word where it has signed
-        nothing.
-        """
+        """The calling thread lives, and will sleep for ``asleep_s``."""
         now_s, caller = stopwatch_s(), threading.get_ident()
         with self._lock:
             for doing in self._doing.values():
@@ -104,9 +100,7 @@ START_S = 30.0  # a loaded machine reads Python's modules slowly
 
 @dataclass(frozen=True, slots=True)
 class GuardianTarget:
-    """What a guardian has to put into standby: a bath, and the relay of its pump where it has one;
-    profiles by name or whole path.
-    """
+    """A bath, and the relay of its pump where it has one; profiles by name or whole path."""
 
     url: str
     profile: str
@@ -116,7 +110,6 @@ class GuardianTarget:
 
     @property
     def arguments(self) -> list[str]:
-        """As the guardian's command line takes them."""
         given = [f"--url={self.url}", f"--profile={self.profile}"]
         if self.pump_url:
             given += [f"--pump-url={self.pump_url}", f"--pump-profile={self.pump_profile}"]
@@ -124,8 +117,8 @@ class GuardianTarget:
 
 
 class GuardianClient:
-    """A running guardian for ``charge``, which keeps its record in ``folder``. Raises LinkError
-    when it doesn't start.
+    """A running guardian of ``charge`` with its record in ``folder``. Raises LinkError when it
+    doesn't start.
     """
 
     def __init__(self, charge: GuardianTarget, folder: Path, pulse: Heartbeat) -> None:
@@ -252,8 +245,8 @@ def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
 def guarded(
     charge: GuardianTarget, folder: Path, clock: Clock
 ) -> Iterator[tuple[Heartbeat, GuardianClient | None]]:
-    """Signs of life, and who looks at them: nobody under virtual time, for then the emulated bath
-    ends with the bench.
+    """Signs of life and their guardian; none under virtual time: the emulated bath ends with the
+    bench.
     """
     pulse = Heartbeat()
     if isinstance(clock, VirtualClock):

@@ -33,7 +33,7 @@ from bench.truth.touching import NoTruthError
 from bench.truth.uncertainty import CHI2_95
 from reports.page import Notes
 from tests.bench.commands import Said, teatbench
-from tests.bench.run.test_attempts import PLANNED, Context, attempts
+from tests.bench.run.test_trial import PLANNED, Context, attempts
 from tests.bench.truth.touches import axes_turned, registered, stage_of
 
 pytestmark = pytest.mark.slow
