@@ -19,7 +19,7 @@ from bench.rig.opening import open_instruments
 from bench.rig.urls import CONSOLE
 from bench.run.estimate import needs, read_learnt
 from bench.run.lock import RigInUseError, lock_path, locked
-from bench.run.truth_source import refuse_carry
+from bench.run.trial import refuse_carry
 from bench.safety.latch import latch_path, read_latch
 from bench.script.calibration_age import refuse_old_calibration
 from bench.script.detectors import make_detectors

@@ -69,7 +69,7 @@ def export(given: argparse.Namespace) -> int:
 
 def control(given: argparse.Namespace) -> int:
     from bench.record.reader import read_run
-    from bench.run.requests import leave_wish, was_taken
+    from bench.run.interruptions import leave_wish, was_taken
     from instruments.clock import RealClock
 
     run = read_run(given.run)

@@ -28,8 +28,8 @@ Spans = Mapping[str, tuple[int, int]]  # table -> first and last rowid
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """The last link: its number, counted from 1, and the digests
-    of all that was written up to it.
+    """The last link: its number, counted from 1, and the digests of all that was written up to
+    it.
     """
 
     number: int = 0

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import chain
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,9 @@ SHOWN = 5  # damages of a run, in one message
 
 
 class Weight(StrEnum):
-    """``damage``: not as it was written. ``note``: worth knowing."""
+    """Of a finding."""
 
-    DAMAGE = "damage"
+    DAMAGE = "damage"  # not as it was written
     NOTE = "note"
 
 
@@ -42,6 +42,9 @@ class Finding:
 
     weight: Weight
     text: str
+
+
+_damage, _note = partial(Finding, Weight.DAMAGE), partial(Finding, Weight.NOTE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,19 +62,23 @@ class Checked:
 
 
 def check_run(folder: Path, digest: str | None = None) -> Checked:
-    """Look at everything; ``digest`` is one that a report names, of either kind. Raises ConfigError
-    where it is no run.
-    """
+    """Check all; ``digest`` is one that a report names. Raises ConfigError where it is no run."""
     with as_written(folder) as db:
         db.execute("BEGIN")  # all of one moment: the run may be under way
         version = known_version(db, folder)
-        findings: list[Finding] = []
+        findings: list[Finding] = []  # what was found before something fails is kept
         links: list[tuple[Any, ...]] = []
         counts = dict.fromkeys(COUNTED, 0)
         try:
-            told = _provenance(db, folder, version, digest, links)
-            for finding in chain(_database(db), _frames(db, folder), told):
-                findings.append(finding)  # what was found before something fails is kept
+            for (text,) in db.execute("PRAGMA integrity_check"):
+                findings += [_damage(f"{DATABASE}: {text}")] if text != "ok" else []
+            for table, rowid, parent, _ in db.execute("PRAGMA foreign_key_check"):
+                row = f"table {table}, row {rowid}"
+                findings.append(_damage(f"{row}: what it refers to in {parent} is not there"))
+            for finding in _frames(db, folder):
+                findings.append(finding)
+            for finding in _provenance(db, folder, version, digest, links):
+                findings.append(finding)
             counts |= {
                 name: int(db.execute(f"SELECT count(*) FROM {name}").fetchone()[0])  # noqa: S608
                 for name in COUNTED
@@ -84,10 +91,8 @@ def check_run(folder: Path, digest: str | None = None) -> Checked:
 
 @contextmanager
 def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[tuple[str, ...]]:
-    """Checks these runs, then gives what is damaged, in sentences, to what is done with them.
-
-    Raises ConfigError where something is and ``despite_damage`` isn't set; where it is, for what
-    fails since the record is damaged.
+    """Checks these runs, then gives the damage, in sentences. Raises ConfigError where there is any
+    and ``despite_damage`` isn't set; where it is, for what fails since the record is damaged.
     """
     checked = {folder: check_run(folder) for folder in dict.fromkeys(folders)}
     damage = tuple(
@@ -130,26 +135,19 @@ def _provenance(
     links: list[tuple[Any, ...]],
 ) -> Iterator[Finding]:
     """What the chain and the copied files say; ``links`` gets the chain's."""
+    if version < CHAINED_SINCE and "chain" in tables_of(db):
+        there = f"{DATABASE} says that it has schema {version}, which has no chain, and it has one"
+        yield _damage(there)
+        return
     if version < CHAINED_SINCE:
         unseen = "it has no chain, so that later edits can't be told"
-        there = f"{DATABASE} says that it has schema {version}, which has no chain, and it has one"
-        damaged = "chain" in tables_of(db)
-        older = f"the run is of an older bench (schema {version}): {unseen}"
-        yield _damage(there) if damaged else _note(older)
+        yield _note(f"the run is of an older bench (schema {version}): {unseen}")
         return
     links += db.execute(f"SELECT {COLUMNS} FROM chain ORDER BY number")  # noqa: S608
     yield from _chain(db, links)
     for name, sha256 in db.execute("SELECT name, sha256 FROM files"):
         yield from _file(folder, name, sha256)
     yield from _printed(folder, links, digest)
-
-
-def _database(db: sqlite3.Connection) -> Iterator[Finding]:
-    for (text,) in db.execute("PRAGMA integrity_check"):
-        if text != "ok":
-            yield _damage(f"{DATABASE}: {text}")
-    for table, rowid, parent, _ in db.execute("PRAGMA foreign_key_check"):
-        yield _damage(f"table {table}, row {rowid}: what it refers to in {parent} is not there")
 
 
 def _frames(db: sqlite3.Connection, folder: Path) -> Iterator[Finding]:
@@ -185,9 +183,7 @@ def _file(folder: Path, name: Any, sha256: Any) -> Iterator[Finding]:
 
 
 def _chain(db: sqlite3.Connection, links: list[tuple[Any, ...]]) -> Iterator[Finding]:
-    """Each link follows from the one before, covers the rows that follow those before, and they are
-    as it says.
-    """
+    """Each link follows from the one before, and covers the next rows, as they are."""
     chained = [table for table in tables_of(db) if table not in ("chain", LATER_WORD)]
     before, ends, facts = Head(), dict.fromkeys(chained, 0), dict[str, str]()
     for number, covers, digest, wall_covers, wall_digest in links:
@@ -242,8 +238,8 @@ def _facts(db: sqlite3.Connection, said: Mapping[str, str]) -> Iterator[Finding]
 
 
 def _printed(folder: Path, links: list[tuple[Any, ...]], digest: str | None) -> Iterator[Finding]:
-    """The chain has to pass through what a report named: nothing else tells that its end was cut
-    off, or all of it made anew.
+    """The chain has to pass through the link that a report named, or it was cut off or made
+    anew.
     """
     known = {value: row[0] for row in links for value in (row[2], row[4])}
     why = "the record was cut off or made anew since"
@@ -273,11 +269,3 @@ def _whose(db: sqlite3.Connection, table: str, rowid: int) -> str:
         return ""
     row = db.execute(f"SELECT {column} FROM {table} WHERE rowid = ?", (rowid,)).fetchone()  # noqa: S608 - our names
     return f", trial {row[0]}" if row else ""
-
-
-def _damage(text: str) -> Finding:
-    return Finding(Weight.DAMAGE, text)
-
-
-def _note(text: str) -> Finding:
-    return Finding(Weight.NOTE, text)

@@ -102,9 +102,7 @@ MESSAGES: tuple[type[Message], ...] = (*_OF_FOXGLOVE, PosesInFrame, Log, Bath, A
 
 
 def camera(at: Timestamp, frame: str, lens: Camera) -> CameraCalibration:
-    """A camera as Bouguet, OpenCV and the ROS model plumb_bob have it: K row by row, D = (k1, k2,
-    p1, p2, k3).
-    """
+    """As the ROS model plumb_bob has it: K row by row, D = (k1, k2, p1, p2, k3)."""
     (fx, fy), (cx, cy) = lens.fc, lens.cc
     K = np.array([[fx, lens.alpha_c * fx, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     return CameraCalibration(
@@ -144,12 +142,14 @@ def frames_of_reference(at: Timestamp, known: Calibration) -> FrameTransforms:
 
 def point(at: Timestamp, frame: str, at_mm: Sequence[float]) -> PoseInFrame:
     """One place in ``frame``."""
-    return PoseInFrame(timestamp=at, frame_id=frame, pose=_pose(at_mm))
+    pose = Pose(position=_metres(at_mm), orientation=NO_TURN)
+    return PoseInFrame(timestamp=at, frame_id=frame, pose=pose)
 
 
 def points(at: Timestamp, frame: str, rows: Sequence[Row]) -> PosesInFrame:
     """Places in ``frame``, of rows with x_mm, y_mm, z_mm."""
-    poses = [_pose((row["x_mm"], row["y_mm"], row["z_mm"])) for row in rows]
+    places = [_metres((row["x_mm"], row["y_mm"], row["z_mm"])) for row in rows]
+    poses = [Pose(position=place, orientation=NO_TURN) for place in places]
     return PosesInFrame(timestamp=at, frame_id=frame, poses=poses)
 
 
@@ -191,10 +191,6 @@ def trial(at: Timestamp, row: Row) -> Message:
 
 def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
-
-
-def _pose(at_mm: Sequence[float]) -> Pose:
-    return Pose(position=_metres(at_mm), orientation=NO_TURN)
 
 
 def _metres(at_mm: Sequence[float] | np.ndarray[Any, Any]) -> Vector3:
@@ -246,9 +242,8 @@ class _Times:
 
     def __init__(self, db: sqlite3.Connection) -> None:
         self._start_ns: dict[int, int] = {}
-        for session, t_s, wall in db.execute(
-            "SELECT session, t_s, wall_time FROM events WHERE t_s IS NOT NULL ORDER BY number"
-        ):
+        query = "SELECT session, t_s, wall_time FROM events WHERE t_s IS NOT NULL ORDER BY number"
+        for session, t_s, wall in db.execute(query):
             self._start_ns.setdefault(session, _ns(wall) - round(t_s * NS))
 
     def of(self, session: int, t_s: float | None, wall: str | None) -> int:
@@ -303,9 +298,6 @@ def _ends(db: sqlite3.Connection, trial: str, captured: int) -> Iterator[TimedMe
 def _frames(
     db: sqlite3.Connection, run: Path, head: sqlite3.Row, times: _Times
 ) -> Iterator[TimedMessage]:
-    """A detector's pictures of its stages have no frame of reference that is known; they go by
-    their own name.
-    """
     for row in db.execute("SELECT * FROM frames WHERE trial = ?", (head["id"],)):
         picture = row["camera"]
         exposed_s = head["captured_s"] if row["exposed_s"] is None else row["exposed_s"]
@@ -315,9 +307,7 @@ def _frames(
 
 
 def _image(at: Timestamp, run: Path, row: sqlite3.Row) -> Message:
-    """A frame, checked against its SHA-256: byte for byte as its file holds it, or pixel by pixel
-    where it has 16 bits: viewers let one choose there what is black and what is white.
-    """
+    """A frame, checked against its SHA-256: the bytes of its file; pixels where it has 16 bits."""
     path, picture = run / row["path"], row["camera"]
     frame = FRAMES_OF.get(picture, picture)
     try:
@@ -346,9 +336,7 @@ def _image(at: Timestamp, run: Path, row: sqlite3.Row) -> Message:
 
 
 def _cameras(known: Calibration, time_ns: int) -> Iterator[TimedMessage]:
-    """The cameras' places and lenses, once, before all else. A mirrored picture has no lens that
-    viewers could draw with.
-    """
+    """The cameras' places and lenses, before all else; a mirrored picture has no such lens."""
     yield TimedMessage(time_ns, "/tf", partial(frames_of_reference, known=known))
     thermal = None if known.thermal.mirrored else known.thermal.lens
     for name, lens in (("left", known.left), ("right", known.right), ("thermal", thermal)):

@@ -32,7 +32,7 @@ from bench.scoring.scene import SceneScore, scene_from_dict
 @contextmanager
 def opened(folder: Path) -> Iterator[sqlite3.Connection]:
     """The database in ``folder`` with today's tables, all reads from one moment. Raises
-    ConfigError, where it is none of this bench's.
+    ConfigError.
     """
     with as_written(folder) as db:
         version = known_version(db, folder)
@@ -48,9 +48,7 @@ def opened(folder: Path) -> Iterator[sqlite3.Connection]:
 
 @contextmanager
 def as_written(folder: Path) -> Iterator[sqlite3.Connection]:
-    """The database in ``folder`` with the tables that it was written with. Raises ConfigError where
-    there is none, or it can't be read.
-    """
+    """The database in ``folder`` with its own tables. Raises ConfigError where it can't be read."""
     path = database_in(folder)
     try:
         with closing(_connected(path)) as db:
@@ -137,25 +135,19 @@ class TrialRecord:
 
     @property
     def invalid(self) -> str | None:
-        """Why its truth doesn't hold; the trial then is in no count. None where nothing speaks
-        against it.
-        """
+        """Why its truth doesn't hold, so that the trial is in no count; None where it holds."""
         reason = self.head["invalid"]
         return None if reason is None else str(reason)
 
     @property
     def how(self) -> str | None:
-        """``touched`` or ``carried``; None where the truth came without that word, as in a
-        recording.
-        """
+        """``touched`` or ``carried``; None of a recording."""
         how = self.truth[0]["how"] if self.truth else None
         return None if how is None else str(how)
 
     @property
     def score_rows(self) -> list[Row]:
-        """Rows of the table ``scores``: what depends on real time stands apart, so that the rest
-        repeats with the seed.
-        """
+        """Rows of the table ``scores``; what depends on real time stands apart."""
         rows: list[Row] = []
         for detector, score in self.scores.items():
             whole = score.as_dict()
@@ -191,9 +183,7 @@ class RunRecord:
 
     @property
     def ending(self) -> str:
-        """``finished``, ``aborted`` or ``faulted``; ``interrupted`` where the bench died before it
-        could say.
-        """
+        """``finished``, ``aborted``, ``faulted``, or ``interrupted`` where the bench died."""
         return str(self.facts.get("ending", "interrupted"))
 
     @property
@@ -213,7 +203,6 @@ def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
     """
     try:
         with opened(folder) as db:
-            db.row_factory = sqlite3.Row
             record = _read(folder, db, damage)
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         hint = f"'teatbench store check {folder}' says what is damaged."
@@ -226,6 +215,7 @@ def read_run(folder: Path, damage: tuple[str, ...] = ()) -> RunRecord:
 
 
 def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunRecord:
+    db.row_factory = sqlite3.Row
     facts = {key: json.loads(value) for key, value in db.execute("SELECT key, value FROM facts")}
     query = "SELECT t_s, temp_c, power_percent, external_c, state FROM bath ORDER BY session, t_s"
     bath = list(db.execute(query))
@@ -235,9 +225,9 @@ def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunR
         folder=folder,
         facts=facts,
         trials=tuple(_trials(db)),
-        skipped=tuple(dict(row) for row in db.execute("SELECT * FROM skipped ORDER BY number")),
-        checks=tuple(dict(row) for row in db.execute("SELECT * FROM checks ORDER BY number, teat")),
-        events=tuple(dict(row) for row in db.execute("SELECT * FROM events ORDER BY number")),
+        skipped=tuple(map(dict, db.execute("SELECT * FROM skipped ORDER BY number"))),
+        checks=tuple(map(dict, db.execute("SELECT * FROM checks ORDER BY number, teat"))),
+        events=tuple(map(dict, db.execute("SELECT * FROM events ORDER BY number"))),
         bath=table[:, :3],
         bath_states=tuple(row["state"] for row in bath),
         external_c=table[:, 3],
@@ -248,9 +238,7 @@ def _read(folder: Path, db: sqlite3.Connection, damage: tuple[str, ...]) -> RunR
 
 
 def _guardian(path: Path) -> Mapping[str, Any] | None:
-    """What the guardian wrote; it writes whole files only, so one that can't be read was not
-    written by it.
-    """
+    """What the guardian wrote; it writes whole files only."""
     if not path.is_file():
         return None
     try:
@@ -262,7 +250,10 @@ def _guardian(path: Path) -> Mapping[str, Any] | None:
 
 
 def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:
-    by_table = {table: _grouped(db, table) for table in OF_A_TRIAL}
+    by_table: dict[str, dict[str, list[Row]]] = {table: {} for table in OF_A_TRIAL}
+    for table, grouped in by_table.items():
+        for row in db.execute(f"SELECT * FROM {table} ORDER BY rowid"):  # noqa: S608 - our own names
+            grouped.setdefault(row["trial"], []).append(dict(row))
     heads = (
         "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON"
         " invalidated.trial = trials.id"
@@ -276,10 +267,3 @@ def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:
             for row in rows.pop("scores")
         }
         yield TrialRecord(dict(head), scores=scores, **rows)
-
-
-def _grouped(db: sqlite3.Connection, table: str) -> dict[str, list[Row]]:
-    grouped: dict[str, list[Row]] = {}
-    for row in db.execute(f"SELECT * FROM {table} ORDER BY rowid"):  # noqa: S608 - our own names
-        grouped.setdefault(row["trial"], []).append(dict(row))
-    return grouped

@@ -34,8 +34,8 @@ def needed(module: str, what: str) -> Any:
 
 
 def export_csv(run: Path, out: Path) -> list[Path]:
-    """Write ``out/<table>.csv`` for every table; gives back the
-    files. Raises ConfigError, OSError.
+    """Write ``out/<table>.csv`` for every table; gives back the files. Raises ConfigError,
+    OSError.
     """
     written = []
     with opened(run) as db:

@@ -3,9 +3,8 @@
 A finished, skipped or checked trial is durable when its call returns, with all that was said
 before. So are events and facts, but for those within ``step``: they are durable when the step or
 `flush` ends, which has to come before a physical action counts as done. Events of `URGENT` kinds
-never wait.
-Bath readings wait for the next write, at most `FLUSH_EVERY` of them. A frame's file and folder are
-synced before its row is written.
+never wait. Bath readings wait for the next write, at most `FLUSH_EVERY` of them. A frame's file and
+folder are synced before its row is written.
 """
 
 from __future__ import annotations
@@ -51,11 +50,9 @@ class FolderGoneError(OSError):
 
 
 class Store:
-    """An open run folder. Opening one that is there begins a further session, and clears away
-    frames of trials that never finished.
-
-    ``session`` goes on in that session instead. Raises ConfigError where the tables are of another
-    bench.
+    """An open run folder. Opening one begins a further session (or goes on in ``session``), and
+    clears away frames of trials that never finished. Raises ConfigError where the tables are of
+    another bench.
     """
 
     def __init__(
@@ -73,7 +70,15 @@ class Store:
         path = database_in(folder)
         self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         try:
-            _refuse_other(self._db, folder)
+            if (version := version_of(self._db)) != SCHEMA_VERSION:
+                age = (
+                    "an older bench: it can be read and reported, but not gone on with"
+                    if version < SCHEMA_VERSION
+                    else "a newer bench: update this one"
+                )
+                has = f"{folder / DATABASE} has schema {version}"
+                why = f"{has}, this bench writes {SCHEMA_VERSION}. It is of {age}."
+                raise ConfigError.plain(why)
             self._place = _place(folder)
             for pragma in PRAGMAS:
                 self._db.execute(f"PRAGMA {pragma}")
@@ -123,8 +128,8 @@ class Store:
 
     @contextmanager
     def step(self) -> Iterator[None]:
-        """What is said within is written in one go, and durable, when the step ends, however it
-        ends. Steps may lie within steps.
+        """What is said within is written and durable when the outermost step ends, however it
+        ends.
         """
         with self._lock:
             self._steps += 1
@@ -137,9 +142,7 @@ class Store:
                     self.flush()
 
     def fact(self, key: str, value: Any) -> None:
-        """Write down (or over) something that holds for the whole
-        run; ``value`` is kept as JSON.
-        """
+        """Write down (or over) something that holds for the whole run; it is kept as JSON."""
         row = {"key": key, "value": json.dumps(value, ensure_ascii=False), "wall_time": self._now()}
         self._say(LATER_WORD, row, urgent=not self._steps)
 
@@ -161,9 +164,7 @@ class Store:
                 self._write([])
 
     def refuse_gone(self) -> None:
-        """Raise FolderGoneError where the folder or its database isn't the one that was opened:
-        SQLite would go on writing unseen.
-        """
+        """Raise FolderGoneError where folder or database isn't the one that was opened."""
         try:
             gone = _place(self.folder) != self._place
         except OSError:
@@ -186,8 +187,8 @@ class Store:
         self._write([("skipped", [{**row, "session": self.session, "wall_time": self._now()}])])
 
     def checked(self, touches: Sequence[Row], invalid: Sequence[str], reason: str) -> None:
-        """Write down a check of the carried truth, and for which trials it takes their truth away,
-        at once and durable.
+        """Write down a check of the carried truth, and which trials it takes their truth away from,
+        durable at once.
         """
         now = self._now()
         lost = [{"trial": trial, "reason": reason, "wall_time": now} for trial in invalid]
@@ -197,9 +198,7 @@ class Store:
     def frames(
         self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
     ) -> list[Row]:
-        """Write pictures as PNG by camera, all synced and renamed on return; gives back their rows
-        for the trial.
-
+        """Write pictures as PNG by camera, all synced and renamed on return; gives back their rows.
         Raises FolderGoneError before it would make the folder anew.
         """
         self.refuse_gone()
@@ -231,17 +230,12 @@ class Store:
         number = int(self._db.execute(query).fetchone()[0])
         row = {"number": number, "bench": __version__, "wall_time": self._now()}
         self._write([("sessions", [row])])
-        self._clear_unfinished()
-        return number
-
-    def _clear_unfinished(self) -> None:
-        """A trial that died in flight is done again, and may leave other pictures then; of the old
-        ones none may stay beside them.
-        """
+        # a trial that died in flight is done again, and may leave other pictures then
         finished = {row[0] for row in self._db.execute("SELECT id FROM trials")}
         for folder in (self.folder / "frames").glob("*"):
             if folder.name not in finished:
                 shutil.rmtree(folder)
+        return number
 
     def _now(self) -> str:
         return self._wall().isoformat(timespec="milliseconds")
@@ -254,7 +248,7 @@ class Store:
 
     def _write(self, tables: Tables) -> None:
         """What waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error; on
-        OperationalError it goes on waiting.
+        OperationalError the rows go on waiting.
         """
         with self._lock:
             waiting: dict[str, list[Row]] = {}
@@ -288,8 +282,8 @@ class Store:
             raise
 
     def _inserted(self, tables: Tables) -> tuple[Spans, list[str]]:
-        """Insert all rows; gives back which there are now by rowid, and the keys of the facts as
-        they came.
+        """Insert all rows; gives back first and last rowid by table, and the facts' keys in
+        order.
         """
         spans: dict[str, tuple[int, int]] = {}
         facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
@@ -307,10 +301,8 @@ class Store:
 
 
 def new_run_folder(out: Path, name: str, wall_time: datetime) -> Path:
-    """A name for a run that nothing has yet: ``<out>/<time>-<name>``, with a number where two fall
-    on one second.
-
-    A long name is cut: a file system takes 255 bytes, and the folder is made under a longer name.
+    """A new name for a run: ``<out>/<time>-<name>``, with a number where two fall on one second. A
+    long name is cut: a file system takes 255 bytes.
     """
     stem = f"{wall_time:%Y%m%d-%H%M%S}-{name.encode()[:LONGEST_NAME].decode(errors='ignore')}"
     folder, number = out / stem, 1
@@ -324,19 +316,4 @@ def _place(folder: Path) -> tuple[tuple[int, int], ...]:
     """What the system knows the folder and its database by (inodes; file indices on Windows)."""
     return tuple(
         (found.st_dev, found.st_ino) for found in (folder.stat(), (folder / DATABASE).stat())
-    )
-
-
-def _refuse_other(db: sqlite3.Connection, folder: Path) -> None:
-    version = version_of(db)
-    if version == SCHEMA_VERSION:
-        return
-    age = (
-        "an older bench: it can be read and reported, but not gone on with"
-        if version < SCHEMA_VERSION
-        else "a newer bench: update this one"
-    )
-    raise ConfigError.plain(
-        f"{folder / DATABASE} has schema {version}, this bench writes {SCHEMA_VERSION}. It is of"
-        f" {age}."
     )

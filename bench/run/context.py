@@ -11,11 +11,9 @@ from bench.record.writer import Store
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
-from bench.run.events import Events
-from bench.run.states import EVENT, RunStates
+from bench.run.events import EVENT, Events, RunStates
 from bench.safety.bath_monitor import TripHandler
-from bench.safety.guardian_client import GuardianClient
-from bench.safety.heartbeat import BRIEF_S, Heartbeat
+from bench.safety.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.script.model import LoadedScript
 from bench.truth.arm_tip import TipReader
 from instruments.clock import stopwatch_s, wall_time
@@ -27,10 +25,8 @@ READ_S = 1.0  # both clocks are read within microseconds
 
 
 class RunContext:
-    """One run. Time passes through ``wait`` only, so that no wait goes by without a look at the
-    interlocks every second.
-
-    ``check_interrupts`` is called at each look, and raises what somebody wants of the run.
+    """One run. Time passes through ``wait`` only, with a look at the interlocks every second.
+    ``check_interrupts`` is called at each look, and raises what a person requests.
     """
 
     def __init__(
@@ -85,21 +81,20 @@ class RunContext:
             self.check()
 
     def check(self) -> None:
-        """The bench lives; raises as ``look``."""
+        """A sign of life, and a look."""
         self._pulse.sign("going on")
         self.look()
 
     def look(self) -> None:
-        """Raises InterlockTrip where an interlock has tripped, and what ``check_interrupts``
-        raises. No sign of life: for whoever waits for a person, and has said so.
+        """Raises InterlockTrip, and what ``check_interrupts`` raises. No sign of life: what was
+        announced goes on.
         """
         self.watch.check()
         self.check_interrupts()
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
-        """``what`` may take ``at_most_s`` before the guardian takes the bench for hung. Whatever
-        waits on a clock or a link gives signs of life; what computes, or is another's code, is
-        ``silent``.
+        """``what`` may take ``at_most_s`` before the guardian takes the bench for hung. A wait on a
+        clock or a link gives signs of life; a computation, or another's code, is ``silent``.
         """
         self._pulse.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
 
@@ -109,24 +104,19 @@ class RunContext:
         self.event("state", text)
 
     def event(self, kind: str, text: str) -> None:
-        """Into the record, with its time, and then into the stream."""
-        self._see_steps_of_the_clock()
+        """Into the record, with its time, and then into the stream; before it, that the computer's
+        clock was set, which changes wall times and not the bench's own.
+        """
+        before_s = stopwatch_s()
+        behind_s = wall_time().timestamp() - before_s
+        if stopwatch_s() - before_s <= READ_S:  # else a busy computer let time pass between the two
+            known_s, self._wall_behind_s = self._wall_behind_s, behind_s
+            if known_s is not None and abs(behind_s - known_s) > STEPPED_S:
+                was_set = f"the computer's clock was set {behind_s - known_s:+.0f} s"
+                but = "wall times before and after don't compare, the bench's own do"
+                self._write("clock", f"{was_set}; {but}")
         self._write(kind, text)
 
     def _write(self, kind: str, text: str) -> None:
         self.store.event(self.clock.now(), kind, text, wall_time())
         self.events.event(kind, text)
-
-    def _see_steps_of_the_clock(self) -> None:
-        """The bench's own time doesn't follow a computer's clock that is set, wall times do."""
-        before_s = stopwatch_s()
-        behind_s = wall_time().timestamp() - before_s
-        if stopwatch_s() - before_s > READ_S:
-            return  # a busy computer let us wait between the two: they are of no one moment
-        known_s, self._wall_behind_s = self._wall_behind_s, behind_s
-        if known_s is not None and abs(behind_s - known_s) > STEPPED_S:
-            by_s = behind_s - known_s
-            told = f"the computer's clock was set {by_s:+.0f} s"
-            self._write(
-                "clock", f"{told}; wall times before and after don't compare, the bench's own do"
-            )

@@ -7,6 +7,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Sequence
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +15,13 @@ from numpy.typing import NDArray
 from bench.record.writer import FolderGoneError
 from bench.run.context import RunContext
 from bench.run.estimate import TimeEstimate
+from bench.run.events import EVENT, RunState
+from bench.run.interruptions import Recovery, Requests
 from bench.run.lock import Reserve
 from bench.run.recordings import Recorder
-from bench.run.recovery import Recovery
-from bench.run.requests import Requests
 from bench.run.resume import RehearsedStore, ResumePoint
 from bench.run.rows import write_arm_facts
-from bench.run.states import EVENT, RunState
-from bench.run.trial import Attempts, TrialRun
-from bench.run.truth_source import choose_truth
+from bench.run.trial import Attempts, TrialRun, choose_truth
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.signals import current, undisturbed
 from bench.script.planned_trials import PlannedTrial
@@ -55,11 +54,9 @@ class Ending(StrEnum):
 
 
 class Engine:
-    """One run. ``exact_ends`` gives the scene's exact truth where there is one; it is kept aside,
-    never scored against.
-
-    ``left`` is what the run's last session left, where it goes on; ``typed`` gives lines that
-    somebody typed, None while there is none; ``expected`` is how long it takes.
+    """One run. ``exact_ends`` gives the scene's exact truth, which is never scored against;
+    ``left`` is what the run's last session left; ``typed`` gives the lines that were typed, None
+    while there is none; ``expected`` is how long it takes.
     """
 
     def __init__(
@@ -97,13 +94,13 @@ class Engine:
         )
         self._reserve = Reserve(store.folder)
         self.bath_is_safe = False  # until the run has ended and made it so
-        ctx.events.live, ctx.events.not_shown = self._live, self._not_shown
+        ctx.events.live = self._live
+        # whoever looks for what the screen had to show finds why it showed nothing
+        ctx.events.not_shown = partial(self._kept, ctx.event, "not shown")
         ctx.events.replaying = self._rehearsed is not None
 
     def run(self) -> Ending:
-        """Everything, to the end or to safe. Faults of instruments and aborts are in the record,
-        not raised.
-        """
+        """Everything, to the end or to safe. Faults of instruments and aborts are recorded."""
         exits, ending = current(), Ending.FAULTED
         exits.at_close = self._ctx.trips.heater_off
         try:
@@ -115,9 +112,7 @@ class Engine:
         else:
             exits.hold()
             ending = Ending.FINISHED
-        # from here nobody can be raised amid: each way in has called hold, or has just been raised
-        # itself
-        finally:
+        finally:  # no request is raised from here on: each way in has called hold
             with undisturbed():
                 ending = self._finish(ending)
             exits.let_go()
@@ -126,31 +121,10 @@ class Engine:
 
     def _work(self) -> None:
         ctx, planned, again = self._ctx, self._ctx.script.planned, self._recovery.run
+        set_point_c = ctx.script.script.bath.set_point_c
         self._requests.forget()
         ctx.check_interrupts = self._requests.look_between
         ctx.states.to(RunState.PREPARING)
-        self._prepare()
-        again("preparing the truth", self._truth.begin)
-        for trial in planned:
-            if self._left and trial.id not in self._left.done:
-                self._go_live()
-            ctx.events.trial(trial.number - 1, len(planned), trial.name)
-            self._one(trial)
-        self._go_live()  # where all trials had their result, and only the end was missing
-        ctx.events.trial(len(planned), len(planned), "")
-        again("confirming the truth", self._truth.end)
-        again("the arm check after the trials", lambda: self._check_arm(AFTER))
-        ctx.ask(Finish())
-
-    def _prepare(self) -> None:
-        """Arm signed on and homed, arm check, stage homed, bath started; each step again where an
-        instrument drops out. In a session that goes on, all of it is done again.
-        """
-        ctx, again, set_point_c = (
-            self._ctx,
-            self._recovery.run,
-            self._ctx.script.script.bath.set_point_c,
-        )
         ctx.note("preparing")
         ctx.watch.start()
         again("signing on to the arm", self._sign_on)
@@ -168,6 +142,17 @@ class Engine:
 
         again("starting the bath", start)
         ctx.watch.heating()
+        again("preparing the truth", self._truth.begin)
+        for trial in planned:
+            if self._left and trial.id not in self._left.done:
+                self._go_live()
+            ctx.events.trial(trial.number - 1, len(planned), trial.name)
+            self._one(trial)
+        self._go_live()  # where all trials had their result, and only the end was missing
+        ctx.events.trial(len(planned), len(planned), "")
+        again("confirming the truth", self._truth.end)
+        again("the arm check after the trials", lambda: self._check_arm(AFTER))
+        ctx.ask(Finish())
 
     def _check_arm(self, when: str) -> None:
         """Touch the rig's check point, where it names one: a fact for the script's requirement."""
@@ -176,11 +161,7 @@ class Engine:
             return
         ctx.events.state(f"checking the arm {when} the trials")
         found = check_arm(ctx.ask, ctx.tip, arm, ctx.clock, ctx.check)
-        name = CHECK_FACT.format(when)
-        if when == BEFORE:
-            self._fact(name, found)
-        else:
-            ctx.store.fact(name, found)
+        (self._fact if when == BEFORE else ctx.store.fact)(CHECK_FACT.format(when), found)
         ctx.event("arm", told(found, when))
 
     def _fact(self, key: str, value: object) -> None:
@@ -206,17 +187,16 @@ class Engine:
 
     def _one(self, trial: PlannedTrial) -> None:
         """Run a trial, go through it again, or pass over it since it has its result."""
-        if self._left:
-            if self._rehearsed and trial.id not in self._left.poison:
-                self._trials.rehearsing = True
-                self._attempts.run(trial)
-            else:
-                self._attempts.passed()
-            return
-        self._requests.pause_if_asked(self._ctx)
-        self._ctx.check_interrupts = self._requests.look
-        self._attempts.run(trial)
-        self._ctx.check_interrupts = self._requests.look_between
+        if not self._left:
+            self._requests.pause_if_asked(self._ctx)
+            self._ctx.check_interrupts = self._requests.look
+            self._attempts.run(trial)
+            self._ctx.check_interrupts = self._requests.look_between
+        elif self._rehearsed and trial.id not in self._left.poison:
+            self._trials.rehearsing = True
+            self._attempts.run(trial)
+        else:
+            self._attempts.done += 1
 
     def _go_live(self) -> None:
         """The first trial without a result is next: from here on all is new, and on record."""
@@ -239,11 +219,11 @@ class Engine:
 
     def _end_replay(self) -> None:
         if self._rehearsed:
-            self._rehearsed.go_live()
+            self._rehearsed.silent = False
         self._ctx.events.replaying = False
 
     def _live(self) -> dict[str, str]:
-        """What a line in the terminal says beside what is being done."""
+        """What stands in the terminal's line beside what is being done."""
         watch, left_s = self._ctx.watch, self._attempts.left_s
         live: dict[str, str] = {}
         if watch.last is not None:
@@ -252,10 +232,6 @@ class Engine:
             settling_s = self._expected.settling_s if self._expected else 0.0
             live["left"] = time_left(left_s + watch.stable_in_s(settling_s))
         return live
-
-    def _not_shown(self, why: str) -> None:
-        """Whoever looks for what the screen had to say finds why it said nothing."""
-        self._kept(self._ctx.event, "not shown", why)
 
     def _ended_by(self, why: BaseException) -> Ending:
         """The ending that ``why`` means, written down; raises it again when it is a mistake of the
@@ -274,11 +250,10 @@ class Engine:
             raise cause
         named = f"{type(cause).__name__}: {cause}"
         if isinstance(cause, RECORD_FAULTS):
-            cure = f"teatbench resume {self._ctx.store.folder}"
-            told = (
-                f"the record could not be written: {named}. Make room or make the folder writable"
-            )
-            self._write_down("fault", f"{told}, then: {cure}", aloud=True)
+            then = f"teatbench resume {self._ctx.store.folder}"
+            cure = f"Make room or make the folder writable, then: {then}"
+            why_not = f"the record could not be written: {named}. {cure}"
+            self._write_down("fault", why_not, aloud=True)
         elif isinstance(cause, InstrumentError | InterlockTrip):
             self._write_down("fault", str(cause))
         else:
@@ -308,10 +283,9 @@ class Engine:
         for state in (RunState.SAFING, RunState(ending.value)):
             self._kept(ctx.states.to, state)
         self._write_down("end", ending.value)
-        ended = wall_time().isoformat(timespec="seconds")
-        facts = {"retries": dict(self._recovery.counts), "ending": ending.value}
-        for key, value in {**facts, "wall_ended": ended}.items():
-            self._kept(ctx.store.fact, key, value)
+        self._kept(ctx.store.fact, "retries", dict(self._recovery.counts))
+        self._kept(ctx.store.fact, "ending", ending.value)
+        self._kept(ctx.store.fact, "wall_ended", wall_time().isoformat(timespec="seconds"))
         self._kept(ctx.store.flush)
         return ending
 

@@ -21,10 +21,8 @@ from typing import Any
 from bench.files import write_synced
 from bench.record.reader import RunRecord
 from bench.rig.loading import LoadedRig
-from bench.rig.model import Stage
 from bench.rig.urls import CONSOLE
-from bench.run.events import read_events
-from bench.run.states import RunState
+from bench.run.events import RunState, read_events
 from bench.safety.stability import StabilityGate, State
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
@@ -46,10 +44,8 @@ STATES = {
 def spent_of(
     events: Sequence[Mapping[str, Any]], *, first_settling: bool = False
 ) -> dict[str, float]:
-    """What the time of a run went to, in s by kind, by its stream of `bench.run.events`; with
-    ``first_settling``, up to the end of that only.
-
-    Every second is one kind's, so the kinds add up to the whole.
+    """What the time of a run (of its ``first_settling`` and before) went to, in s by kind, by its
+    stream of `bench.run.events`. Every second is one kind's.
     """
     spent = dict.fromkeys(KINDS, 0.0)
     base = kind = before = PREPARING
@@ -123,14 +119,18 @@ class TimeEstimate:
 def estimate(
     rig: LoadedRig, script: LoadedScript, figures: Mapping[str, float] = ASSUMED
 ) -> TimeEstimate:
-    """How long ``script`` takes on ``rig``, at the bench's own time, by ``figures`` as those
-    assumed.
-    """
+    """How long ``script`` takes on ``rig``, in the bench's own time, by ``figures``."""
     r, planned, gate = rig.rig, script.planned, script.script.bath
     rise_k = max(0.0, gate.set_point_c - r.bath.room_c)
+    moves_s = figures["homing"] if r.stage else 0.0
+    if stage := r.stage:
+        poses = [pose for one in planned for pose in (one.approach, one.pose) if pose is not None]
+        places = [tuple(stage.machine(shared(pose, stage.axes)[0]).values()) for pose in poses]
+        feed, accel = stage.feed_mm_per_min, figures["acceleration"]
+        moves_s += sum(move_s(math.dist(a, b), feed, accel) for a, b in pairwise(places))
     return TimeEstimate(
         settling_s=gate.window_s + 60.0 * rise_k / figures["heating"],
-        moves_s=_moves_s(r.stage, planned, figures) if r.stage else 0.0,
+        moves_s=moves_s,
         set_ups_s=sum(_set_ups_s(r.stage.axes if r.stage else "", planned, figures)),
         captures_s=len(planned) * (r.cameras.settle_s + figures["capture"]),
         touches_s=sum(_touches(rig, script)) * figures["touch"],
@@ -143,9 +143,7 @@ def gate_of(script: LoadedScript) -> StabilityGate:
 
 
 def settling_of(rig: LoadedRig, script: LoadedScript) -> float:
-    """How long the emulated bath takes from its start until the gate opens, as a dry run finds it;
-    at most what the script allows.
-    """
+    """How long the emulated bath takes until the gate opens; at most what the script allows."""
     emulation, bath, gate = rig.rig.emulation, script.script.bath, gate_of(script)
     room_c = start_c = max(0.0, rig.rig.bath.room_c)
     if rig.rig.emulated:
@@ -161,9 +159,7 @@ def settling_of(rig: LoadedRig, script: LoadedScript) -> float:
 
 
 def _touches(rig: LoadedRig, script: LoadedScript) -> list[int]:
-    """How many there are, at each of the trials at which teat ends are touched: all, or those that
-    a stage doesn't carry.
-    """
+    """How many, at each trial at which teat ends are touched: all, or those not carried."""
     truth, stage, planned = script.script.truth, rig.rig.stage, script.planned
     at: Sequence[int] = range(len(planned))
     if truth.mode == "carry" and stage:
@@ -178,19 +174,8 @@ def assumed_told() -> str:
     return f"Assumed: {', '.join(each)}."
 
 
-def _moves_s(stage: Stage, planned: Sequence[PlannedTrial], figures: Mapping[str, float]) -> float:
-    poses = [pose for one in planned for pose in (one.approach, one.pose) if pose is not None]
-    places = [tuple(stage.machine(shared(pose, stage.axes)[0]).values()) for pose in poses]
-    ways = [math.dist(a, b) for a, b in pairwise(places)]
-    return figures["homing"] + sum(
-        move_s(way, stage.feed_mm_per_min, figures["acceleration"]) for way in ways
-    )
-
-
 def move_s(way_mm: float, feed_mm_per_min: float, accel_mm_s2: float) -> float:
-    """Seconds of a move from stand to stand: a trapezoid of speed, or a triangle where the way is
-    short.
-    """
+    """Seconds of a move from stand to stand: a trapezoid of speed; of a short way a triangle."""
     speed = feed_mm_per_min / 60.0
     if way_mm * accel_mm_s2 <= speed**2:
         return 2.0 * math.sqrt(way_mm / accel_mm_s2)
@@ -230,9 +215,7 @@ class Forecast:
 def needs(
     rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float] | None = None
 ) -> Forecast:
-    """By what is ``learnt`` of the rig, and by what is assumed where nothing is; of what is
-    emulated nothing needs to be assumed.
-    """
+    """By what is ``learnt`` of the rig, else by what is assumed; nothing of what is emulated."""
     learnt, emulated = learnt or {}, bool(rig.rig.emulated)
     figures = {**ASSUMED, **learnt}
     if emulated:
@@ -256,9 +239,7 @@ def needs(
 
 
 def took(run: RunRecord) -> dict[str, float]:
-    """The seconds that a run took: settling at first, set-ups, a touch, all; what it doesn't tell
-    is left out.
-    """
+    """The seconds that a run took: settling at first, set-ups, a touch, all; as far as known."""
     found: dict[str, float] = {}
     if run.events and run.events[-1]["t_s"] is not None:
         found["total_s"] = float(run.events[-1]["t_s"])
@@ -294,22 +275,16 @@ def figures(
 
 
 def read_learnt(folder: Path, rig: LoadedRig) -> dict[str, float]:
-    """The figures learnt of ``rig`` from the last runs in ``folder``: the newest counts half, the
-    one before a quarter, and so on.
-    """
+    """The figures learnt of ``rig`` from the last runs in ``folder``; the newest counts half."""
     known: dict[str, float] = {}
     for path in sorted(folder.glob(f"*/{FILE}"))[-LOOKS_BACK:]:
         # another rig's run, or a file that can't be understood: an estimate isn't worth a fault
         with suppress(OSError, ValueError, KeyError, TypeError):
             kept = json.loads(path.read_text(encoding="utf-8"))
             if kept["rig"] == _name(rig):
-                new = {
-                    name: float(kept["figures"][name]) for name in ASSUMED & kept["figures"].keys()
-                }
-                known |= {
-                    name: KEEPS * known.get(name, value) + (1.0 - KEEPS) * value
-                    for name, value in new.items()
-                }
+                for name in ASSUMED & kept["figures"].keys():
+                    value = float(kept["figures"][name])
+                    known[name] = KEEPS * known.get(name, value) + (1.0 - KEEPS) * value
     return known
 
 
@@ -320,9 +295,7 @@ def write_learnt(
     spent: Mapping[str, float],
     new: Mapping[str, float],
 ) -> None:
-    """Keep in the folder of a ``run`` what was expected, what it took, and the figures that follow.
-    Raises OSError.
-    """
+    """Keep what was expected, what it took, and what follows. Raises OSError."""
     expected_s = {**asdict(expected), "total_s": expected.total_s}
     known = {"rig": _name(rig), "expected_s": expected_s, "took": {**spent}, "figures": {**new}}
     write_synced(run / FILE, json.dumps(known, indent=1).encode())
@@ -340,8 +313,8 @@ def _name(rig: LoadedRig) -> str:
 
 
 def carry_touches(planned: Sequence[PlannedTrial], axes: str, check_every: int) -> list[int]:
-    """At which trials a carried truth is touched: the first of each arrangement, and the last one
-    before each check.
+    """At which trials a carried truth is touched: first of each arrangement, last before a
+    check.
     """
     at: list[int] = []
     standing, carried = None, 0

@@ -1,4 +1,5 @@
-"""What happens in a run, said once: one numbered stream of events, and who listens to it.
+"""What happens in a run: its states, which may follow which (docs/runs.md draws the table), and one
+numbered stream of events with its listeners.
 
 An event is a line of JSON: ``number``, ``wall_time``, ``t_s`` (the bench's time, null before it has
 one), ``what`` (`doing`, `trial`, `asked`, `warning`, `event`) and what belongs to it. Listeners are
@@ -6,10 +7,9 @@ the screen, ``--events FILE``, and `events.jsonl` in the run's folder, which goe
 numbers when the run is resumed. A listener that fails is named once, to the others and in the
 record, and gets no more (but for what a person has to see at once); none can stop a run.
 
-The record is no listener: it comes first, and what it can't take ends the run. `events.jsonl` is
-no part of the checked record, which has every `event` itself. Each line is one write at the end of
-the file, so a killed bench leaves whole lines; half a line of a machine that lost its power is cut
-off when the run goes on.
+The record is no listener: it comes first, and what it can't take ends the run. Each line is one
+write at the end of the file, so a killed bench leaves whole lines; half a line of a machine that
+lost its power is cut off when the run goes on.
 """
 
 from __future__ import annotations
@@ -19,12 +19,85 @@ import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
+from enum import StrEnum
 from io import FileIO
 from pathlib import Path
 from typing import Any, Protocol
 
 from bench.config import ConfigError
 from instruments.clock import wall_time
+
+EVENT = "run state"  # the kind of a change of state, in the record
+
+
+class RunState(StrEnum):
+    """Where a run is."""
+
+    PLANNED = "planned"
+    PREPARING = "preparing"
+    SETTLING = "settling"
+    RUNNING = "running"
+    PAUSED = "paused"
+    SAFING = "safing"
+    FINISHED = "finished"
+    ABORTED = "aborted"
+    FAULTED = "faulted"
+
+
+_S = RunState
+TABLE: Mapping[RunState, frozenset[RunState]] = {
+    _S.PLANNED: frozenset({_S.PREPARING, _S.SAFING, _S.ABORTED, _S.FAULTED}),
+    _S.PREPARING: frozenset({_S.SETTLING, _S.RUNNING, _S.PAUSED, _S.SAFING}),
+    _S.SETTLING: frozenset({_S.RUNNING, _S.PAUSED, _S.SAFING}),
+    _S.RUNNING: frozenset({_S.SETTLING, _S.PAUSED, _S.SAFING}),
+    _S.PAUSED: frozenset({_S.PREPARING, _S.SETTLING, _S.RUNNING, _S.SAFING}),
+    _S.SAFING: frozenset({_S.FINISHED, _S.ABORTED, _S.FAULTED}),
+    _S.FINISHED: frozenset(),
+    _S.ABORTED: frozenset(),
+    _S.FAULTED: frozenset(),
+}
+ENDS = frozenset(state for state, following in TABLE.items() if not following)
+AWAY = frozenset({_S.PAUSED, _S.SETTLING})
+
+
+class RunStates:
+    """The state of one run. ``tell`` gets each change, ``now_s`` is the time."""
+
+    def __init__(self, tell: Callable[[RunState], None], now_s: Callable[[], float]) -> None:
+        self._tell = tell
+        self._now_s = now_s
+        self._since_s = now_s()
+        self._away_s = 0.0
+        self.current = RunState.PLANNED
+
+    def to(self, state: RunState) -> None:
+        """Change to ``state``; staying is no change. Raises ValueError for a change that the table
+        doesn't have.
+        """
+        if state is self.current:
+            return
+        if state not in TABLE[self.current]:
+            only = ", ".join(sorted(TABLE[self.current])) or "nothing"
+            raise ValueError(f"a run that is {self.current} can't be {state} next (only {only})")
+        self._away_s, self._since_s = self.away_s, self._now_s()
+        self.current = state
+        self._tell(state)
+
+    @contextmanager
+    def during(self, state: RunState) -> Iterator[None]:
+        """In ``state`` while this lasts, then back; where it ends by an exception the state stays,
+        for that is where it happened.
+        """
+        before = self.current
+        self.to(state)
+        yield
+        self.to(before)
+
+    @property
+    def away_s(self) -> float:
+        """Seconds spent paused or settling so far."""
+        return self._away_s + (self._now_s() - self._since_s if self.current in AWAY else 0.0)
+
 
 # rich ends the program where the reader of its output has gone (`| head`)
 FAILURES = (Exception, SystemExit)
@@ -35,28 +108,20 @@ TAIL_BYTES = 1 << 16
 
 
 class Progress(Protocol):
-    """A terminal, or whatever a person looks at. May be called from any thread."""
+    """A terminal, or whatever a person looks at: what is being done (``state``), that ``done`` of
+    ``total`` trials are finished and ``name`` is next, what a person has to see at once (``warn``).
+    Nothing moves on it during ``aside``. May be called from any thread.
+    """
 
-    def state(self, text: str) -> None:
-        """What is being done or waited for."""
-        ...
-
-    def trial(self, done: int, total: int, name: str) -> None:
-        """``done`` of ``total`` trials are finished; ``name`` is next."""
-        ...
-
-    def warn(self, text: str) -> None:
-        """What a person has to see at once, and do something about."""
-        ...
-
-    def aside(self) -> AbstractContextManager[None]:
-        """While this lasts nothing moves on the screen: somebody is asked something there."""
-        ...
+    def state(self, text: str) -> None: ...
+    def trial(self, done: int, total: int, name: str) -> None: ...
+    def warn(self, text: str) -> None: ...
+    def aside(self) -> AbstractContextManager[None]: ...
 
 
 class SafeProgress:
-    """Shows on ``progress``; from its first failure on, of which ``failed`` gets the reason, only
-    what a person has to see at once is still tried there.
+    """Shows on ``progress``; after its first failure, of which ``failed`` gets the reason, only
+    what a person has to see at once.
     """
 
     def __init__(self, progress: Progress, failed: Callable[[str], None] = lambda _: None) -> None:
@@ -65,27 +130,27 @@ class SafeProgress:
         self._failed = False
 
     def state(self, text: str) -> None:
-        if not self._failed:
-            self._tried(lambda: self._progress.state(text))
+        self._tried(lambda: self._progress.state(text))
 
     def trial(self, done: int, total: int, name: str) -> None:
-        if not self._failed:
-            self._tried(lambda: self._progress.trial(done, total, name))
+        self._tried(lambda: self._progress.trial(done, total, name))
 
     def warn(self, text: str) -> None:
-        self._tried(lambda: self._progress.warn(text))
+        self._tried(lambda: self._progress.warn(text), urgent=True)
 
     @contextmanager
     def aside(self) -> Iterator[None]:
         around = self._progress.aside()
-        entered = self._tried(around.__enter__)
+        entered = self._tried(around.__enter__, urgent=True)
         try:
             yield
         finally:
             if entered:
-                self._tried(lambda: around.__exit__(None, None, None))
+                self._tried(lambda: around.__exit__(None, None, None), urgent=True)
 
-    def _tried(self, show: Callable[[], object]) -> bool:
+    def _tried(self, show: Callable[[], object], *, urgent: bool = False) -> bool:
+        if self._failed and not urgent:
+            return False
         try:
             show()
         except FAILURES as error:
@@ -100,9 +165,8 @@ class Events:
     """The stream, from any thread, shown on ``screen`` as one line (trial, what is done, bath, time
     left, last error) and written to ``file``, open for appending without a buffer.
 
-    ``now_s`` is the bench's time; ``live`` says what stands in the screen's line beside what is
-    done; ``not_shown`` gets which listener failed, and why. While ``replaying``, what was said
-    before is shown again and not written.
+    ``now_s`` is the bench's time; ``live`` gives further parts of the line; ``not_shown`` gets
+    which listener failed, and why. While ``replaying``, events are shown and not written.
     """
 
     def __init__(self, screen: Progress, file: FileIO | None = None) -> None:
@@ -113,14 +177,12 @@ class Events:
         self._name = self._text = self._error = ""
         self.now_s: Callable[[], float | None] = lambda: None
         self.live: Callable[[], Mapping[str, str]] = dict
-        self.not_shown: Callable[[str], None] = lambda _: None
+        self.not_shown: Callable[[str], object] = lambda _: None
         self.replaying = False
 
     @contextmanager
     def kept_in(self, folder: Path) -> Iterator[None]:
-        """Written to `EVENTS_FILE` in ``folder`` too, while this lasts, from the number after its
-        last one on.
-        """
+        """Written to `EVENTS_FILE` in ``folder`` too, on from its last number."""
         try:
             file = FileIO(folder / EVENTS_FILE, "a+")
         except OSError as error:
@@ -140,7 +202,6 @@ class Events:
                     self._files.pop(EVENTS_FILE, None)
 
     def state(self, text: str) -> None:
-        """What is being done or waited for."""
         self._text = text
         self._write("doing", text=text, **self._show())
 
@@ -155,9 +216,7 @@ class Events:
         self._write("trial", done=done, total=total, name=name)
 
     def asked(self, kind: str) -> None:
-        """The operator is asked for something of this kind, or told to release the arm; "" once
-        what was asked is done.
-        """
+        """The operator is asked for something of this kind; "" once it is done."""
         self._write("asked", kind=kind)
 
     def warn(self, text: str) -> None:
@@ -202,13 +261,13 @@ class Events:
 
     def _file_failed(self, name: str, error: Exception) -> None:
         self._files.pop(name, None)
-        said = f"{name}: no further lines: {error}"
-        self.warn(said)
-        self.not_shown(said)
+        why = f"{name}: no further lines: {error}"
+        self.warn(why)
+        self.not_shown(why)
 
-    def _screen_failed(self, said: str) -> None:
-        self._write("warning", text=said)
-        self.not_shown(said)
+    def _screen_failed(self, why: str) -> None:
+        self._write("warning", text=why)
+        self.not_shown(why)
 
 
 def read_events(folder: Path) -> Iterator[dict[str, Any]]:

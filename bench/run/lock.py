@@ -1,24 +1,22 @@
-"""Keeps two benches off one rig or run: a file that a running bench holds, with its name in it; and
-the room on the disk that a run keeps for its last words.
+"""Keeps two benches off one rig or run: a file lock that a running bench holds, and its name beside
+it; and the room on the disk that a run keeps for its last words.
 
-What counts is the system's lock on the open file, which goes with the process, however it died.
-The text in the file is for people, and for a folder shared with another machine, which the system's
-lock may not reach. An emulated rig has no lock. Two rig files for one rig have two.
+What counts is the system's lock (`filelock`), which goes with the process, however it died. The
+text is for people, and for a folder shared with another machine, which the lock may not reach. An
+emulated rig has no lock. Two rig files for one rig have two.
 """
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import platform
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
-from io import FileIO
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
+
+from filelock import FileLock, Timeout
 
 from bench.config import ConfigError
 from bench.rig.loading import LoadedRig
@@ -41,18 +39,12 @@ class Reserve:
             self._path.write_bytes(b"\1" * BYTES)
 
     def give_back(self) -> None:
-        """Let it go, once more is no error."""
+        """Let it go; once more is no error."""
         with suppress(OSError):
             self._path.unlink(missing_ok=True)
 
 
 ENDING, RUN_LOCK = ".lock.json", "bench.lock.json"
-TEXT_BYTES = 4096
-# the locked byte, far behind the text and whatever a reader reads at once: Windows keeps others
-# from reading it
-AT = 1 << 30
-# the system's words for "somebody has it"; any other means that it can't lock there
-TAKEN = (errno.EACCES, errno.EAGAIN)
 
 
 class RigInUseError(LimitError):
@@ -60,7 +52,7 @@ class RigInUseError(LimitError):
 
 
 def run_lock(folder: Path) -> Path:
-    """Where a run's lock is, whatever its rig: nobody may go on with a run that is under way."""
+    """Where a run's lock is, whatever its rig: a run that is under way is left alone."""
     return folder / RUN_LOCK
 
 
@@ -69,115 +61,58 @@ def lock_path(rig: LoadedRig) -> Path | None:
     return None if rig.rig.emulated else rig.path.with_name(rig.path.stem + ENDING)
 
 
-class Msvcrt(Protocol):
-    """What of Windows's C library is used: its `_locking` locks from the file's own pointer on."""
-
-    LK_NBLCK: int
-    LK_UNLCK: int
-
-    def locking(self, fd: int, mode: int, nbytes: int, /) -> None:
-        """Lock or unlock; raises OSError, EACCES where somebody has it."""
-
-
-class SystemLock(Protocol):
-    """Takes or gives back the system's lock on the byte `AT` of an open file. Raises OSError, with
-    one of `TAKEN` where somebody has it.
-    """
-
-    def __call__(self, file: FileIO, *, take: bool) -> None: ...
-
-
-@dataclass(frozen=True, slots=True)
-class WindowsLock:
-    """By handle: a second one in the same process is refused too."""
-
-    library: Msvcrt
-
-    def __call__(self, file: FileIO, *, take: bool) -> None:
-        file.seek(AT)
-        mode = self.library.LK_NBLCK if take else self.library.LK_UNLCK
-        self.library.locking(file.fileno(), mode, 1)
-
-
 @contextmanager
 def locked(
-    path: Path | None,
-    what: str,
-    tell: Callable[[str], None],
-    who: str = "rig",
-    lock: SystemLock | None = None,
+    path: Path | None, what: str, tell: Callable[[str], None], who: str = "rig"
 ) -> Iterator[None]:
-    """Hold the lock at ``path`` (None: there is none) for ``what``. ``tell`` hears where a dead
-    bench's lock was taken over.
+    """Hold the lock at ``path`` (None: there is none) for ``what``; ``tell`` gets a line where a
+    dead bench's lock was taken over.
 
     Raises RigInUseError where another bench has it, ConfigError where the file can't be had at all.
     """
     if path is None:
         yield
         return
-    system = lock or SYSTEM
     with ExitStack() as stack:
-        told: dict[str, Any] | None = None
         try:
             path.touch()
-            # without a buffer: its pointer is the system's, and no more is read than asked for
-            file = stack.enter_context(FileIO(path, "r+"))
-            told = _told(file)
-            system(file, take=True)
-        except OSError as error:
-            if told is not None and error.errno in TAKEN:
-                raise _in_use(path, told, who) from error
-            why = f"{path}: the {who} can't be locked: {error.strerror or error}"
+            stack.enter_context(FileLock(path.with_suffix(""), timeout=0))  # beside the text
+        except Timeout as error:
+            raise _in_use(path, _holder(path), who) from error
+        except (OSError, NotImplementedError) as error:
+            why = f"{path}: the {who} can't be locked: {getattr(error, 'strerror', None) or error}"
             raise ConfigError.plain(why) from error
-        if told:
-            if told.get("host") != platform.node():  # its process can't be seen from here
-                raise _in_use(path, told, who)
-            tell(f"the lock of a bench that died ({_who(told)}) was taken over")
+        if holder := _holder(path):
+            if holder.get("host") != platform.node():  # its process can't be seen from here
+                raise _in_use(path, holder, who)
+            tell(f"the lock of a bench that died ({_named(holder)}) was taken over")
         since = wall_time().isoformat(timespec="seconds")
         me = {"host": platform.node(), "pid": os.getpid(), "since": since, "run": what}
-        _write(file, json.dumps(me).encode())
-        try:
-            yield
-        finally:
-            _write(file, b"")
-            system(file, take=False)
+        path.write_text(json.dumps(me), encoding="utf-8")
+        stack.callback(_clear, path)
+        yield
 
 
-def _told(file: FileIO) -> dict[str, Any]:
-    file.seek(0)
+def _holder(path: Path) -> dict[str, Any]:
+    """What the text says; a folder of an older bench may have it padded with zeros."""
     try:
-        told = json.loads(file.read(TEXT_BYTES).rstrip(b"\0 ") or b"{}")
+        holder = json.loads(path.read_bytes().rstrip(b"\0 ") or b"{}")
     except ValueError:
         return {"host": platform.node(), "run": "what it wrote can't be read"}
-    return told if isinstance(told, dict) else {}
+    return holder if isinstance(holder, dict) else {}
 
 
-def _write(file: FileIO, text: bytes) -> None:
-    file.seek(0)
-    file.truncate()
-    file.write(text)
+def _clear(path: Path) -> None:
+    """The folder may be gone meanwhile."""
+    with suppress(OSError):
+        path.write_bytes(b"")
 
 
-def _in_use(path: Path, told: dict[str, Any], who: str) -> RigInUseError:
+def _in_use(path: Path, holder: dict[str, Any], who: str) -> RigInUseError:
     hint = f"Wait for it to end, or end it. Where you know that it is gone, delete {path}."
-    return RigInUseError(who, f"another bench has it: {_who(told)}", hint=hint)
+    return RigInUseError(who, f"another bench has it: {_named(holder)}", hint=hint)
 
 
-def _who(told: dict[str, Any]) -> str:
-    known = [f"{name} {told[name]}" for name in ("pid", "host", "since", "run") if name in told]
+def _named(holder: dict[str, Any]) -> str:
+    known = [f"{name} {holder[name]}" for name in ("pid", "host", "since", "run") if name in holder]
     return ", ".join(known) or "it doesn't say who it is"
-
-
-SYSTEM: SystemLock
-if sys.platform == "win32":
-    import msvcrt
-
-    SYSTEM = WindowsLock(msvcrt)
-else:
-    import fcntl
-
-    def _posix(file: FileIO, *, take: bool) -> None:
-        """By process: it goes when any handle of the process on that file is closed."""
-        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB if take else fcntl.LOCK_UN, 1, AT)
-
-    SYSTEM = _posix

@@ -48,7 +48,13 @@ class Recorder:
         self._broken = False
         self._open: dict[str, Sequence[TruthRow]] = {}
         try:
-            _refuse_others(folder, before)
+            if before is None and folder.exists() and any(folder.iterdir()):
+                why = f"--record {folder}: the folder is not empty. Name a new one."
+                raise ConfigError.plain(why)
+            known = {trial.id for trial in before.trials} if before else set()
+            if others := _has(folder)[0] - known:
+                why = f"--record {folder}: has frames of another run, {min(others)} for one."
+                raise ConfigError.plain(why)
             for unfinished in folder.glob("making *"):
                 shutil.rmtree(unfinished)
             self._writer = RecordingWriter(folder)
@@ -107,9 +113,7 @@ class Recorder:
 def recorder_again(
     run: RunRecord, calibration: Path, warn: Callable[[str], None]
 ) -> Recorder | None:
-    """The recording of a run that goes on; None where it had none, or where it can't be gone on
-    with, which is told.
-    """
+    """The recording of a run that goes on; None, with a warning, where it can't go on."""
     where = run.facts.get(RECORDED)
     if where is None:
         return None
@@ -120,19 +124,8 @@ def recorder_again(
         return None
 
 
-def _refuse_others(folder: Path, before: RunRecord | None) -> None:
-    there = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
-    if not there:
-        return
-    if before is None:
-        raise ConfigError.plain(f"--record {folder}: the folder is not empty. Name a new one.")
-    if others := sorted(_has(folder)[0] - {trial.id for trial in before.trials}):
-        why = f"--record {folder}: has frames of another run, {others[0]} for one."
-        raise ConfigError.plain(why)
-
-
 def _has(folder: Path) -> tuple[set[str], set[str]]:
-    """Trials with frames, and with truth, in a recording that may just have been begun."""
+    """Trials with frames, and with truth."""
     frames = {path.name for path in (folder / "frames").glob("*")}
     return frames, set(Recording(folder).truth) if frames else set()
 

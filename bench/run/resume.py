@@ -13,9 +13,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,9 +21,9 @@ from bench.config import ConfigError, read_text
 from bench.files import Picture
 from bench.record.reader import RunRecord, TrialRecord, read_run
 from bench.record.schema import SCRIPT, Row
-from bench.record.writer import Store
+from bench.record.writer import Store, Tables
 from bench.rig.loading import LoadedRig, load_rig
-from bench.run.states import EVENT, RunState
+from bench.run.events import EVENT, RunState
 from bench.script.model import LoadedScript, load_script
 
 ASKED, DEATHS = "asked", "deaths"  # facts
@@ -35,8 +33,8 @@ IN_A_TRIAL = (RunState.RUNNING.value, RunState.PAUSED.value)
 
 @dataclass(frozen=True, slots=True)
 class ResumePoint:
-    """What a run left: ``done`` have a result or a reason for none, ``deaths`` says in which trial
-    it died, by its last event.
+    """What a run left: ``done`` have a result or a reason for none; the trial of each of its
+    ``deaths``, by its last event.
     """
 
     run: RunRecord
@@ -55,9 +53,7 @@ class ResumePoint:
 
 
 def what_is_left(folder: Path, planned: Sequence[str]) -> ResumePoint:
-    """For the run in ``folder`` whose trials are ``planned``. Raises ConfigError for a finished
-    run.
-    """
+    """Of the run in ``folder`` with ``planned`` trials. Raises ConfigError for a finished run."""
     run = read_run(folder)
     if run.ending == RunState.FINISHED:
         why = f"{folder} is finished: nothing is left to do."
@@ -90,38 +86,28 @@ def files_of(run: RunRecord) -> tuple[LoadedRig, LoadedScript]:
             raise ConfigError.plain(f"{why} Put it back to resume the run.")
     rig = load_rig(Path(asked["rig"]))
     script = load_script(Path(asked["script"]), rig.rig.limits.set_point_c)
-    for path, text, copy, cure in (
-        (rig.path, rig.text, "rig.toml", f"Put back {folder / 'rig.toml'}, or start a new run."),
-        # the script of a Python file is what the file gives
-        (script.path, script.text, SCRIPT, f"Put back {folder / SCRIPT}, or start a new run."),
-        (
-            rig.calibration_path,
-            read_text(rig.calibration_path),
-            "calibration.toml",
-            "Start a new run.",
-        ),
+    calibration = rig.calibration_path
+    for path, text, copy in (
+        (rig.path, rig.text, "rig.toml"),
+        (script.path, script.text, SCRIPT),  # of a Python file what it gives
+        (calibration, read_text(calibration), "calibration.toml"),
     ):
         if text != read_text(folder / copy):
+            cure = f"Put back {folder / copy}, or start a new run."
             raise ConfigError.plain(f"{path} has changed since the run in {folder} began. {cure}")
     return rig, script
 
 
 class RehearsedStore(Store):
-    """The store of a run whose finished trials are gone through again: it takes nothing that it
-    has, until ``go_live``, and compares touches with those on record: ``differ`` are the trials
-    where they aren't the ``same``.
-
-    Bath readings that the dead bench had not yet written are taken; whatever else it does is known.
-    A check of the carried truth comes just before the trial that is new, so that the dead bench may
-    have written it: it is taken once.
+    """The store of a run whose finished trials are gone through again: while ``silent`` it takes
+    only bath readings that it hasn't, and compares touches with those on record. A check of the
+    carried truth that the dead bench may have written is taken once.
     """
 
     def __init__(self, left: ResumePoint) -> None:
-        self._silent = False
+        self.silent = False
         super().__init__(left.run.folder)
         self._read_to_s = float(left.run.bath[:, 0].max(initial=-np.inf))
-        note_deaths(self, left)
-        self._silent = True
         self._checks = {int(row["number"]) for row in left.run.checks}
         self._invalid = {trial.id for trial in left.run.trials if trial.invalid is not None}
         self._known = {
@@ -130,62 +116,40 @@ class RehearsedStore(Store):
         self.same: list[str] = []
         self.differ: list[str] = []
 
-    def go_live(self) -> None:
-        """From now on everything is new."""
-        self._silent = False
+    def _say(self, table: str, row: Row, *, urgent: bool) -> None:
+        if row["t_s"] > self._read_to_s if table == "bath" else not self.silent:
+            super()._say(table, row, urgent=urgent)
 
-    def fact(self, key: str, value: Any) -> None:
-        if not self._silent:
-            super().fact(key, value)
-
-    def event(self, t_s: float | None, kind: str, text: str, wall_time: datetime) -> None:
-        if not self._silent:
-            super().event(t_s, kind, text, wall_time)
-
-    def bath(self, reading: Row) -> None:
-        if reading["t_s"] > self._read_to_s:
-            super().bath(reading)
+    def _write(self, tables: Tables) -> None:
+        if not (self.silent and tables):
+            super()._write(tables)
 
     def finished(self, done: TrialRecord) -> None:
-        if not self._silent:
-            super().finished(done)
-            return
-        trial = str(done.id)
-        if trial in self._known:
-            same = self._known[trial] == [row["counts"] for row in done.touches]
-            (self.same if same else self.differ).append(trial)
-
-    def skipped(self, row: Row) -> None:
-        if not self._silent:
-            super().skipped(row)
+        if self.silent and done.id in self._known:
+            same = self._known[done.id] == [row["counts"] for row in done.touches]
+            (self.same if same else self.differ).append(done.id)
+        super().finished(done)
 
     def checked(self, touches: Sequence[Row], invalid: Sequence[str], reason: str) -> None:
         new = [touch for touch in touches if touch["number"] not in self._checks]
         lost = [trial for trial in invalid if trial not in self._invalid]
-        if not self._silent and (new or lost):
+        if new or lost:
             super().checked(new, lost, reason)
 
     def frames(
         self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
     ) -> list[Row]:
-        return [] if self._silent else super().frames(trial, images, exposed_s)
+        return [] if self.silent else super().frames(trial, images, exposed_s)
 
 
 def open_store(left: ResumePoint, *, rehearsed: bool) -> Store:
-    """The run's store, open again for a further session; its folder says from now on that it is
-    under way.
+    """The run's store, open again for a further session: with the deaths of the last ones, and
+    without an ending.
     """
-    if rehearsed:
-        return RehearsedStore(left)
-    store = Store(left.run.folder)
-    note_deaths(store, left)
-    return store
-
-
-def note_deaths(store: Store, left: ResumePoint) -> None:
-    """Before anything else: what the last session died of, and that the run has no ending any
-    more.
-    """
+    store = RehearsedStore(left) if rehearsed else Store(left.run.folder)
     with store.step():
         store.fact(DEATHS, left.deaths)
         store.fact("ending", "interrupted")
+    if isinstance(store, RehearsedStore):
+        store.silent = True
+    return store

@@ -35,8 +35,6 @@ from instruments.camera.frame import FrameSet
 from instruments.camera.recording import TruthRow
 from instruments.clock import wall_time
 
-WALL_KEYS = ("seconds", "in_time", "success")  # parts of a score that depend on real time
-
 
 def frame_rows(
     store: Store, trial_id: str, frames: FrameSet, answers: Sequence[Answer]
@@ -101,7 +99,13 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
     detection = answer.detection
     whose = {"trial": trial, "detector": answer.detector}
     trace = {
-        stage.name: {key: _small(value) for key, value in stage.data.items()}
+        stage.name: {
+            # points and figures as they are; masks are files of their own
+            key: value.tolist()
+            if value.size <= 400
+            else {"shape": value.shape, "type": f"{value.dtype}"}
+            for key, value in stage.data.items()
+        }
         for stage in detection.trace
     }
     head = {
@@ -144,14 +148,6 @@ def _json(value: Any) -> str | None:
     return None if value is None else json.dumps(np.asarray(value).tolist())
 
 
-def _small(value: Any) -> Any:
-    """Points and figures as they are, pictures by their shape: masks are files of their own."""
-    array = np.asarray(value)
-    if array.size <= 400:
-        return array.tolist()
-    return {"shape": list(array.shape), "type": str(array.dtype)}
-
-
 FRAME_FACT = "arm frame"
 
 
@@ -178,7 +174,9 @@ LIBRARIES = ("numpy", "opencv-python-headless", "scipy", "pymodbus", "pyserial")
 def write_facts(
     store: Store, facts: Mapping[str, Any], detectors: Sequence[Detector], calibration: Path
 ) -> None:
-    """Everything that holds for the whole run, into its store."""
+    """Everything that holds for the whole run, into its store; of each item under test name,
+    version, its configuration and a hash over that.
+    """
     everything = {
         **facts,
         "detectors": [detector.name for detector in detectors],
@@ -195,7 +193,6 @@ def write_facts(
 
 
 def _item(detector: Detector) -> dict[str, str]:
-    """The item under test: name, version, a hash over its configuration, and the configuration."""
     parameters = json.dumps(dict(detector.parameters), sort_keys=True, default=str)
     digest = hashlib.sha256(f"{detector.name} {detector.version} {parameters}".encode()).hexdigest()
     return {

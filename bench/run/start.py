@@ -27,7 +27,7 @@ from bench.run.lock import lock_path, locked, run_lock
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
 from bench.run.rows import frame_rows, judged, truth_row, write_facts
-from bench.run.truth_source import refuse_carry
+from bench.run.trial import refuse_carry
 from bench.safety.guardian_client import GuardianTarget, guarded
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
@@ -57,11 +57,9 @@ INTERRUPTED = "interrupted (Ctrl-C)"
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What a command line says of how a run is run: ``seed`` and ``detectors`` instead of the rig's
-    and the script's; ``typed`` gives lines that somebody typed, None while there is none.
-
-    ``begun`` gets a line for the person at the terminal: where the run is kept, and how long it
-    takes.
+    """How a run is run: ``seed`` and ``detectors`` instead of the rig's and the script's; ``typed``
+    gives lines that were typed, None while there is none; ``begun`` gets a line for the person at
+    the terminal: where the run is kept, and how long it takes.
     """
 
     seed: int | None = None
@@ -80,11 +78,11 @@ def run_script(
     progress: Progress,
     how: RunOptions | None = None,
 ) -> tuple[Path, Ending]:
-    """Run ``script`` on ``rig``, shown on ``progress`` (which may be the stream itself, `Events`);
-    gives back the run's folder and how it ended.
+    """Run ``script`` on ``rig``, shown on ``progress`` (or the stream itself, `Events`); gives back
+    the run's folder and how it ended.
 
-    Raises ConfigError before anything is opened, LatchedError where an interlock's trip has not
-    been acknowledged, and RigInUseError.
+    Raises ConfigError, LatchedError where a trip has not been acknowledged, and RigInUseError,
+    before anything is opened.
     """
     how, events = how or RunOptions(), _stream(progress)
     refuse_carry(rig, script)
@@ -100,10 +98,8 @@ def run_script(
 def resume_run(
     folder: Path, progress: Progress, how: RunOptions | None = None
 ) -> tuple[Path, Ending]:
-    """Go on with the run in ``folder`` at its first trial without a result. Raises ConfigError,
-    LatchedError, RigInUseError.
-
-    Seed, detectors, kind of time and where it is recorded are the run's own.
+    """Go on with the run in ``folder`` at its first trial without a result, with its own seed,
+    detectors, kind of time and recording. Raises ConfigError, LatchedError, RigInUseError.
     """
     how, events = how or RunOptions(), _stream(progress)
     rig, script = files_of(run := read_run(folder))
@@ -135,9 +131,7 @@ def _stream(progress: Progress) -> Events:
 
 
 def _allowed(rig: LoadedRig, script: LoadedScript, names: Sequence[str]) -> list[Detector]:
-    """The detectors under test, once nothing stands against a run. Raises LatchedError,
-    ConfigError.
-    """
+    """The detectors under test, unless a run is refused (LatchedError, ConfigError)."""
     today = wall_time().date()
     refuse_latched(rig)
     refuse_old_calibration(rig, script, today)
@@ -239,7 +233,7 @@ def _run(
     # before the engine had the instruments: nothing was switched on
     except (InstrumentError, KeyboardInterrupt) as error:
         if isinstance(store, RehearsedStore):
-            store.go_live()
+            store.silent = False
         if isinstance(error, KeyboardInterrupt):
             return store.folder, _end(store, Ending.ABORTED, INTERRUPTED)
         return store.folder, _end(store, Ending.FAULTED, str(error))
@@ -249,14 +243,14 @@ def _run(
 
 
 def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequence[str]) -> Path:
-    """Run detectors over a recording and score them; gives back the run's folder. Raises
-    ConfigError, RecordingError.
+    """Score detectors over a recording; gives back the run's folder. Raises ConfigError,
+    RecordingError.
     """
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
     examiner = Examiner(read_calibration(recording.calibration_path))
     rules, files = read_config(RECORDING_RULES, Rules), {RULES: read_text(RECORDING_RULES)}
     store = _new_store(out, f"score-{path.name}", files, recording.calibration_path)
-    planned, poses, ended = len(recording.frames), _pose_names(recording), False
+    planned, poses = len(recording.frames), _pose_names(recording)
     facts = {"kind": "recorded", "title": f"Recording {path.name}", "about": str(path)}
     try:
         write_facts(store, {**facts, "planned": planned}, under_test, recording.calibration_path)
@@ -281,19 +275,17 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
             store.finished(TrialRecord(head, pictures, [], rows, *scored))
         progress.trial(planned, planned, "")
         _end(store, Ending.FINISHED)
-        ended = True
     except KeyboardInterrupt:
         _end(store, Ending.ABORTED, INTERRUPTED)
-        ended = True
-    finally:
-        close_detectors(under_test)
+    except BaseException:  # a frame that can't be read: half a run is of no use
         try:
             store.close()
         finally:
-            # as by a frame that can't be read: the recording is still there, and half a run is of
-            # no use
-            if not ended:
-                shutil.rmtree(store.folder, ignore_errors=True)
+            shutil.rmtree(store.folder, ignore_errors=True)
+        raise
+    finally:
+        close_detectors(under_test)
+        store.close()
     return store.folder
 
 

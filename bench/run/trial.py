@@ -1,8 +1,5 @@
-"""One trial: settle, move, set up, capture, touch, detect, score, store. It is whole in the store,
-or not there at all.
-
-`Attempts` runs each as often as the operator wants it, or leaves it out; `TrialRun` is what a trial
-consists of.
+"""One trial: settle, move, set up, capture, touch, detect, score, store; and the truth source that
+a script asks for. A trial is whole in the store, or not there at all.
 """
 
 from __future__ import annotations
@@ -10,37 +7,154 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.record.reader import TrialRecord
+from bench.config import ConfigError
+from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import Row
 from bench.results.answers import Answer, Examiner
 from bench.rig.frame_capture import FrameTaker
+from bench.rig.loading import LoadedRig
+from bench.rig.model import Stage as StageSettings
 from bench.run.context import RunContext
+from bench.run.events import RunState
 from bench.run.recordings import Recorder
 from bench.run.rows import frame_rows, judged, truth_row
-from bench.run.states import RunState
-from bench.run.truth_source import shown
 from bench.safety.stability import State
+from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
-from bench.truth.touching import NoTruthError, TouchedTruth, TrialTruth
-from bench.truth.uncertainty import How
+from bench.truth.carrying import CarriedTruth, fixed_key, resumed
+from bench.truth.registration import Registration, RegistrationError
+from bench.truth.registration_file import as_facts, registration_from_facts, write_registration
+from bench.truth.stage_registration import around, ends_of, register, stands_at
+from bench.truth.touching import ExpectedScene, NoTruthError, TouchedTruth, Toucher, TrialTruth
+from bench.truth.uncertainty import How, end_u_mm
 from detector.protocol import Detector, Served
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import TruthRow
 from instruments.clock import wall_time
-from instruments.errors import DeviceError
+from instruments.errors import DeviceError, LimitError
 from instruments.operators.operator import NextTrial, OperatorRepeat, OperatorSkip
+from instruments.stage.driver import Stage
+from instruments.world.phantom import PlatePose
+
+REGISTRATION_FILE = "stage-registration.toml"  # in the run's folder, where it was made at its start
+URGENT = ("invalid", "registration")  # what the operator has to see, not only the record
+Settled = Callable[[Sequence[str], bool], None]
+
+
+def refuse_carry(rig: LoadedRig, script: LoadedScript) -> None:
+    """Raises ConfigError for a script that carries on a rig that has no stage to carry with."""
+    if script.script.truth.mode == "carry" and rig.rig.stage is None:
+        why = f'{script.path}: [truth] mode = "carry" needs a stage, and {rig.path} has none.'
+        raise ConfigError.plain(f'{why} Use mode = "touch", or a rig with a [stage].')
+
+
+def shown(trial: PlannedTrial, axes: str) -> ExpectedScene:
+    """The scene of ``trial`` once the stage's ``axes`` (of "XYZA") have moved it."""
+    _, by_hand = shared(trial.pose, axes)
+    return ExpectedScene(
+        trial.id,
+        ends_of(trial.phantom.moved(trial.pose)),
+        fixed_key(trial.phantom, by_hand, trial.pose.yaw_rad),
+    )
+
+
+def choose_truth(
+    ctx: RunContext, settled: Settled, *, before: RunRecord | None = None
+) -> TouchedTruth:
+    """The source for a run. ``settled`` gets the carried trials that a check has confirmed (True)
+    or invalidated; of the stopped run ``before`` registration and reference are used further.
+    """
+    table, stage, settings = ctx.script.script.truth, ctx.devices.stage, ctx.rig.rig.stage
+    toucher = Toucher(ctx.ask, ctx.tip, ctx.rig.rig.arm, ctx.clock, ctx.check, table.readings)
+    if table.mode == "touch":
+        return TouchedTruth(toucher, lambda: None if stage is None else stands_at(stage))
+    if stage is None or settings is None:
+        raise ValueError("a truth can't be carried without a stage; refuse_carry says so before")
+    known = registration_from_facts(before.facts) if before else None
+
+    def tell(kind: str, text: str) -> None:
+        ctx.event(kind, text)
+        (ctx.events.warn if kind in URGENT else ctx.events.state)(text)
+
+    return CarriedTruth(
+        toucher,
+        lambda: known or _registration(ctx, stage, settings, toucher),
+        lambda: stands_at(stage),
+        ctx.store,
+        settled,
+        tell,
+        ctx.clock.now,
+        every=table.check_every,
+        limit_mm=table.check_limit_mm,
+        state=resumed(before) if before else None,
+    )
+
+
+def _registration(
+    ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Toucher
+) -> Registration:
+    """The one that the script asks for, as a fact of the run: its file's, or one made now.
+
+    Raises LimitError where the file's doesn't hold any more, DeviceError where the touches give
+    none, and as the instruments do.
+    """
+    # the world that it was made in has to be the one that the arm gives now
+    made = ctx.rig.frame.made if ctx.rig.frame else None
+    found = ctx.script.registration or _made(ctx, stage, settings, toucher)
+    if ctx.script.registration and (
+        why := found.outdated(ctx.devices.arm.identity.serial_number, made)
+    ):
+        what = f"its registration {ctx.script.script.truth.file} {why}"
+        raise LimitError("stage", what, hint="Make it anew: 'teatbench calibrate stage'")
+    for key, value in as_facts(found).items():
+        ctx.store.fact(key, value)
+    return found
+
+
+def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Toucher) -> Registration:
+    planned, table = ctx.script.planned, ctx.script.script.truth
+    phantom, teat = planned[0].phantom, table.registration_teat
+    if teat > (there := len(phantom.teats)):
+        what = f"registration_teat = {teat}, but the first trial's phantom has {there} teats"
+        raise DeviceError("truth", what, hint="Name one of them in the script's [truth].")
+    ctx.ask(planned[0].arrangement(settings.axes))
+    poses = tuple(PlatePose(x, y) for x, y in table.registration_at_mm or ())
+    poses = poses or around(shared(trial.pose, settings.axes)[0] for trial in planned)
+
+    def tell(text: str) -> None:
+        ctx.note(text)
+        ctx.long("moving the stage", 600.0)
+
+    try:
+        made = register(
+            stage,
+            settings,
+            toucher,
+            phantom,
+            poses,
+            teat=teat,
+            u_mm=hypot(end_u_mm(ctx.rig.rig.arm, toucher.readings), settings.repeatability_mm),
+            made=wall_time().replace(microsecond=0),
+            serial_number=ctx.devices.arm.identity.serial_number,
+            tell=tell,
+        )
+    except RegistrationError as error:
+        hint = "Name other places in the script's registration_at_mm."
+        raise DeviceError("stage", str(error), hint=hint) from error
+    write_registration(ctx.store.folder / REGISTRATION_FILE, made)
+    return made
 
 
 class Attempts:
-    """Runs the planned trials of ``ctx`` by ``once``, one for each call of ``run``.
+    """Runs the planned trials of ``ctx`` by ``once``, each until it is done or skipped.
 
-    ``through`` does a piece of work until no instrument has interrupted it. ``poison`` are trials
-    that aren't tried again, with the reason; ``each_s`` is what a trial is expected to take, where
-    that is known.
+    ``through`` does a piece of work until no instrument has interrupted it; ``poison`` are trials
+    that aren't tried again, with the reason; ``each_s`` is what a trial is expected to take.
     """
 
     def __init__(
@@ -57,52 +171,46 @@ class Attempts:
         self._planned = len(ctx.script.planned)
         self._poison = dict(poison or {})
         self._each_s = each_s
-        self._done = 0
+        self.done = 0
         self._started_s: float | None = None  # of the trial under way
         self._taken_s, self._timed = 0.0, -1  # of the trials but for the first
 
     def run(self, trial: PlannedTrial) -> None:
-        """Until the trial is in the store or has been skipped. Raises whatever else ``once``
-        raises.
-        """
+        """Until the trial is stored or skipped. Raises whatever else ``once`` raises."""
         started_s = self._started_s = self._working_s()
         self._ctx.ask(NextTrial(trial.number, self._planned, self.left_s))
         try:
             if why := self._poison.get(trial.id):
                 raise OperatorSkip(why)
-            self._until_done(trial)
+            while not self._tried(trial):
+                pass
         except OperatorSkip as skip:
             by = "the bench" if trial.id in self._poison else "the operator"
             self._skipped(trial, skip.reason, f"{by} skipped it: ")
         except NoTruthError as none:
             self._skipped(trial, str(none))
-        self._done += 1
+        self.done += 1
         self._started_s = None
         self._timed += 1
         self._taken_s += self._working_s() - started_s if self._timed else 0.0
 
-    def passed(self) -> None:
-        """A trial that needs nothing: it was done before this session."""
-        self._done += 1
-
     @property
     def left_s(self) -> float | None:
-        """By the mean of the trials so far, but for the first, and until then by what was
-        expected.
-        """
+        """By the mean of the trials but for the first, until then by what was expected."""
         each_s = self._taken_s / self._timed if self._timed > 0 else self._each_s
         if each_s is None:
             return None
         under_way_s = self._working_s() - self._started_s if self._started_s is not None else 0.0
-        return each_s * (self._planned - self._done) - min(each_s, under_way_s)
+        return each_s * (self._planned - self.done) - min(each_s, under_way_s)
 
-    def _until_done(self, trial: PlannedTrial) -> None:
-        while True:
-            try:
-                return self._through(f"trial {trial.id}", lambda: self._once(trial))
-            except OperatorRepeat as wish:
-                told = f"{trial.id}: the operator asked for it again from its set-up"
-                self._ctx.event("repeated", f"{told}: {wish.reason}" if wish.reason else told)
+    def _tried(self, trial: PlannedTrial) -> bool:
+        try:
+            self._through(f"trial {trial.id}", lambda: self._once(trial))
+        except OperatorRepeat as wish:
+            told = f"{trial.id}: the operator asked for it again from its set-up"
+            self._ctx.event("repeated", f"{told}: {wish.reason}" if wish.reason else told)
+            return False
+        return True
 
     def _skipped(self, trial: PlannedTrial, reason: str, by: str = "") -> None:
         row = {**_head(trial), "t_s": self._ctx.clock.now(), "reason": reason}
@@ -115,10 +223,9 @@ class Attempts:
 
 
 class TrialRun:
-    """The trials of one run. ``exact_ends`` gives the scene's exact truth where there is one; it is
-    kept aside, never scored against. ``recorder`` gets each frame set with its truth too.
-
-    ``rehearsing``: all is done but the detection, for a trial that has its result already.
+    """The trials of one run. ``exact_ends`` gives the scene's exact truth, which is never scored
+    against; ``recorder`` gets each frame set with its truth. While ``rehearsing`` a trial that has
+    its result, nothing is detected.
     """
 
     def __init__(
@@ -141,8 +248,16 @@ class TrialRun:
         # what of a pose the stage does; the operator does the rest
         self._axes = rig.stage.axes if ctx.devices.stage and rig.stage else ""
         self._examiner = Examiner(ctx.rig.calibration, rig.limits.detection_timeout_s)
-        again, cameras = self._before_another_try, ctx.devices.cameras
-        self._taker = FrameTaker(cameras, rig.cameras, ctx.rig.calibration, again, ctx.event)
+
+        def before_another_try(seconds: float) -> None:
+            ctx.wait(seconds)
+            ctx.long("capturing again", 60.0, silent=True)
+
+        cameras = ctx.devices.cameras
+        self._taker = FrameTaker(
+            cameras, rig.cameras, ctx.rig.calibration, before_another_try, ctx.event
+        )
+        self.look = self._taker.look  # raises where the cameras give nothing usable
 
     def run(self, trial: PlannedTrial) -> None:
         """From settling to the trial's rows. Raises what an instrument, an interlock or the
@@ -188,10 +303,6 @@ class TrialRun:
         if self._recorder and not self.rehearsing:
             self._recorder.trial(trial.id, frames, rows, confirmed=truth.how is How.TOUCHED)
 
-    def look(self) -> None:
-        """Raises where the cameras give nothing usable."""
-        self._taker.look()
-
     def _stable(self) -> bool:
         return self._ctx.watch.state == State.STABLE
 
@@ -211,28 +322,26 @@ class TrialRun:
                 raise DeviceError("bath", why, hint=hint)
         ctx.event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
 
-    def _settle_again(self, trial_id: str) -> None:
-        """Just before the cameras: where the bath has left its band meanwhile, the trial is
-        suspended until it is stable again.
-        """
-        ctx = self._ctx
-        while not self._stable():
-            why = ctx.watch.why_not_stable
-            ctx.event("suspended", f"{trial_id}: the bath left its band: {why}")
-            self._settle()
-            ctx.wait(self._rig.cameras.settle_s)
-        ctx.states.to(RunState.RUNNING)
-
     def _capture_settled(self, trial_id: str) -> FrameSet:
-        """Frames of a bath in its band, also where it leaves that while a camera lets us wait: they
-        are taken again.
-
-        A recording isn't asked twice; what the bath was then is in the trial's row.
+        """Frames of a bath in its band: the trial is suspended until it is stable again, and frames
+        are taken anew where it leaves its band meanwhile (but for those of a recording).
         """
-        recorded = self._rig.cameras.url.startswith("recording:")
+        ctx, recorded = self._ctx, self._rig.cameras.url.startswith("recording:")
         while True:
-            self._settle_again(trial_id)
-            frames = self._capture()
+            while not self._stable():
+                why = ctx.watch.why_not_stable
+                ctx.event("suspended", f"{trial_id}: the bath left its band: {why}")
+                self._settle()
+                ctx.wait(self._rig.cameras.settle_s)
+            ctx.states.to(RunState.RUNNING)
+            ctx.check()
+            ctx.events.state("capturing")
+            ctx.long("capturing", 60.0, silent=True)
+            try:
+                frames = self._taker.take()
+            finally:
+                if self._taker.counts:
+                    ctx.store.fact("camera faults", dict(self._taker.counts))
             if recorded or self._stable():
                 return frames
 
@@ -249,20 +358,6 @@ class TrialRun:
                 place = there.machine(shared(pose, self._axes)[0])
                 stage.move_to(**place, feed_mm_min=there.feed_mm_per_min)
                 ctx.check()
-
-    def _before_another_try(self, seconds: float) -> None:
-        self._ctx.wait(seconds)
-        self._ctx.long("capturing again", 60.0, silent=True)
-
-    def _capture(self) -> FrameSet:
-        self._ctx.check()
-        self._ctx.events.state("capturing")
-        self._ctx.long("capturing", 60.0, silent=True)
-        try:
-            return self._taker.take()
-        finally:
-            if self._taker.counts:
-                self._ctx.store.fact("camera faults", dict(self._taker.counts))
 
     def _detect(self, frames: FrameSet) -> list[Answer]:
         answers: list[Answer] = []

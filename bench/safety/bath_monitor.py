@@ -18,8 +18,7 @@ from bench.record.schema import Row
 from bench.record.writer import Store
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
-from bench.safety.guardian_client import GuardianClient
-from bench.safety.heartbeat import Heartbeat
+from bench.safety.guardian_client import GuardianClient, Heartbeat
 from bench.safety.interlocks import (
     GUARDIAN,
     Interlocks,
@@ -43,10 +42,9 @@ AGAIN_S = 5.0  # between attempts to make safe
 class BathMonitor:
     """Watches the bath that ``read`` polls, from ``start`` to ``stop``.
 
-    ``record`` gets each reading as a row. ``act`` gets the first trip, makes safe, and returns
-    whether it has. ``pump_on`` is whether the pump turns, None where that is unknown. ``also`` is
-    asked with each reading for another reason to trip; ``moving`` is what of a reading has to
-    change for the gate to believe that the controller lives.
+    ``record`` gets each reading as a row; ``act`` gets the first trip, makes safe, and returns
+    whether it has. ``pump_on``: whether the pump turns, None if unknown; ``also``: another reason
+    to trip; ``moving``: what of a reading has to change while the controller lives.
     """
 
     read: Callable[[], BathReading]
@@ -75,13 +73,10 @@ class BathMonitor:
 
     @property
     def why_not_stable(self) -> str:
-        """What the gate still waits for."""
         return "; ".join(self.gate.report.reasons)
 
     def stable_in_s(self, expected_s: float) -> float:
-        """How long until the gate opens, expected ``expected_s`` after heating began; once that is
-        over, what it needs at the least.
-        """
+        """How long until the gate opens, expected ``expected_s`` after heating began."""
         if self.state is State.STABLE:
             return 0.0
         heated_s = 0.0 if self._heating_s is None else self.clock.now() - self._heating_s
@@ -106,9 +101,7 @@ class BathMonitor:
             self.interlocks.heating(self.gate.set_point_c)
 
     def end(self) -> None:
-        """No further readings: the bath is about to be stopped. Doesn't wait for one that is under
-        way; ``stop`` does.
-        """
+        """No further readings; doesn't wait for one that is under way, as ``stop`` does."""
         self._running = False
 
     def stop(self) -> None:
@@ -191,11 +184,8 @@ READING_S = 60.0
 
 
 class TripHandler:
-    """``watch`` is to be started and stopped by the engine; ``guardian_client`` is None where
-    nothing needs a guardian.
-
-    ``heard`` gets the event of a trip, its kind and text, once it is in the record; ``seen`` is
-    called after each reading.
+    """``watch`` is started and stopped by the engine. ``heard`` gets the event of a trip, its kind
+    and text, once it is in the record; ``seen`` is called after each reading.
     """
 
     def __init__(
@@ -218,18 +208,35 @@ class TripHandler:
         self.heard: Callable[[str, str], None] = lambda _kind, _text: None
         self.seen: Callable[[], None] = lambda: None
         interlocks = self._interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+
+        def record(reading: Row) -> None:
+            store.bath(reading)
+            self.seen()
+
         self.watch = BathMonitor(
             devices.bath.read,
             devices.clock,
             gate,
             interlocks,
-            self._record,
+            record,
             self._act,
             pump_on=lambda reading: pump_on(devices.bath, reading),
             also=self._also,
             moving=moving_of(rig.profile),
         )
-        self._write_facts(rig, interlocks)
+        room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c
+        accuracy = rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"})
+        facts = {
+            "interlocks asleep": interlocks.inactive,
+            "pump": pump_told(devices.bath),
+            "comms loss": rig.profile.comms_loss,
+            "cut-out tested": rig.rig.bath.cut_out_tested,
+            "safe states": devices.safe_states(),
+            "guardian": WATCHING if guardian_client else NO_GUARDIAN,
+            "bath figures": {"room_c": room_c} | accuracy,
+        }
+        for key, value in facts.items():
+            store.fact(key, value)
 
     def stop(self) -> None:
         """End the watch."""
@@ -239,10 +246,6 @@ class TripHandler:
     def heater_off(self) -> None:
         """For a thread that has no time for more: the heater, whatever else goes on."""
         heater_off(self._devices.bath)
-
-    def _record(self, reading: Row) -> None:
-        self._store.bath(reading)
-        self.seen()
 
     def _also(self) -> InterlockTrip | None:
         """With each reading: the watch is alive, and the guardian has to be too."""
@@ -282,20 +285,6 @@ class TripHandler:
         except OSError as error:
             what = f"the trip could not be latched in {self._latch}: {error.strerror or error}"
             self._warn(f"{what}. Nothing but you keeps the next run from starting.")
-
-    def _write_facts(self, rig: LoadedRig, interlocks: Interlocks) -> None:
-        self._store.fact("interlocks asleep", interlocks.inactive)
-        self._store.fact("pump", pump_told(self._devices.bath))
-        self._store.fact("comms loss", rig.profile.comms_loss)
-        self._store.fact("cut-out tested", rig.rig.bath.cut_out_tested)
-        self._store.fact("safe states", self._devices.safe_states())
-        self._store.fact("guardian", WATCHING if self._guardian_client else NO_GUARDIAN)
-        room_c = rig.rig.emulation.ambient_c if rig.rig.emulated else rig.rig.bath.room_c
-        self._store.fact(
-            "bath figures",
-            {"room_c": room_c}
-            | rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"}),
-        )
 
 
 def _tried(name: str, step: Callable[[], str | None], said: list[str], done: str) -> bool:

@@ -49,11 +49,9 @@ IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class HeartbeatReader:
-    """Hears the bench on a file descriptor, on a thread: not every system can wait for a pipe with
-    a time limit.
-
-    Signs of life are echoed to ``echo`` by the thread that waits for trouble. ``bench`` is the
-    bench's process.
+    """Reads the bench's lines from the file descriptor ``source`` on a thread (not every system can
+    wait for a pipe with a time limit), and echoes signs of life to ``echo``. ``bench`` is its
+    process.
     """
 
     def __init__(self, source: int, echo: int, bench: int) -> None:
@@ -63,8 +61,8 @@ class HeartbeatReader:
         threading.Thread(target=self._listen, args=(source,), daemon=True).start()
 
     def wait_for_trouble(self) -> tuple[str, str, float] | None:
-        """What befell the bench (``died``, ``hung`` or ``gave up``), in what, and the stopwatch at
-        its last sign; None when it is done.
+        """``died``, ``hung`` or ``gave up``, in what, and the stopwatch at the bench's last sign;
+        None when it is done.
         """
         last_s = stopwatch_s()
         while True:
@@ -142,10 +140,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _is_dying(process: int) -> bool:
-    """Whether the system is ending ``process``, or has: on a busy Linux seconds before its pipe
-    closes.
-
-    A process that it has forked may hold the pipe open for good. False where there is no /proc.
+    """Whether the system is ending ``process``, or has: seconds before its pipe closes on a busy
+    Linux, which a forked process may hold open for good. False where there is no /proc.
     """
     try:
         status = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace")
@@ -157,9 +153,7 @@ def _is_dying(process: int) -> bool:
 
 
 def _preferred() -> dict[str, Any]:
-    """Raises the priority and locks what is loaded in memory, as far as the system allows; what was
-    got, for the record.
-    """
+    """Raise the priority, and lock what is loaded in memory, as far as the system grants it."""
     got: dict[str, Any] = {"nice": None, "memory_locked": False}
     if sys.platform == "win32":
         return got  # the bench starts the process at high priority
@@ -176,9 +170,7 @@ def _preferred() -> dict[str, Any]:
 def _make_safe(
     bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], *, bench: int | None
 ) -> bool:
-    """Standby, tried until it is reached or GIVE_UP_S are over; the record follows. ``bench`` hangs
-    and may hold the port.
-    """
+    """Standby, tried for GIVE_UP_S. ``bench`` hangs and may hold the port."""
     start_s, tries = stopwatch_s(), 0
     while stopwatch_s() - start_s < GIVE_UP_S:
         tries += 1
@@ -205,9 +197,7 @@ def _make_safe(
 def _run_pump_on(
     bath: Bath, clock: RealClock, path: Path, record: dict[str, Any], overrun_s: float
 ) -> None:
-    """Let the pump carry the heater's rest of heat away, then switch it off; the driver refuses
-    where the bath is started again.
-    """
+    """Let the pump carry off the heater's heat, then stop it, unless the bath is started again."""
     try:
         bath.set(PUMP, ON)
         record["pump"] = f"runs on for {overrun_s:g} s"
@@ -222,9 +212,7 @@ def _run_pump_on(
 
 
 def _kill(bench: int) -> bool:
-    """End a bench that hangs and keeps the port from us: what it has stored is whole at every
-    moment.
-    """
+    """End a bench that hangs and holds the port; its record is whole at every moment."""
     if bench != os.getppid():  # it has ended meanwhile, and its number may be another's
         return False
     with contextlib.suppress(OSError):
@@ -234,7 +222,7 @@ def _kill(bench: int) -> bool:
 
 
 def _write(path: Path, record: dict[str, Any]) -> None:
-    """Whole or not at all. A disk that is full or gone keeps us from telling, not from acting."""
+    """Whole or not at all; a disk that is full or gone doesn't keep the guardian from acting."""
     part = path.with_name(path.name + ".part")
     with contextlib.suppress(OSError):
         with part.open("w", encoding="utf-8") as file:

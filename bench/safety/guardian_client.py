@@ -1,5 +1,10 @@
-"""The bench's end of the guardian: starts it, exchanges signs of life, and ends it when the bath is
-safe without it.
+"""The bench's end of the guardian: signs of life of the bench's threads, and the process that gets
+them, which is ended when the bath is safe without it.
+
+A thread says what it does, how long that may take, and how long in silence. Whatever looks at the
+clock shows life, so a long move does all the time, while a computation or a prompt may not. A
+thread that is silent for longer than it said hangs, and so does one that takes longer in all. Time
+is real time: a hung bench is hung in the world, whatever its clock says.
 """
 
 from __future__ import annotations
@@ -17,9 +22,74 @@ from typing import IO, cast
 
 from bench.record.schema import GUARDIAN
 from bench.safety.guardian import ALIVE, DONE, HUNG, READY, TAKE_OVER
-from bench.safety.heartbeat import Heartbeat
-from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.clock import Clock, RealClock, VirtualClock, stopwatch_s
 from instruments.errors import LinkError
+
+BRIEF_S = 10.0  # what needs no word of its own is over by then
+
+
+@dataclass(slots=True)
+class _Doing:
+    """What a thread does: ``until_s`` in all, ``silent_until_s`` without a further sign of life."""
+
+    what: str
+    thread: int
+    at_most_s: float
+    until_s: float
+    silence_s: float
+    silent_until_s: float
+
+
+class Heartbeat:
+    """Who signs, what is being done, and until when. May be used by all threads."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._doing: dict[str, _Doing] = {}
+
+    def sign(
+        self,
+        what: str,
+        at_most_s: float = BRIEF_S,
+        *,
+        silence_s: float | None = None,
+        who: str = "the main thread",
+    ) -> None:
+        """``who`` is alive and until its next ``sign`` does ``what``, for ``at_most_s``, and with
+        ``silence_s`` is ``alive`` that often meanwhile.
+        """
+        now_s, quiet_s = stopwatch_s(), at_most_s if silence_s is None else silence_s
+        with self._lock:
+            self._doing[who] = _Doing(
+                what, threading.get_ident(), at_most_s, now_s + at_most_s, quiet_s, now_s + quiet_s
+            )
+
+    def alive(self, asleep_s: float = 0.0) -> None:
+        """The calling thread lives, and will sleep for ``asleep_s``."""
+        now_s, caller = stopwatch_s(), threading.get_ident()
+        with self._lock:
+            for doing in self._doing.values():
+                if doing.thread == caller:
+                    doing.silent_until_s = now_s + asleep_s + doing.silence_s
+
+    def rest(self, who: str) -> None:
+        """``who`` has ended as it should, and signs no more."""
+        with self._lock:
+            self._doing.pop(who, None)
+
+    def overdue(self) -> str | None:
+        """Who hangs, and in what; None when all signed in time."""
+        now = stopwatch_s()
+        with self._lock:
+            for who, doing in self._doing.items():
+                if now > doing.until_s:
+                    return f"{who} hangs: {doing.what} took more than {doing.at_most_s:g} s"
+                if now > doing.silent_until_s:
+                    return (
+                        f"{who} hangs: {doing.what}, and no sign of life for {doing.silence_s:g} s"
+                    )
+        return None
+
 
 LOG = "guardian.log"
 BEAT_S = 1.0
@@ -30,9 +100,7 @@ START_S = 30.0  # a loaded machine reads Python's modules slowly
 
 @dataclass(frozen=True, slots=True)
 class GuardianTarget:
-    """What a guardian has to put into standby: a bath, and the relay of its pump where it has one;
-    profiles by name or whole path.
-    """
+    """A bath, and the relay of its pump where it has one; profiles by name or whole path."""
 
     url: str
     profile: str
@@ -42,7 +110,6 @@ class GuardianTarget:
 
     @property
     def arguments(self) -> list[str]:
-        """As the guardian's command line takes them."""
         given = [f"--url={self.url}", f"--profile={self.profile}"]
         if self.pump_url:
             given += [f"--pump-url={self.pump_url}", f"--pump-profile={self.pump_profile}"]
@@ -50,8 +117,8 @@ class GuardianTarget:
 
 
 class GuardianClient:
-    """A running guardian for ``charge``, which keeps its record in ``folder``. Raises LinkError
-    when it doesn't start.
+    """A running guardian of ``charge`` with its record in ``folder``. Raises LinkError when it
+    doesn't start.
     """
 
     def __init__(self, charge: GuardianTarget, folder: Path, pulse: Heartbeat) -> None:
@@ -95,8 +162,8 @@ class GuardianClient:
         self._end(DONE)
 
     def hand_over(self) -> None:
-        """The bath could not be made safe: the guardian goes on
-        trying, as if the bench had died.
+        """The bath could not be made safe: the guardian goes on trying, as if the bench had
+        died.
         """
         self._end(TAKE_OVER)
 
@@ -178,8 +245,8 @@ def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
 def guarded(
     charge: GuardianTarget, folder: Path, clock: Clock
 ) -> Iterator[tuple[Heartbeat, GuardianClient | None]]:
-    """Signs of life, and who looks at them: nobody under virtual time, for then the emulated bath
-    ends with the bench.
+    """Signs of life and their guardian; none under virtual time: the emulated bath ends with the
+    bench.
     """
     pulse = Heartbeat()
     if isinstance(clock, VirtualClock):

@@ -30,9 +30,7 @@ SAME_SET_POINT_K = 0.06  # a controller may show tenths
 
 @dataclass(frozen=True, slots=True)
 class Bath:
-    """What the rules have to know of the bath itself: what its family tells, and the codes of its
-    alarms.
-    """
+    """What the rules have to know of the bath: what its family tells, and its alarms."""
 
     tells: frozenset[str] = frozenset({"output", "other sensor"})
     low_level: Callable[[int], bool] = lambda _: False
@@ -61,13 +59,10 @@ class Look:
 
 def too_hot(look: Look) -> str | None:
     limit_c = look.limits.bath_max_c
-    seen = {
-        "the bath": look.now.temp_c,
-        "the safety sensor": look.now.safety_c,
-        "the external sensor": look.now.external_c,
-    }
+    now = look.now
+    seen = {"bath": now.temp_c, "safety sensor": now.safety_c, "external sensor": now.external_c}
     hot = [
-        f"{name} is at {value:.2f} degC"
+        f"the {name} is at {value:.2f} degC"
         for name, value in seen.items()
         if value is not None and value > limit_c
     ]
@@ -98,10 +93,9 @@ def frozen(look: Look) -> str | None:
     output = look.now.power_percent
     if output is None or output <= FROZEN_OUTPUT_PERCENT or look.now.raw != look.since.raw:
         return None
-    return (
-        f"the reading has stood at {look.now.temp_c:.2f} degC for {_lasted(look):.0f} s with the"
-        f" output at {output:.0f} %"
-    )
+    lasted_s = look.now.t_s - look.since.t_s
+    stood = f"the reading has stood at {look.now.temp_c:.2f} degC for {lasted_s:.0f} s"
+    return f"{stood} with the output at {output:.0f} %"
 
 
 def too_fast(look: Look) -> str | None:
@@ -122,7 +116,7 @@ def loop_broken(look: Look) -> str | None:
         return None
     return (
         f"the bath went from {look.since.temp_c:.2f} to {look.now.temp_c:.2f} degC in"
-        f" {_lasted(look):.0f} s at {output:.0f} % output"
+        f" {look.now.t_s - look.since.t_s:.0f} s at {output:.0f} % output"
     )
 
 
@@ -131,10 +125,8 @@ def sensors_disagree(look: Look) -> str | None:
         return None
     for name, other_c in (("external", look.now.external_c), ("safety", look.now.safety_c)):
         if other_c is not None and abs(look.now.temp_c - other_c) > look.limits.sensors_differ_k:
-            return (
-                f"the bath reads {look.now.temp_c:.2f} degC and its {name} sensor {other_c:.2f}"
-                " degC"
-            )
+            bath = f"the bath reads {look.now.temp_c:.2f} degC"
+            return f"{bath} and its {name} sensor {other_c:.2f} degC"
     return None
 
 
@@ -144,12 +136,10 @@ def changed(look: Look) -> str | None:
     if look.now.running is False:
         return "the controller has stopped, and not for us"
     seen_c = look.now.set_point_c
-    if seen_c is not None and abs(seen_c - look.asked_c) > SAME_SET_POINT_K:
-        return (
-            f"the controller's set point is {seen_c:.2f} degC, and {look.asked_c:.2f} degC was"
-            " asked for"
-        )
-    return None
+    if seen_c is None or abs(seen_c - look.asked_c) <= SAME_SET_POINT_K:
+        return None
+    asked = f"{look.asked_c:.2f} degC was asked for"
+    return f"the controller's set point is {seen_c:.2f} degC, and {asked}"
 
 
 def still_hot(now: BathReading, limits: Limits) -> str | None:
@@ -171,10 +161,6 @@ def still_heating(now: BathReading, _: Limits, above_percent: float = 0.0) -> st
 
 def not_cold_and_plausible(now: BathReading, limits: Limits) -> str | None:
     return implausible_c(now, limits) or still_heating(now, limits)
-
-
-def _lasted(look: Look) -> float:
-    return look.now.t_s - look.since.t_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,13 +344,11 @@ class Interlocks:
 
     @property
     def inactive(self) -> tuple[str, ...]:
-        """Names of the rules that can't work because the family doesn't tell what they need."""
+        """Names of the rules whose needs the family doesn't tell."""
         return tuple(rule.name for rule in RULES if rule not in self._awake)
 
     def heating(self, set_point_c: float) -> None:
-        """The bath has been started: the other sensors may lag again, and who stops it now is not
-        the bench.
-        """
+        """The bath has been started: the other sensors may lag again."""
         self._asked_c = set_point_c
         self._near_since_s = math.nan
 
@@ -384,9 +368,7 @@ class Interlocks:
         return None
 
     def silent(self, silent_s: float, error: Exception, *, answered: bool) -> InterlockTrip | None:
-        """The trip that a missing reading means: nobody answers, or (``answered``) there is no
-        temperature in the answer.
-        """
+        """The trip of a missing reading: no answer, or (``answered``) one without a temperature."""
         if silent_s < self._limits.bath_silence_s:
             return None
         rule = rule_named(IMPLAUSIBLE if answered else COMMUNICATIONS)
@@ -415,9 +397,7 @@ class Interlocks:
         return oldest if now.t_s - oldest.t_s >= RATE_SPAN_S else None
 
     def _has_settled(self, now: BathReading) -> bool:
-        """Once settled it stays so, or a bath that is driven off its set point would switch its own
-        interlock off.
-        """
+        """Once settled it stays so: a bath driven off its set point has to trip."""
         if self._asked_c is None:
             return False
         if math.isnan(self._near_since_s) or now.t_s - self._near_since_s < SETTLED_S:
@@ -443,8 +423,8 @@ def bath_of(profile: Profile) -> Bath:
 
 
 def moving_of(profile: Profile) -> Callable[[BathReading], Hashable]:
-    """What of a reading has to change while the controller lives: the temperature, and where that
-    is told coarsely the output too.
+    """What of a reading has to change while the controller lives: the temperature; of a coarse one
+    the output too.
     """
     row = profile.row("temperature")
     if row.type == "f32" or row.scale <= COARSE_K:

@@ -2,7 +2,7 @@
 
 The latch is a file beside the rig file, until a person acknowledges it. It belongs to the bath, not
 to a run: another output folder, another script or a restart of the computer doesn't get round it.
-An emulated rig has none, for its bath is a new one in each run. May not know what tripped or why.
+An emulated rig has none, for its bath is a new one in each run.
 """
 
 from __future__ import annotations
@@ -56,9 +56,7 @@ def latch_path(rig: LoadedRig) -> Path | None:
 
 
 def set_latch(path: Path, trip: Exception, run: str) -> None:
-    """Keep ``trip`` of the run in folder ``run``. The first one stays. Raises OSError where the
-    file can't be written.
-    """
+    """Keep ``trip`` of the run in folder ``run``. The first one stays. Raises OSError."""
     if path.exists():
         return
     told: dict[str, object] = (
@@ -71,9 +69,7 @@ def set_latch(path: Path, trip: Exception, run: str) -> None:
 
 
 def read_latch(path: Path | None) -> Latch | None:
-    """The latch at ``path``, None where nothing is latched. A file that can't be understood is a
-    latch all the same.
-    """
+    """The latch at ``path``, None where there is none. A file that can't be read latches too."""
     if path is None or not path.exists():
         return None
     try:

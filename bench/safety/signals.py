@@ -38,11 +38,8 @@ Register = Callable[[Handler, bool], None]
 
 
 def handler_for(ends: Callable[[str], None]) -> Handler:
-    """What Windows calls: ``ends`` is told what ends the program, and has made safe when it
-    returns.
-
-    True says that the event is dealt with. Ctrl-C and Ctrl-Break are not: Python makes signals of
-    them.
+    """What Windows calls: ``ends`` gets what ends the program, and has made safe when it returns.
+    True where the event is dealt with; of Ctrl-C and Ctrl-Break Python makes signals.
     """
 
     def handler(event: int) -> bool:
@@ -117,8 +114,11 @@ class Exits:
             return
         name = signal.Signals(number).name
         self.asked.append(name)
-        if name == "SIGHUP":
-            self._let_go_of_the_terminal()
+        if name == "SIGHUP":  # a write to a terminal that has gone would fail amid going to safe
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            for terminal in self._terminals:
+                os.dup2(nowhere, terminal)
+            os.close(nowhere)
         now = stopwatch_s()
         if self._held or (self._raised_s is not None and now - self._raised_s < ON_THE_WAY_S):
             return
@@ -151,20 +151,11 @@ class Exits:
             work.start()
             work.join(CLOSE_S)
 
-    def _let_go_of_the_terminal(self) -> None:
-        """What is written to a terminal that has gone fails, and would fail amid going to safe."""
-        nowhere = os.open(os.devnull, os.O_RDWR)
-        for number in self._terminals:
-            os.dup2(nowhere, number)
-        os.close(nowhere)
-
 
 @contextmanager
 def installed(register: Register | None = None) -> Iterator[Exits]:
-    """Hear all requests to end while this lasts. What was ignored when the program started
-    (`nohup`, `&`) stays ignored.
-
-    ``register`` stands in for the system's way to tell of a closed console window.
+    """Handle all requests to end while this lasts; what was ignored when the program started
+    (`nohup`, `&`) stays ignored. ``register`` stands in for Windows's of a closed console window.
     """
     exits = Exits()
     if threading.current_thread() is not threading.main_thread():
@@ -201,9 +192,7 @@ def current() -> Exits:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Requests to end are noted and not raised while this lasts: going to safe is short and
-    bounded, and must not be cut off.
-    """
+    """Requests to end are noted and not raised: going to safe is short, and must not be cut off."""
     exits = current()
     exits.hold()
     try:
@@ -213,11 +202,8 @@ def undisturbed() -> Iterator[None]:
 
 
 def _amid_a_lock(frame: FrameType | None) -> bool:
-    """Whether Python's own code is just taking or giving back a lock: raised there, the lock would
-    be held for ever.
-
-    All callers count: a signal that comes again may find us still at the handler's own work, called
-    amid a lock.
+    """Whether Python's own code, in any caller, is just taking or giving back a lock: raised there,
+    the lock would be held for ever.
     """
     while frame is not None:
         if frame.f_code.co_filename == threading.__file__ and frame.f_code.co_name in AMID_A_LOCK:

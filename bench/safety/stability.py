@@ -74,8 +74,8 @@ class State(StrEnum):
 @dataclass(frozen=True, slots=True)
 class StabilityReport:
     """The window as it stands. Figures are None before the first reading (the slope before the
-    second); `near_s` is how long the bath has been near its set point without a gap, at most the
-    window; `reasons` says what is not fulfilled.
+    second); `near_s`: near the set point without a gap, at most the window; `reasons`: what is not
+    fulfilled.
     """
 
     state: State
@@ -134,14 +134,11 @@ class StabilityGate:
             if not (isfinite(value) and value > 0.0):
                 raise ValueError(f"stability gate: {name} = {value} must be finite and above 0")
         if self.leave_k < self.mean_k:
-            raise ValueError(
-                f"stability gate: leave_k = {self.leave_k} is below mean_k = {self.mean_k}; a bath"
-                " could leave the state it enters"
-            )
+            why = f"leave_k = {self.leave_k} is below mean_k = {self.mean_k}"
+            raise ValueError(f"stability gate: {why}; a bath could leave the state it enters")
         if self.min_distinct < 1:
-            raise ValueError(
-                f"stability gate: min_distinct = {self.min_distinct} must be at least 1"
-            )
+            why = f"min_distinct = {self.min_distinct} must be at least 1"
+            raise ValueError(f"stability gate: {why}")
         self.restart(self.set_point_c)  # refuses a set point that is not finite
 
     def restart(self, set_point_c: float | None = None) -> None:
@@ -179,15 +176,11 @@ class StabilityGate:
         the caller's to handle.
         """
         if not (isfinite(t_s) and isfinite(temp_c)):
-            raise ValueError(
-                f"stability gate: reading {temp_c} degC at {t_s} s is not finite; a sensor fault is"
-                " no reading"
-            )
+            why = f"reading {temp_c} degC at {t_s} s is not finite; a sensor fault is no reading"
+            raise ValueError(f"stability gate: {why}")
         if self._last is not None and t_s <= self._last[0]:
-            raise ValueError(
-                f"stability gate: reading at {t_s} s after one at {self._last[0]} s; time has to"
-                " advance"
-            )
+            why = f"reading at {t_s} s after one at {self._last[0]} s; time has to advance"
+            raise ValueError(f"stability gate: {why}")
         gap = self._last is not None and t_s - self._last[0] > self.max_gap_s + TIME_SLACK_S
         value = temp_c if raw is None else raw
         if self._last is None or gap or value != self._raw:
@@ -205,7 +198,10 @@ class StabilityGate:
         if abs(temp_c - self.set_point_c) > self.leave_k:
             self._state, self._near = State.HEATING, Window()
         elif self._state is not State.STABLE:
-            self._state = State.STABLE if self._fulfilled() else State.SETTLING
+            w = self._window
+            full = w.span_s >= self.window_s - TIME_SLACK_S
+            stable = full and not any(failed for failed, *_ in self._criteria(w))
+            self._state = State.STABLE if stable else State.SETTLING
         if self._state is not State.HEATING and not alarm and not self.frozen:
             self._near.add(t_s, temp_c - self.set_point_c, value, self.window_s)
         return self._state
@@ -249,21 +245,12 @@ class StabilityGate:
             reasons=tuple(self._unfulfilled()),
         )
 
-    def _fulfilled(self) -> bool:
-        w = self._window
-        long = w.span_s >= self.window_s - TIME_SLACK_S
-        return long and not any(failed for failed, *_ in self._criteria(w))
-
     def _criteria(self, w: Window) -> Iterator[tuple[bool, str, float]]:
         """Of each criterion but the span: whether ``w`` fails it, what was seen, and the limit."""
         yield w.distinct < self.min_distinct, f"{w.distinct} distinct readings", self.min_distinct
         yield abs(w.mean) > self.mean_k, f"mean {w.mean:+.3f} K from the set point", self.mean_k
-        half_range = w.half_range
-        yield (
-            half_range > self.half_range_k,
-            f"half the range {half_range:.3f} K",
-            self.half_range_k,
-        )
+        half_range, limit = w.half_range, self.half_range_k
+        yield half_range > limit, f"half the range {half_range:.3f} K", limit
         slope, limit = 60.0 * w.slope, self.slope_k_per_min
         yield abs(slope) > limit, f"slope {slope:+.3f} K/min", limit
         # 0 without a sensor at the teats
@@ -272,9 +259,7 @@ class StabilityGate:
         yield abs(slope) > limit, f"slope at the teats {slope:+.3f} K/min", limit
 
     def _unfulfilled(self) -> list[str]:
-        """By the readings near the set point: those of the way there say nothing of how steady it
-        is.
-        """
+        """By the readings near the set point; those of the way there show nothing of it."""
         w, last = self._near, self._last
         if self._alarm:
             return ["the bath has an alarm"]

@@ -21,9 +21,8 @@ from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import load_rig
 from bench.rig.model import EmulatedFault, fault_names
-from bench.run.events import Events
+from bench.run.events import EVENT, Events
 from bench.run.start import RunOptions, run_script
-from bench.run.states import EVENT
 from bench.script.model import load_script
 from tests.bench.killed_runs import Silent
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files

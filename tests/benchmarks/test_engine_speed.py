@@ -15,6 +15,7 @@ import pytest
 
 from bench.record.reader import TrialRecord
 from bench.rig.loading import load_rig
+from bench.run.events import RunState
 from bench.run.start import run_script
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
@@ -42,7 +43,7 @@ def empty_trials(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         began.append(perf_counter())
         trials._ctx.check()
         trials._settle()
-        trials._settle_again(trial.id)
+        trials._ctx.states.to(RunState.RUNNING)
         head = {
             "id": trial.id,
             "number": trial.number,

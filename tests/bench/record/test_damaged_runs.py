@@ -221,8 +221,9 @@ def test_a_damaged_run_is_refused_or_told_to_be_damaged(
     DAMAGES[what](run)
     assert teatbench("store check {}", run) in (1, 2)
     no_traceback(capsys)
-    out = tmp_path / "out"
-    for name, command in reading(run, whole, out).items():
+    out, turn = tmp_path / "out", list(DAMAGES).index(what)
+    # each refuses by the same check; they take turns
+    for name, command in list(reading(run, whole, out).items())[turn % 3 :: 3]:
         assert main(command) == 2, name
         told = no_traceback(capsys)
         assert not told.out, f"{name} gave something out"
@@ -232,7 +233,7 @@ def test_a_damaged_run_is_refused_or_told_to_be_damaged(
     asked = reading(run, whole, out)
     # they take turns: a report takes its time, and writes its own run.json anew
     others = [name for name in asked if name != "report"]
-    for name in (others[list(DAMAGES).index(what) % len(others)], "report"):
+    for name in (others[turn % len(others)], "report"):
         code = main([*asked[name], "--despite-damage"])
         told = no_traceback(capsys)
         if code == 0:

@@ -1,5 +1,5 @@
-"""The main job on the emulated rig: what a user gets, the same
-every time, and safe at every end.
+"""The main job on the emulated rig: what a user gets, the same every time, and safe at every
+end.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def test_the_report_can_be_written_again(done: Done, said: Said) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals to a child")
-@pytest.mark.parametrize("after_s", [0.1, 0.9, 1.6, 2.4, 3.2])
+@pytest.mark.parametrize("after_s", [0.1, 1.6, 3.2])
 def test_ctrl_c_ends_safe_and_leaves_a_run(
     short_script: Path, tmp_path: Path, after_s: float
 ) -> None:

@@ -1,5 +1,5 @@
-"""Two benches never have one rig: the second is told who has it;
-a dead bench's lock is taken over.
+"""Two benches never have one rig: the second is told who has it; a dead bench's lock is taken
+over.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
+from filelock import FileLock
 
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig
-from bench.run.lock import RigInUseError, WindowsLock, lock_path, locked
+from bench.run.lock import RigInUseError, lock_path, locked
 from tests.bench.commands import Said
 from tests.bench.operated_runs import files
 from tests.conftest import ROOT
@@ -43,15 +43,15 @@ def holder(path: Path) -> subprocess.Popen[str]:
     return process
 
 
-def refused(path: Path, why: str, error: type[Exception] = RigInUseError, **more: Any) -> None:
-    with pytest.raises(error, match=why), locked(path, "x", print, **more):
+def refused(path: Path, why: str, error: type[Exception] = RigInUseError) -> None:
+    with pytest.raises(error, match=why), locked(path, "x", print):
         pass
 
 
-def taken_over(path: Path, **more: Any) -> list[str]:
+def taken_over(path: Path) -> list[str]:
     """What is told when the lock is taken and given back."""
     told = list[str]()
-    with locked(path, "x", told.append, **more):
+    with locked(path, "x", told.append):
         pass
     return told
 
@@ -64,7 +64,7 @@ def test_the_second_bench_is_told_who_has_the_rig_and_gets_it_when_that_one_ends
     refused(path, rf"another bench has it: pid {first.pid}, host {platform.node()}.*runs/here")
     first.communicate("\n", 60)
     with locked(path, "x", told.append):
-        assert json.loads(path.read_text(encoding="utf-8").rstrip("\0"))["pid"] == os.getpid()
+        assert json.loads(path.read_text(encoding="utf-8"))["pid"] == os.getpid()
     assert told == [], "it was given back in order"
     assert path.read_bytes() == b""
 
@@ -111,59 +111,12 @@ def test_a_run_is_refused_before_anything_is_opened(tmp_path: Path, said: Said) 
     first.communicate("\n", 60)
 
 
-class PlayedMsvcrt:
-    """Windows's `_locking` as Microsoft documents it: from the file's pointer on, by handle, past
-    the end too, and nothing twice.
-    """
+def test_a_folder_that_knows_no_locks_is_no_bench_that_has_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lockless(_: FileLock) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
 
-    LK_UNLCK, LK_NBLCK = 0, 2
-
-    def __init__(self) -> None:
-        self.held: dict[tuple[int, int], int] = {}  # file and place -> handle
-
-    def locking(self, fd: int, mode: int, nbytes: int, /) -> None:
-        assert nbytes == 1
-        at = os.fstat(fd).st_ino, os.lseek(fd, 0, os.SEEK_CUR)
-        if mode == self.LK_NBLCK and at not in self.held:
-            self.held[at] = fd
-        elif mode == self.LK_UNLCK and self.held.get(at) == fd:
-            del self.held[at]
-        else:
-            raise OSError(errno.EACCES, "Permission denied")
-
-
-def test_on_windows_the_second_is_refused_and_gets_it_afterwards(tmp_path: Path) -> None:
-    path, told, system = tmp_path / "lab.lock.json", list[str](), PlayedMsvcrt()
-    lock = WindowsLock(system)
-    with locked(path, "runs/here", told.append, lock=lock):
-        ((_, at),) = system.held
-        assert at > 1_000_000, (
-            "what a reader of the text reads at once must not touch the locked byte: Windows would"
-            " refuse it"
-        )
-        refused(path, f"pid {os.getpid()}.*runs/here", lock=lock)
-        assert json.loads(path.read_text(encoding="utf-8"))["run"] == "runs/here", (
-            "the one that was refused wrote nothing"
-        )
-    assert system.held == {}
-    assert told == taken_over(path, lock=lock) == []
-    assert path.read_bytes() == b""
-
-
-def test_on_windows_a_dead_benchs_lock_is_taken_over(tmp_path: Path) -> None:
-    """Windows unlocks what a process leaves behind, and the text stays."""
-    path, told, system = tmp_path / "lab.lock.json", list[str](), PlayedMsvcrt()
-    path.write_text(json.dumps({"host": platform.node(), "pid": 1}), encoding="utf-8")
-    with locked(path, "x", told.append, lock=WindowsLock(system)):
-        assert len(system.held) == 1
-    assert "pid 1" in told[0]
-    assert system.held == {}
-
-
-def test_a_folder_that_knows_no_locks_is_no_bench_that_has_it(tmp_path: Path) -> None:
-    class Lockless(PlayedMsvcrt):
-        def locking(self, fd: int, mode: int, nbytes: int, /) -> None:
-            raise OSError(errno.ENOLCK, "No locks available")
-
-    why, lock = "the rig can't be locked: No locks available", WindowsLock(Lockless())
-    refused(tmp_path / "lab.lock.json", why, ConfigError, lock=lock)
+    monkeypatch.setattr(FileLock, "_acquire", lockless)
+    why = "the rig can't be locked: No locks available"
+    refused(tmp_path / "lab.lock.json", why, ConfigError)

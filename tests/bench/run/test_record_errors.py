@@ -135,9 +135,14 @@ class Tampering(Silent):
     sys.platform == "win32", reason="Windows neither deletes nor moves what is open"
 )
 @pytest.mark.parametrize(
-    "what", [shutil.rmtree, moved, replaced, another_database], ids=lambda what: what.__name__
+    ("what", "at", "touched"),
+    [
+        (shutil.rmtree, "capturing", 2),
+        (moved, "trial", 1),
+        (replaced, "capturing", 2),
+        (another_database, "trial", 1),
+    ],
 )
-@pytest.mark.parametrize(("at", "touched"), [("trial", 1), ("capturing", 2)])
 def test_a_folder_that_is_gone_is_noticed_in_the_trial_in_which_it_went(
     what: Callable[[Path], object], at: str, touched: int, tmp_path: Path
 ) -> None:

@@ -24,11 +24,11 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.writer import Store
 from bench.rig.loading import load_rig
 from bench.run.engine import Ending
+from bench.run.events import EVENT
 from bench.run.lock import locked, run_lock
 from bench.run.recordings import RECORDED, Recorder
 from bench.run.resume import what_is_left
 from bench.run.start import RunOptions, run_script
-from bench.run.states import EVENT
 from bench.run.trial import TrialRun
 from bench.script.model import load_script
 from bench.truth.carrying import REFERENCE_FACT, CarriedTruth

@@ -1,4 +1,6 @@
-"""What the tests of the guardian share: patience, its record, and a bath that it may have to stop."""
+"""What the tests of the guardian share: patience, its record, and a bath that it may have to
+stop.
+"""
 
 from __future__ import annotations
 

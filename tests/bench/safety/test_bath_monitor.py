@@ -128,22 +128,6 @@ def test_a_bath_without_a_temperature_trips_as_implausible() -> None:
         w.watch.check()
 
 
-def test_a_frozen_reading_is_never_stable() -> None:
-    w = Watched(lambda t: CALM)
-    w.clock.sleep(3000.0)
-    assert w.watch.state is not State.STABLE
-    assert w.watch.why_not_stable
-
-
-def test_a_guardian_that_is_gone_trips() -> None:
-    w = Watched(wobble)
-    w.clock.sleep(10.0)
-    w.also = InterlockTrip("guardian lost", "it ended by itself", "See its log.")
-    w.clock.sleep(2.0)
-    assert w.watch.tripped is w.also
-    assert [when for when, _ in w.acts] == [11.0]
-
-
 def test_a_mistake_of_ours_is_not_swallowed_and_makes_safe() -> None:
     def at(t: float) -> BathReading:
         if t > 5:

@@ -241,18 +241,6 @@ def test_the_running_figures_are_those_of_numpy(
         )
 
 
-def test_a_day_of_readings_leaves_no_rounding_behind() -> None:
-    gate = StabilityGate(SP)
-    temps = quiet(86_400, seed=3)
-    for k, temp in enumerate(temps):
-        gate.add(1e6 + k, temp)
-    window = np.array(temps[-601:])
-    assert gate.report.mean_c == pytest.approx(window.mean(), abs=1e-12)
-    assert gate.report.slope_k_per_min == pytest.approx(
-        60 * np.polyfit(np.arange(601.0), window, 1)[0], abs=1e-12
-    )
-
-
 def test_bad_readings_and_limits_are_refused() -> None:
     gate = StabilityGate(SP)
     gate.add(1.0, SP)

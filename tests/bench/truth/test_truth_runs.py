@@ -21,7 +21,7 @@ from bench.record.schema import DATABASE, Row
 from bench.report.truth import deviation_parts
 from bench.results.verdicts import scored
 from bench.rig.loading import RIGS, load_rig
-from bench.run.truth_source import REGISTRATION_FILE, refuse_carry
+from bench.run.trial import REGISTRATION_FILE, refuse_carry
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.registration_file import (
@@ -33,7 +33,7 @@ from bench.truth.touching import NoTruthError
 from bench.truth.uncertainty import CHI2_95
 from reports.page import Notes
 from tests.bench.commands import Said, teatbench
-from tests.bench.run.test_attempts import PLANNED, Context, attempts
+from tests.bench.run.test_trial import PLANNED, Context, attempts
 from tests.bench.truth.touches import axes_turned, registered, stage_of
 
 pytestmark = pytest.mark.slow

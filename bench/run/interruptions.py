@@ -1,0 +1,299 @@
+"""What interrupts a run: an instrument that drops out, and a person's request to pause, go on, skip
+or repeat the trial in flight, or end.
+
+A table says for each kind of fault how often it is tried again and what a person has to check; what
+is not in it ends the run at once. An instrument that drops out pauses the run; the work is done
+again whole when it is back. Interlocks are looked at meanwhile, and may end the wait; so may a
+request: then what comes next waits on.
+
+`teatbench control RUN WORDS` leaves a request as a file in the run's folder; where no operator sits
+at the run's own terminal, the same words may be typed there. A pause takes effect before the next
+trial, the others at once, and the trial in flight leaves no trace. Each is answered in a line.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from bench.config import ConfigError
+from bench.files import write_synced
+from bench.run.context import RunContext
+from bench.run.events import RunState
+from instruments.camera.cameras import CameraSet
+from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
+from instruments.microscribe.errors import AnotherArmError, UnusableArmError
+from instruments.operators.operator import (
+    Homing,
+    OperatorAbort,
+    OperatorRepeat,
+    OperatorSkip,
+    Release,
+)
+
+INSTRUMENTS = ("arm", "stage", "bath", "cameras")
+GONE, GARBLED, REFUSES = "gone", "garbled", "refuses"
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """At most ``times`` tries in a trial or a step of preparing; ``check`` is for the person."""
+
+    times: int
+    check: str
+
+
+HOMES = "keep your hands off it, it will home."
+POLICIES: Mapping[tuple[str, str], Policy] = {
+    ("arm", GONE): Policy(3, "Check the arm's power and its cable."),
+    ("arm", GARBLED): Policy(3, "Check the arm's cable and plugs, and what disturbs it."),
+    ("stage", GONE): Policy(3, f"Check the stage's power and its cable; {HOMES}"),
+    ("stage", GARBLED): Policy(3, f"Check the stage's cable and what disturbs it; {HOMES}"),
+    ("stage", REFUSES): Policy(1, f"Look whether something is in the stage's way; {HOMES}"),
+    ("bath", GONE): Policy(3, "Check the bath's power and its cable."),
+    ("bath", GARBLED): Policy(3, "Check the bath's cable, its address and what disturbs it."),
+    ("cameras", GONE): Policy(3, "Check the cameras' power and cables."),
+    ("cameras", GARBLED): Policy(3, "Check the cameras' cables and settings."),
+    ("cameras", REFUSES): Policy(2, "Look at the cameras: lens caps, light, focus, trigger."),
+}
+
+
+def instrument_of(fault: InstrumentError) -> str | None:
+    """Whose fault it is, by who the error names; None where it is no instrument's."""
+    who = fault.who.lower()
+    if "camera" in who:
+        return "cameras"
+    first = who.replace(":", " ").split()[0] if who.split() else ""
+    return {"pump": "bath"}.get(first, first if first in INSTRUMENTS else None)
+
+
+def kind_of(fault: InstrumentError) -> str | None:
+    """Gone, garbled or refuses; None for what no second try can cure."""
+    if isinstance(fault, AnotherArmError | UnusableArmError):
+        return None
+    kinds = ((LinkError, GONE), (ProtocolError, GARBLED), (DeviceError, REFUSES))
+    return next((kind for error, kind in kinds if isinstance(fault, error)), None)
+
+
+def policy_for(fault: InstrumentError) -> Policy | None:
+    """What to do about ``fault``; None to end the run."""
+    instrument, kind = instrument_of(fault), kind_of(fault)
+    return POLICIES.get((instrument, kind)) if instrument and kind else None
+
+
+EVERY_S = 2.0  # between attempts to reach it
+HOMING = (
+    "The arm was lost: put its stylus on its peg, see that it is switched on, and leave the stylus"
+    " there."
+)
+SETTLED_S = 1.0
+
+
+class Recovery:
+    """Runs work that instruments may interrupt, and waits for them as long as the rig says.
+    ``look`` raises while the cameras give nothing usable.
+    """
+
+    def __init__(self, ctx: RunContext, look: Callable[[], None]) -> None:
+        self._ctx = ctx
+        self._look = look
+        self._patience_s = ctx.rig.rig.limits.away_s
+        self._missing: tuple[InstrumentError, Policy] | None = None
+        self.counts: Counter[str] = Counter()
+
+    def run(self, what: str, work: Callable[[], None]) -> None:
+        """Do ``work`` until it is done. Raises a fault that has no policy, or came too often, or
+        whose instrument does not come back.
+        """
+        tried: Counter[str] = Counter()
+        if self._missing:  # the wait was given up, and it may be back, but not where it was
+            self._pause(what, *self._missing, "still away")
+        while True:
+            self._ctx.check()
+            try:
+                return work()
+            except InstrumentError as fault:
+                # a stage that a trip has braked is not to be homed again
+                self._ctx.watch.check()
+                policy = policy_for(fault)
+                kind = f"{instrument_of(fault)} {kind_of(fault)}"
+                tried[kind] += 1
+                if policy is None or tried[kind] > policy.times:
+                    raise
+                self.counts[kind] += 1
+                self._pause(what, fault, policy, f"try {tried[kind]} of {policy.times}")
+
+    def _pause(self, what: str, fault: InstrumentError, policy: Policy, count: str) -> None:
+        """Until the instrument is back. Raises ``fault`` where it stays away."""
+        ctx, name = self._ctx, str(instrument_of(fault))
+        are = "are" if name == "cameras" else "is"
+        self._missing = (fault, policy)
+        started_s = ctx.clock.now()
+        if name == "arm":
+            ctx.ask(Release())
+        with ctx.states.during(RunState.PAUSED):
+            ctx.event("dropped out", f"{what}: {fault} ({count})")
+            then = f"{policy.check} It goes on by itself when the {name} {are} back."
+            ctx.events.warn(f"{fault}\nThe run is paused. {then}")
+            while not self._back(name):
+                if ctx.clock.now() - started_s >= self._patience_s:
+                    why = f"the {name} did not come back within {self._patience_s:g} s"
+                    ctx.event("given up", why)
+                    raise fault
+                ctx.wait(EVERY_S)
+            ctx.check()
+            told = f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s"
+            ctx.event("back", f"{told}; done again from its start: {what}")
+        self._missing = None
+
+    def _back(self, name: str) -> bool:
+        """Whether it is back: the arm signed on and homed on its peg, for it may have lost its
+        power; the stage restarted and homed; cameras that give a usable frame set.
+        """
+        ctx, devices = self._ctx, self._ctx.devices
+        ctx.events.state(f"waiting for the {name}")
+        try:
+            if name == "arm":
+                ctx.long("looking for the arm", 120.0)
+                devices.arm.recover(EVERY_S)
+                ctx.ask(Homing(HOMING))
+                devices.arm.home()
+            elif name == "stage" and devices.stage:
+                ctx.long("homing the stage again", 600.0)
+                devices.stage.reconnect()
+                ctx.look()  # a stage that a trip has braked meanwhile is not to move
+                devices.stage.home()
+            elif name == "cameras":
+                ctx.wait(SETTLED_S)
+                ctx.long("opening the cameras again", 60.0, silent=True)
+                if isinstance(devices.cameras, CameraSet):
+                    devices.cameras.reopen()
+                self._look()
+            else:
+                devices.bath.read()  # its driver connects again by itself
+        except InstrumentError:
+            return False
+        return True
+
+
+FILE, TAKEN = "wish.txt", "wish-taken.txt"
+REQUEST_POLL_S = 0.1
+PAUSE_POLL_S = 1.0
+REAL_S = 0.02  # of real time, for a second of virtual time
+PAUSE, GO_ON, SKIP, REPEAT, ABORT = "pause", "go on", "skip", "repeat", "abort"
+SHORT = {"p": PAUSE, "g": GO_ON, "go": GO_ON, "go-on": GO_ON, "s": SKIP, "r": REPEAT, "a": ABORT}
+HELP = "pause, go on, skip REASON, repeat REASON, abort"
+
+
+def read_wish(words: str) -> tuple[str, str]:
+    """The request and its reason. Raises ValueError for other words and for a missing reason."""
+    text = " ".join(words.split())
+    if (whole := SHORT.get(text.lower(), text.lower())) in (PAUSE, GO_ON, ABORT):
+        return whole, ""
+    first, _, reason = text.partition(" ")
+    wish = SHORT.get(first.lower(), first.lower())
+    if wish not in (SKIP, REPEAT):
+        raise ValueError(f"not understood: {text!r}. There are: {HELP}")
+    if not reason:
+        raise ValueError(f"{wish} needs a reason, for the record: {wish} the plate was touched")
+    return wish, reason
+
+
+def leave_wish(folder: Path, words: str) -> None:
+    """Leave a request for the run in ``folder``. Raises ConfigError for words that mean none, or
+    where it can't be written.
+    """
+    try:
+        wish, reason = read_wish(words)
+        write_synced(folder / FILE, f"{wish} {reason}\n".encode())
+    except ValueError as error:
+        raise ConfigError.plain(str(error)) from error
+    except OSError as error:
+        why = f"{folder / FILE} can't be written: {error.strerror or error}"
+        raise ConfigError.plain(why) from error
+
+
+def was_taken(folder: Path, clock: Clock, within_s: float) -> bool:
+    """Whether the run in ``folder`` took what was left for it within ``within_s``."""
+    until_s = clock.now() + within_s
+    while (folder / FILE).exists():
+        if clock.now() >= until_s:
+            return False
+        clock.sleep(REQUEST_POLL_S)
+    return True
+
+
+class Requests:
+    """Requests left in ``folder``, and lines from ``typed`` (None: nothing new)."""
+
+    def __init__(
+        self, folder: Path, typed: Callable[[], str | None], tell: Callable[[str], None]
+    ) -> None:
+        self._path, self._taken = folder / FILE, folder / TAKEN
+        self._typed = typed
+        self._tell = tell
+        self.paused = False
+
+    def forget(self) -> None:
+        """What was left for a bench that died before it took it isn't this one's."""
+        if words := self._left():
+            told = "Nobody took this in the last session, and it counts no more"
+            self._tell(f"{told}: {words.strip()}")
+
+    def look(self, *, amid: bool = True) -> None:
+        """Amid a trial or between two; raises OperatorAbort, amid a trial OperatorSkip and
+        OperatorRepeat too, or sets ``paused``.
+        """
+        for words in (self._left(), self._typed()):
+            if words and words.strip():
+                self._take(words, amid=amid)
+
+    def look_between(self) -> None:
+        """While no trial is in flight: there is none to skip or to repeat."""
+        self.look(amid=False)
+
+    def pause_if_asked(self, ctx: RunContext) -> None:
+        """Between two trials, while a pause is requested. Raises OperatorAbort, InterlockTrip."""
+        self.look_between()
+        if not self.paused:
+            return
+        with ctx.states.during(RunState.PAUSED):
+            how = f"teatbench control {ctx.store.folder} go on (or type: go on)"
+            ctx.events.warn(f"Paused, as asked. To go on: {how}")
+            while self.paused:
+                ctx.events.state("paused, as asked")
+                if isinstance(ctx.clock, VirtualClock):
+                    # whoever pauses lives in real time: the bath need not race through days
+                    RealClock().sleep(REAL_S)
+                ctx.wait(PAUSE_POLL_S)
+
+    def _take(self, words: str, *, amid: bool) -> None:
+        try:
+            wish, reason = read_wish(words)
+        except ValueError as error:
+            self._tell(str(error))
+            return
+        if wish == ABORT:
+            raise OperatorAbort("somebody told the run to end")
+        if wish in (PAUSE, GO_ON):
+            if wish == PAUSE and not self.paused:
+                self._tell("The run pauses before its next trial.")
+            self.paused = wish == PAUSE
+        elif amid:
+            self._tell(f"As told: {wish} {reason}")
+            raise OperatorSkip(reason) if wish == SKIP else OperatorRepeat(reason)
+        else:
+            self._tell(f"No trial is in flight just now, so nothing is done about: {wish} {reason}")
+
+    def _left(self) -> str | None:
+        """Taken away first, then read: a wish that is left meanwhile is the next look's."""
+        try:
+            self._path.replace(self._taken)
+            words = self._taken.read_text(encoding="utf-8", errors="replace")
+            self._taken.unlink()
+        except OSError:  # there is none, or a system that locks files is just writing it
+            return None
+        return words
