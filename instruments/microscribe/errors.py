@@ -1,8 +1,4 @@
-"""Errors of the arm's driver under ``instruments.errors``, and a guess at which other device
-answered.
-
-Raise the most exact one, catch the one that you can act on.
-"""
+"""Errors of the arm's driver, and a guess at which other device answered the sign-on."""
 
 from __future__ import annotations
 
@@ -13,15 +9,11 @@ from instruments.microscribe.protocol import BEGIN, SYNC
 
 
 class NoMicroScribeError(ProtocolError):
-    """Another device, or a loop-back plug, answers the sign-on. Damaged answers of an arm are a
-    ProtocolError.
-    """
+    """Another device, or a loop-back plug, answers the sign-on."""
 
 
 class UnusableArmError(ProtocolError):
-    """An arm whose positions can't be computed, or no arm but an interface box; asking again
-    doesn't help.
-    """
+    """An arm whose positions can't be computed, or an interface box; asking again doesn't help."""
 
 
 class AnotherArmError(DeviceError):
@@ -44,25 +36,15 @@ class ArmMovesError(LimitError):
     """The packets of a reading are further apart than a still tip's."""
 
 
-# what a refusal or a short answer has; longer ones are not what IMMC gets
-_FRAME_BYTES = range(5, 17)
+_FRAME_BYTES = range(5, 17)  # of a refusal or a short answer
 
 
 def _modbus(seen: bytes) -> bool:
-    """Whether it ends in a Modbus RTU frame: its last two bytes are a CRC-16 (serial line guide,
-    6.2.2).
-    """
+    """Whether it ends in a Modbus RTU frame, whose last two bytes are a CRC-16."""
+    from pymodbus.framer import FramerRTU  # slow to import
+
     frames = (seen[-length:] for length in _FRAME_BYTES if length <= len(seen))
-    return any(_crc16(frame[:-2]) == int.from_bytes(frame[-2:], "little") for frame in frames)
-
-
-def _crc16(data: bytes) -> int:
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
-    return crc
+    return any(FramerRTU.compute_CRC(f[:-2]) == int.from_bytes(f[-2:], "big") for f in frames)
 
 
 def _text(seen: bytes) -> bool:

@@ -13,9 +13,15 @@ from instruments.clock import RealClock, VirtualClock
 from instruments.link import Link
 from instruments.listener import Listener
 from instruments.microscribe.configuration import StreamRequest
-from instruments.microscribe.emulator import ArmEmulator, Look, Trigger
+from instruments.microscribe.emulator import (
+    ArmEmulator,
+    KinematicError,
+    Look,
+    Mechanics,
+    Trigger,
+    workspace,
+)
 from instruments.microscribe.kinematics import OutOfReachError
-from instruments.microscribe.mechanics import KinematicError, Mechanics, workspace
 from instruments.microscribe.protocol import PacketDecoder, State
 from tests.instruments.microscribe.rigs import AT_REST, POINT, UNIT, UP, Hand, Host
 
@@ -299,7 +305,7 @@ def test_a_perfect_arm_stands_where_the_hand_holds_it_and_follows(grip: Hand) ->
         assert arm.counts(1) == np.rint(pose.counts).tolist()
         assert np.linalg.norm(ARM.forward(arm.counts(2))[0] - point) < 0.4
     grip.point = None
-    assert arm.counts(3) == list(UNIT.home)
+    assert arm.counts(3) == UNIT.home
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

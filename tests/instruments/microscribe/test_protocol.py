@@ -7,6 +7,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Callable, Iterable
+from dataclasses import astuple
+from functools import partial
 
 import pytest
 from hypothesis import given
@@ -247,22 +249,22 @@ def test_a_name_that_is_none_is_refused(reply: bytes) -> None:
 def test_maxima() -> None:
     maxima = Maxima(3, 16383, (0,) * 8, 0, (16383, 16383, 8191, 4095, 4095, 0))
     assert conf.decode_maxima(MAXIMA) == maxima
-    assert conf.encode_maxima(maxima) == MAXIMA
+    assert conf.encode(Code.MAXIMA, *astuple(maxima)) == MAXIMA
     assert maxima.turns == (16384, 16384, 8192, 4096, 4096, 0)
 
 
 def test_parameters() -> None:
     parameters = conf.decode_parameters(PARAMETERS)
-    assert conf.encode_parameters(parameters) == PARAMETERS
+    assert conf.encode(Code.PARAMETERS, *astuple(parameters)) == PARAMETERS
     assert parameters.d == (8300, -878, -3, 9244, 320, -5274)
 
 
 def test_extended_parameters() -> None:
-    assert conf.decode_extended(EXTENDED) == 3
-    assert conf.encode_extended(3) == EXTENDED
-    assert conf.decode_extended(bytes.fromhex("D3 02 FFFD")) == -3
+    assert conf.decode(Code.EXTENDED, EXTENDED) == (3,)
+    assert conf.encode(Code.EXTENDED, 3) == EXTENDED
+    assert conf.decode(Code.EXTENDED, bytes.fromhex("D3 02 FFFD")) == (-3,)
     with pytest.raises(WireError, match="doesn't fit"):
-        conf.encode_extended(40000)
+        conf.encode(Code.EXTENDED, 40000)
 
 
 @pytest.mark.parametrize("reply", [MAXIMA[:-1], MAXIMA + b"\0", b"\xc0" + MAXIMA[1:], b""])
@@ -296,11 +298,19 @@ def test_any_parameters_come_back(
     alpha: tuple[int, ...], a: tuple[int, ...], d: tuple[int, ...]
 ) -> None:
     parameters = Parameters(alpha, a, d)
-    assert conf.decode_parameters(conf.encode_parameters(parameters)) == parameters
+    encoded = conf.encode(Code.PARAMETERS, *astuple(parameters))
+    assert conf.decode_parameters(encoded) == parameters
 
 
 @pytest.mark.parametrize(
-    "decode", [conf.decode_maxima, conf.decode_parameters, conf.decode_extended, conf.decode_stream]
+    "decode",
+    [
+        conf.decode_maxima,
+        conf.decode_parameters,
+        conf.decode_stream,
+        partial(conf.decode, Code.EXTENDED),
+        partial(conf.decode, Code.HOME),
+    ],
 )
 @given(
     st.sampled_from([b"", b"\xc6", b"\xc0", b"\xc0\x24", b"\xd3\x02", b"\xcf"]),
@@ -315,10 +325,10 @@ def test_garbage_raises_nothing_but_ours(
 
 def test_the_stream_command_has_25_bytes_or_27() -> None:
     fixed = StreamRequest(10, 0x03)
-    assert conf.encode_stream(fixed) == bytes.fromhex("CF 000A 03") + bytes(21)
+    assert conf.encode(Code.STREAM, *astuple(fixed)) == bytes.fromhex("CF 000A 03") + bytes(21)
     assert fixed.fixed_rate
     sevenfold = StreamRequest(258, 0x02, 3, (1, 2, 3, 4, 5, 6, 7, 8), (1, 2, 3, 4, 5, 6, 7))
-    data = conf.encode_stream(sevenfold)
+    data = conf.encode(Code.STREAM, *astuple(sevenfold))
     assert len(data) == 27
     assert conf.decode_stream(data) == sevenfold
     assert not sevenfold.fixed_rate
