@@ -21,13 +21,11 @@ class Camera(Protocol):
         ...
 
     def begin(self) -> None:
-        """Trigger, or make sure that the next frame is a fresh one. Does not wait for it."""
+        """Trigger, or ask for a fresh frame. Does not wait for it."""
         ...
 
     def take(self) -> RawFrame:
-        """The frame that ``begin`` asked for. Raises FrameError for a bad frame, LinkError when
-        gone.
-        """
+        """The frame that ``begin`` asked for. Raises FrameError, or LinkError when gone."""
         ...
 
     def close(self) -> None:
@@ -62,9 +60,7 @@ class CameraSet:
         self._open()
 
     def capture(self) -> FrameSet:
-        """Expose all cameras as nearly together as possible. Raises FrameError, LinkError,
-        ProtocolError.
-        """
+        """Expose all cameras together. Raises FrameError, LinkError, ProtocolError."""
         for camera in self._cameras.values():
             camera.begin()
         raw = {name: camera.take() for name, camera in self._cameras.items()}

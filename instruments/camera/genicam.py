@@ -1,8 +1,5 @@
 """A GigE Vision or USB3 Vision camera, optical or radiometric, through Aravis, which is loaded on
-demand.
-
-Features are set by name and read back. A buffer with missing packets or of another size is a named
-fault, never a picture. The camera's own time stamps are brought to the bench's clock.
+demand. A buffer with missing packets or of another size is a named fault, never a picture.
 """
 
 from __future__ import annotations
@@ -13,7 +10,6 @@ from collections.abc import Callable
 from typing import Any
 
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
-from instruments.camera.live import DeviceTime
 from instruments.camera.pixel_formats import unpack
 from instruments.camera.settings import ReadBack, Settings, Value
 from instruments.clock import Clock
@@ -30,6 +26,30 @@ DAMAGED = dict.fromkeys(
     ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT"), FrameFault.LOST_PACKETS
 ) | {"SIZE_MISMATCH": FrameFault.HALF}
 FAKE = "Fake_"  # how the library's own camera in this process is named
+DRIFT = 1e-4  # two crystals of 50 ppm each
+KEPT_S = 600.0  # frames older than this say no more than their drift
+
+
+class DeviceTime:
+    """A camera's stamps on the bench's clock. A frame arrives after its stamp, so the least
+    difference, aged by the clocks' drift, is the offset. A stamp that goes back starts anew.
+    """
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[float, float]] = []  # arrival and offset, s on the bench's clock
+        self._last_s = float("-inf")
+
+    def bench_s(self, device_s: float, arrived_s: float) -> float:
+        """Exposure time of a frame with stamp ``device_s`` (0: none) that came at ``arrived_s``."""
+        if device_s <= 0.0:
+            return arrived_s
+        if device_s < self._last_s:
+            self._seen.clear()
+        self._last_s = device_s
+        self._seen = [seen for seen in self._seen if arrived_s - seen[0] <= KEPT_S]
+        self._seen.append((arrived_s, arrived_s - device_s))
+        offset_s = min(offset + DRIFT * (arrived_s - at) for at, offset in self._seen)
+        return min(device_s + offset_s, arrived_s)
 
 
 def load_aravis() -> Any:
@@ -38,17 +58,9 @@ def load_aravis() -> Any:
         gi = importlib.import_module("gi")
         gi.require_version("Aravis", "0.8")
         return importlib.import_module("gi.repository.Aravis")
-    # ValueError: the binding is there, the library isn't
-    except (ImportError, ValueError) as error:
-        raise DeviceError(
-            "genicam cameras", f"the library can't be loaded: {error}", hint=INSTALL
-        ) from error
-
-
-def found_cameras(aravis: Any) -> list[str]:
-    """Names of the cameras that answer on the network and on USB; takes a second."""
-    aravis.update_device_list()
-    return [str(aravis.get_device_id(i)) for i in range(aravis.get_n_devices())]
+    except (ImportError, ValueError) as error:  # ValueError: a binding without the library
+        what = f"the library can't be loaded: {error}"
+        raise DeviceError("genicam cameras", what, hint=INSTALL) from error
 
 
 def set_all(who: str, camera: Any, settings: Settings, failure: type[Exception]) -> tuple[str, ...]:
@@ -63,30 +75,24 @@ def set_all(who: str, camera: Any, settings: Settings, failure: type[Exception])
         "exposure": (lambda us: _set_exposure(camera, us), camera.get_exposure_time),
         "gain": (camera.set_gain, camera.get_gain),
     }
-    asked = [
-        (name, value, *way)
-        for name, way in ways.items()
-        if (value := getattr(settings, name)) is not None
-    ]
-    for name, value in settings.features.items():
-        asked.append((name, value, *_by_name(who, camera.get_device(), name)))
+    ways |= {name: _by_name(who, camera.get_device(), name) for name in settings.features}
+    asked = {name: getattr(settings, name, None) for name in ways} | dict(settings.features)
     taken = []
-    for name, value, write, read in asked:
+    for name, (write, read) in ways.items():
         try:
-            write(value)
-            taken.append((name, value, read))
+            if asked[name] is not None:
+                write(asked[name])
+                taken.append((name, read))
         except (failure, DeviceError) as error:
-            back.refused(name, f"{name} was refused: {_message(error)}")
-    for name, value, read in taken:  # all set before any is read: one may change another
+            why = error.what if isinstance(error, DeviceError) else getattr(error, "message", error)
+            back.refused(name, f"{name} was refused: {why}")
+    for name, read in taken:  # all set before any is read: one may change another
         try:
-            back.compare(name, value, read())
+            back.compare(name, asked[name], read())
         except failure as error:
-            back.refused(name, f"{name} can't be read back: {_message(error)}")
+            why = getattr(error, "message", error)
+            back.refused(name, f"{name} can't be read back: {why}")
     return back.finish()
-
-
-def _message(error: Exception) -> str:
-    return error.what if isinstance(error, DeviceError) else str(getattr(error, "message", error))
 
 
 def _set_exposure(camera: Any, exposure_us: float) -> None:
@@ -122,18 +128,16 @@ def _by_name(
 
 def feature_names(device: Any) -> list[str]:
     """All features that a camera lists, by its categories."""
-    names: list[str] = []
-    open_, seen = ["Root"], set()
-    while open_:
-        name = open_.pop()
-        found = device.get_feature(name)
-        if found is None or name in seen:
+    names, categories, seen = set(), ["Root"], set()
+    while categories:
+        name = categories.pop()
+        if name in seen or (found := device.get_feature(name)) is None:
             continue
         seen.add(name)
         if hasattr(found, "get_features"):
-            open_ += list(found.get_features())
+            categories += found.get_features()
         else:
-            names.append(name)
+            names.add(name)
     return sorted(names)
 
 
@@ -172,13 +176,15 @@ class GenicamCamera:
         self._lost_control = False
         try:
             notes = set_all(self._who, self._camera, self._settings, self._failure)
-            self._identity = "; ".join([self._described(), *notes])
+            c, (width, height) = self._camera, _size(self._camera)
+            who = f"{c.get_vendor_name()} {c.get_model_name()} {c.get_device_serial_number()}"
+            size = f"({width} x {height}, {c.get_pixel_format_as_string()})"
+            self._identity = "; ".join([f"{who} {size}", *notes])
             self._start()
-        except self._failure as error:
+        except BaseException as error:
             self.close()
-            raise DeviceError(self._who, f"it refused: {error}") from error
-        except BaseException:
-            self.close()
+            if isinstance(error, self._failure):
+                raise DeviceError(self._who, f"it refused: {error}") from error
             raise
 
     @property
@@ -229,7 +235,7 @@ class GenicamCamera:
             self._stream = None
             try:
                 self._camera.stop_acquisition()
-            except self._failure:  # it has gone already, and with it whatever there was to stop
+            except self._failure:  # it has gone already
                 return
             finally:
                 self._camera = None
@@ -238,23 +244,19 @@ class GenicamCamera:
         try:
             camera = self._by_loopback(self._aravis.Camera.new(device or None))
         except self._failure as error:
-            there = ", ".join(found_cameras(self._aravis)) or "none"
-            hint = (
-                f"Cameras that answer: {there}. On a network the bench and the camera must be in"
-                " one subnet."
-            )
+            self._aravis.update_device_list()  # takes a second
+            known = map(self._aravis.get_device_id, range(self._aravis.get_n_devices()))
+            hint = f"Cameras that answer: {', '.join(known) or 'none'}."
+            hint += " On a network the bench and the camera must be in one subnet."
             raise LinkError(self._who, f"can't be opened: {error}", hint=hint) from error
         if not self._controls(camera):  # the library opens it, but every setting would time out
             what = "can't be opened: it is open already, here or in another program"
-            hint = (
-                "Is it twice in the rig file? Close the other program; a crashed one's hold soon"
-                " ends."
-            )
+            hint = "Is it twice in the rig file? Or close the other program."
             raise LinkError(self._who, what, hint=hint)
         return camera
 
     def _controls(self, camera: Any) -> bool:
-        """Whether this program may set and start the camera: on a network only one may."""
+        """Whether this program controls the camera; on a network only one can."""
         return not camera.is_gv_device() or bool(camera.get_device().is_controller())
 
     def _check_control(self) -> None:
@@ -275,8 +277,8 @@ class GenicamCamera:
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
     def _by_loopback(self, camera: Any) -> Any:
-        """The same camera; one on this machine, found through a network interface, is opened by its
-        address: frames from 127.0.0.1 never reach another interface.
+        """The same camera; one on this machine is opened by its address, since no frame from
+        127.0.0.1 reaches another interface.
         """
         if not camera.is_gv_device():
             return camera
@@ -287,12 +289,6 @@ class GenicamCamera:
             return camera
         del camera, device  # hands the control of the camera back
         return self._aravis.Camera.new(far.to_string())
-
-    def _described(self) -> str:
-        c = self._camera
-        who = f"{c.get_vendor_name()} {c.get_model_name()} {c.get_device_serial_number()}"
-        width, height = _size(c)
-        return f"{who} ({width} x {height}, {c.get_pixel_format_as_string()})"
 
     def _start(self) -> None:
         camera, settings = self._camera, self._settings
@@ -308,15 +304,10 @@ class GenicamCamera:
         camera.start_acquisition()
 
     def _pixels(self, buffer: Any) -> Any:
-        """Pixels and their bits. Raises FrameError for a damaged buffer, ProtocolError for none of
-        pixels.
-        """
+        """Pixels and their bits. Raises FrameError for a damaged buffer, else ProtocolError."""
         status = buffer.get_status().value_nick.upper().replace("-", "_")
         if status != "SUCCESS":
-            hint = (
-                "Raise the socket's buffer and the packet size (jumbo frames), or lower the frame"
-                " rate."
-            )
+            hint = "Raise the socket's buffer and the packet size, or lower the frame rate."
             what = f"a frame's buffer came with status {status}"
             raise self._fault(DAMAGED.get(status, FrameFault.DROPPED), what, hint)
         kind = buffer.get_payload_type().value_nick

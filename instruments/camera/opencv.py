@@ -1,24 +1,24 @@
 """A camera through OpenCV: a device's number or path, a video file, or a stream (`http://` MJPEG,
-`rtsp://`).
-
-Live sources are read without pause (`live`), files frame by frame. Settings are read back.
+`rtsp://`). Live sources are read without pause, files frame by frame.
 """
 
 from __future__ import annotations
 
 import math
+import threading
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
-from instruments.camera.live import LiveReader
 from instruments.camera.settings import ReadBack, Settings
 from instruments.clock import Clock
 from instruments.errors import LinkError
 
 Source = int | str
-SILENCE_MS = 5000  # a stream that says nothing for so long is gone
+SILENCE_MS = 5000  # a stream that is silent for so long is gone
+LOOK_S = 0.002
 PATIENCE_S = 2.0  # the longest exposure and interval that a frame may take
 SIZE = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 NUMBERS = {"fps": cv2.CAP_PROP_FPS, "exposure": cv2.CAP_PROP_EXPOSURE, "gain": cv2.CAP_PROP_GAIN}
@@ -39,6 +39,64 @@ def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
     """Width and height, 0 where the backend tells none."""
     width, height = (capture.get(prop) for prop in SIZE)
     return round(width), round(height)
+
+
+class LiveReader:
+    """Fresh frames: a thread grabs all the time and decodes on request, since OpenCV keeps frames
+    that were not taken. Owns ``capture`` from now on; to be closed.
+    """
+
+    def __init__(self, capture: cv2.VideoCapture, clock: Clock, name: str) -> None:
+        self._capture = capture
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._wanted_s = math.inf
+        self._got: tuple[NDArray[np.uint8] | None, float] | None = None
+        self._closing = False
+        self.broken = False
+        self._thread = threading.Thread(target=self._read, name=f"{name} camera", daemon=True)
+        self._thread.start()
+
+    def ask(self) -> None:
+        """The next frame that arrives whole from now on is wanted."""
+        with self._lock:
+            self._got, self._wanted_s = None, self._clock.now()
+
+    def answer(self, patience_s: float) -> tuple[NDArray[np.uint8] | None, float] | None:
+        """The frame (None: undecodable) and its arrival; None where none came in ``patience_s``."""
+        end_s = self._clock.now() + patience_s
+        while self._clock.now() < end_s:
+            with self._lock:
+                if self._got is not None:
+                    return self._got
+            if self.broken:
+                return None
+            self._clock.sleep(LOOK_S)
+        return None
+
+    def close(self) -> None:
+        """End the thread once it has its frame, or its source's time-out; may be called again."""
+        self._closing = True
+        self._thread.join()
+
+    def _read(self) -> None:
+        try:
+            while not self._closing:
+                began_s = self._clock.now()
+                if not self._capture.grab():
+                    self.broken = True
+                    return
+                arrived_s = self._clock.now()
+                if began_s < self._wanted_s:
+                    continue
+                good, image = self._capture.retrieve()
+                whole = good and image is not None
+                with self._lock:
+                    if began_s >= self._wanted_s:  # not asked anew meanwhile
+                        self._wanted_s = math.inf
+                        self._got = np.asarray(image, np.uint8) if whole else None, arrived_s
+        finally:
+            self._capture.release()
 
 
 class OpenCvCamera:

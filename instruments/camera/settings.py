@@ -1,6 +1,4 @@
-"""A camera's settings and whether they took: each is read back; a failure is an error unless it was
-a try.
-"""
+"""A camera's settings and whether they took: a failure is an error unless it was a try."""
 
 from __future__ import annotations
 
@@ -57,10 +55,9 @@ class ReadBack:
     def finish(self) -> tuple[str, ...]:
         """The notes about tries. Raises DeviceError where anything else did not take."""
         if self._wrong:
+            what = f"settings did not take: {'; '.join(self._wrong)}"
             hint = "Ask for what the camera offers, or name the setting in the rig file's try."
-            raise DeviceError(
-                self._who, f"settings did not take: {'; '.join(self._wrong)}", hint=hint
-            )
+            raise DeviceError(self._who, what, hint=hint)
         return tuple(self.notes)
 
 

@@ -1,13 +1,17 @@
-"""An operator who is asked in words, with the run's progress; the terminal and the file of answers
-are two of them.
+"""Operators who are asked in words, with the run's progress; one answers from a list.
+
+Answers of the list go in order, each to the first prompt that it fits; other prompts get
+``otherwise`` by kind. A prompt without either and answers left over are errors.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import get_args
 
+from instruments.errors import ProtocolError
 from instruments.operators.operator import (
     DONE,
     Answer,
@@ -18,8 +22,12 @@ from instruments.operators.operator import (
     CheckPoint,
     Finish,
     Homing,
+    Kind,
     NextTrial,
+    NotUnderstoodError,
     Operator,
+    OperatorAbort,
+    OperatorEnough,
     OperatorRepeat,
     OperatorSkip,
     Prompt,
@@ -29,8 +37,12 @@ from instruments.operators.operator import (
     Touch,
     no_check,
     time_left,
+    understood,
 )
 
+# in an answer that names hidden ends; how many there are is known only when it is given
+MOST_TEATS = 99
+KINDS: tuple[Kind, ...] = tuple(kind for kind in get_args(Kind) if kind != "task")
 LEANS = (
     "upright",
     "leaning to the left",
@@ -41,7 +53,7 @@ LEANS = (
 
 
 class PromptedOperator(ABC):
-    """``hands``, if given, do what was agreed: emulated ones, that follow each "go on"."""
+    """``hands``, if given, do what each "go on" agreed to: emulated ones."""
 
     hands: Operator | None = None
     _trial: NextTrial | None = None
@@ -49,15 +61,13 @@ class PromptedOperator(ABC):
 
     @abstractmethod
     def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
-        """The numbers of hidden teat ends in the answer; ``check`` is called while it waits. Raises
-        OperatorAbort, OperatorSkip, OperatorRepeat, what ``check`` raises, and ProtocolError.
-        """
+        """The numbers of hidden teat ends in the answer. Raises as `Operator.ask`."""
 
     @abstractmethod
     def say(self, text: str) -> None:
         """Show ``text``."""
 
-    def finish(self) -> None:  # noqa: B027 - a person's answers are never left over
+    def finish(self) -> None:  # noqa: B027 - not abstract: a person's answers are never left over
         """Nothing more will be asked. Raises ProtocolError where answers are left over."""
 
     def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
@@ -109,8 +119,16 @@ class PromptedOperator(ABC):
                 scene = f"Situation {request.situation}, layout {request.phantom.name}:"
                 text, hidden_to = f"{scene}\n{request.instruction}", request.teats
                 return Prompt("set up", text, progress=self._progress(), hidden_to=hidden_to)
-            case Touch():
-                return self._touch(request)
+            case Touch(teat, of):
+                teats = self._stands[0].phantom.teats if self._stands else ()
+                name = teats[teat - 1].name if teat <= len(teats) else ""
+                which = f"{teat} ({name})" if name else teat
+                do = "Once more: touch" if request.again else "Touch"
+                text = f"{do} the end of teat {which} of {of} with the tip and hold it still."
+                repeated = f"touch {request.number} of {request.numbers}"
+                each = [repeated] if request.numbers > 1 else []
+                progress = self._progress(f"teat {teat} of {of}", *each)
+                return Prompt("touch", text, progress=progress, pedal=True)
             case BoardAsked():
                 at = f"{'position' if request.fixed else 'view'} {request.number}"
                 text, enough = request.instruction, not request.fixed
@@ -120,20 +138,121 @@ class PromptedOperator(ABC):
             case Task(text, pedal):
                 return Prompt("task", text, pedal=pedal)
 
-    def _touch(self, request: Touch) -> Prompt:
-        teats = self._stands[0].phantom.teats if self._stands else ()
-        teat, of = request.teat, request.of
-        name = teats[teat - 1].name if teat <= len(teats) else ""
-        which = f"{teat} ({name})" if name else teat
-        do = "Once more: touch" if request.again else "Touch"
-        text = f"{do} the end of teat {which} of {of} with the tip and hold it still."
-        each = [f"touch {request.number} of {request.numbers}"] if request.numbers > 1 else []
-        progress = self._progress(f"teat {teat} of {of}", *each)
-        return Prompt("touch", text, progress=progress, pedal=True)
-
     def _progress(self, *further: str) -> str:
         if self._trial is None:
             return ", ".join(further)
         said = ", ".join([f"trial {self._trial.number} of {self._trial.of}", *further])
         left_s = self._trial.left_s
         return said if left_s is None else f"{said}; {time_left(left_s)}"
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptedAnswer:
+    """``answer`` as typed, ``times`` times to prompts of kind ``to`` that contain ``says``.
+    ``where``: its place in the file. Raises ValueError for an answer that no such prompt
+    understands.
+    """
+
+    to: Kind
+    answer: str
+    says: str = ""
+    times: int = 1
+    where: str = ""
+
+    def __post_init__(self) -> None:
+        check_answer(self.to, self.answer)
+        if self.times < 1:
+            raise ValueError(f"an answer is given at least once, not {self.times} times")
+
+    def fits(self, prompt: Prompt) -> bool:
+        """Whether it answers this prompt."""
+        text = f"{prompt.progress} {prompt.text}".lower()
+        return prompt.kind == self.to and self.says.lower() in text
+
+    def __str__(self) -> str:
+        says = f" that says {self.says!r}" if self.says else ""
+        where = f" ({self.where})" if self.where else ""
+        return f"{self.answer!r} to a prompt of the kind {self.to!r}{says}{where}"
+
+
+def check_answer(to: Kind, answer: str) -> None:
+    """Raises ValueError for an answer that a prompt of the kind ``to`` can't be given."""
+    prompt = Prompt(to, "", hidden_to=MOST_TEATS if to == "set up" else 0, enough=to == "board")
+    try:
+        understood(answer, prompt)
+    except NotUnderstoodError as error:
+        hidden = ', "hidden 2 4"' if to == "set up" else ""
+        trial = f', "skip REASON", "repeat"{hidden}' if prompt.in_trial else ""
+        enough = ', "enough"' if prompt.enough else ""
+        there = f'to a prompt of the kind "{to}" there are "go"{trial}{enough}, "abort"'
+        raise ValueError(f"{str(error).rstrip('.')}; {there}") from error
+    except OperatorSkip as skip:
+        if not skip.reason:
+            raise ValueError('"skip" needs a reason: "skip the teat came off"') from skip
+    except (OperatorAbort, OperatorRepeat, OperatorEnough):
+        return
+
+
+class ScriptedAnswers(PromptedOperator):
+    """Answers from a list. ``source`` is for errors, ``show`` gets prompts and answers."""
+
+    def __init__(
+        self,
+        answers: Sequence[ScriptedAnswer],
+        otherwise: Mapping[Kind, str],
+        source: str,
+        *,
+        show: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._answers = [one for one in answers for _ in range(one.times)]
+        self._otherwise = dict(otherwise)
+        self._source = source
+        self._show = show
+        self._given = 0
+        for kind, answer in otherwise.items():
+            check_answer(kind, answer)
+
+    def say(self, text: str) -> None:
+        self._show(text)
+
+    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+        check()
+        answer = self._next(prompt)
+        self._show(f"{_words(prompt)} > {answer}")
+        try:
+            return understood(answer, prompt)
+        except NotUnderstoodError as error:
+            what, hint = (
+                f"{error} There are {prompt.hidden_to} teats here",
+                f"Correct {self._source}.",
+            )
+            asked = f"{prompt.kind}: {_words(prompt)}"
+            raise ProtocolError("operator", what, asked=asked, hint=hint) from error
+
+    def finish(self) -> None:
+        if left := self._answers[self._given :]:
+            what = (
+                f"the run has ended and {len(left)} answers of {self._source} were never asked for"
+            )
+            hint = "Take them out, or correct the prompts that they are for."
+            raise ProtocolError("operator", f"{what}; the first is {left[0]}", hint=hint)
+
+    def _next(self, prompt: Prompt) -> str:
+        following = next(iter(self._answers[self._given :]), None)
+        if following and following.fits(prompt):
+            self._given += 1
+            return following.answer
+        if prompt.kind in self._otherwise:
+            return self._otherwise[prompt.kind]
+        what, asked = (
+            f"{self._source} has no answer to this prompt",
+            f"{prompt.kind}: {_words(prompt)}",
+        )
+        seen = str(following) if following else "no further answer"
+        add = f'Add an answer to = "{prompt.kind}" before it'
+        hint = f'{add}, or one for all such prompts under "otherwise".'
+        raise ProtocolError("operator", what, asked=asked, seen=seen, hint=hint)
+
+
+def _words(prompt: Prompt) -> str:
+    return f"[{prompt.progress}] {prompt.text}" if prompt.progress else prompt.text

@@ -1,7 +1,6 @@
-"""The emulated operator of another process ('teatbench emulate').
-
-A line of JSON asks, ``{"do": "touch", "with": {"teat": 2, "of": 4}}``; a line answers: ``{"done":
-{"visible": []}}``, ``{"enough": "..."}`` or ``{"refused": "..."}``.
+"""The emulated operator of another process ('teatbench emulate'), asked in lines of JSON:
+``{"do": "touch", "with": {"teat": 2, "of": 4}}``. A line answers: ``{"done": {"visible": []}}``,
+``{"enough": "..."}`` or ``{"refused": "..."}``.
 """
 
 from __future__ import annotations

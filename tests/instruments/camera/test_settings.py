@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.camera.live import DRIFT, DeviceTime
+from instruments.camera.genicam import DRIFT, DeviceTime
 from instruments.camera.settings import ReadBack, same
 from instruments.errors import DeviceError
 

@@ -14,7 +14,7 @@ from instruments.clock import VirtualClock
 from instruments.operators.console import Console
 from instruments.operators.emulated import EmulatedOperator, Mistake
 from instruments.operators.operator import Arrangement, Operator
-from instruments.operators.script import KINDS, ScriptedAnswers
+from instruments.operators.prompted import KINDS, ScriptedAnswers
 from instruments.world.optics import cameras_from_calibration
 from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer

@@ -18,7 +18,7 @@ from instruments.operators.operator import (
     OperatorAbort,
     OperatorEnough,
 )
-from instruments.operators.script import ScriptedAnswer, ScriptedAnswers
+from instruments.operators.prompted import ScriptedAnswer, ScriptedAnswers
 from instruments.world.boards import Pattern
 from tests.instruments.operators.people import hands, person, world
 

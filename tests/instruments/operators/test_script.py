@@ -20,7 +20,7 @@ from instruments.operators.operator import (
     OperatorSkip,
     Touch,
 )
-from instruments.operators.script import ScriptedAnswer, ScriptedAnswers
+from instruments.operators.prompted import ScriptedAnswer, ScriptedAnswers
 from tests.instruments.operators.people import arrangement
 
 
