@@ -120,9 +120,7 @@ def spoiled(
         elif fault is FrameFault.FROZEN and last is not None:
             new = {part: getattr(last, part) for part in old}
         elif fault is FrameFault.HALF:
-            new = {
-                p: np.where(np.arange(len(i))[:, None] < len(i) // 2, i, 0) for p, i in old.items()
-            }
+            new = {part: _upper_half(image) for part, image in old.items()}
         elif camera == "thermal":
             new = _spoiled_thermal(fault, old["thermal"], old["thermal_ck"], amount, rng)
         elif fault is FrameFault.BLACK:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from instruments.errors import LimitError, LinkError, ProtocolError
+from instruments.errors import LinkError, ProtocolError
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.errors import (
     AnotherArmError,
@@ -19,7 +19,6 @@ from instruments.microscribe.errors import (
     SilentArmError,
     UnusableArmError,
 )
-from instruments.microscribe.faults import Fault
 from instruments.microscribe.protocol import State
 from tests.instruments.microscribe.rigs import POINT, UNIT, UP, Rig, renamed
 
@@ -106,21 +105,6 @@ def test_no_position_before_homing_is_confirmed_in_each_session(rig: Rig) -> Non
         driver.read()
 
 
-def test_home_reloads_the_counts_on_the_peg(make: Callable[..., Rig]) -> None:
-    rig = make(accuracy_mm=0.0)
-    rig.hand.point = POINT
-    rig.arm.power_cycle()
-    rig.hand.point = None
-    driver = rig.driver()
-    driver.sign_on()
-    assert driver.poll().counts != UNIT.home
-    driver.home()
-    assert driver.homed
-    assert driver.poll().counts == UNIT.home
-    rig.hand.point = POINT
-    assert np.linalg.norm(driver.read(32).tip_mm - POINT) < 0.3
-
-
 def test_homing_that_is_not_confirmed_by_the_arm_does_not_count(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.arm.faults.inject("silent", 1)
@@ -145,16 +129,6 @@ def test_a_reading_is_refused_while_the_arm_moves_and_of_nothing(rig: Rig) -> No
         driver.position([])
 
 
-@pytest.mark.parametrize("fault", [Fault.BIT_7, Fault.LOST_BYTE, Fault.GARBAGE, Fault.SILENT])
-def test_a_damaged_packet_is_asked_for_again(rig: Rig, fault: Fault) -> None:
-    driver = rig.signed_on()
-    for _ in range(20):
-        rig.arm.faults.inject(fault, 1)
-        assert driver.poll().counts == UNIT.home
-    # a lost header leaves no packet to call damaged
-    assert driver.damaged >= (15 if fault in (Fault.BIT_7, Fault.LOST_BYTE) else 0)
-
-
 def test_packets_that_are_always_damaged_are_refused(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.arm.faults.inject("bit 7 in payload")
@@ -162,21 +136,6 @@ def test_packets_that_are_always_damaged_are_refused(rig: Rig) -> None:
         driver.poll()
     rig.arm.faults.clear("bit 7 in payload")
     driver.read()
-
-
-def test_a_flipped_bit_shows_as_motion(rig: Rig) -> None:
-    driver = rig.signed_on()
-    refused = 0
-    for _ in range(30):
-        rig.arm.faults.inject("flipped bit", 1)
-        try:
-            tip = driver.read().tip_mm
-        except LimitError:
-            refused += 1
-        # a low bit, a joint that is none, or the buttons: no further off than the spread allows
-        else:
-            assert np.hypot(*tip[:2]) == pytest.approx(75, abs=1)
-    assert refused > 5
 
 
 def test_a_late_answer_is_not_taken_for_the_next_one(rig: Rig) -> None:
@@ -294,15 +253,3 @@ def test_what_is_refused_for_good_is_not_tried_again(rig: Rig) -> None:
     with pytest.raises(UnusableArmError):
         driver.recover(60.0)
     assert rig.clock.now() - start < 2.0
-
-
-def test_safe_ends_the_session_once(rig: Rig) -> None:
-    driver = rig.signed_on()
-    assert not driver.moves
-    driver.safe()
-    heard = rig.ear.heard
-    driver.safe()
-    assert rig.ear.heard == heard
-    assert heard.endswith(b"\xc5")
-    with pytest.raises(NoSessionError, match="no session"):
-        driver.poll()

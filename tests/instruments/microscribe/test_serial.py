@@ -132,18 +132,6 @@ def test_an_adapter_of_one_millisecond_polls_as_the_sheet_says_at_best(bench: Be
     assert 20.0 < rate_hz <= 434.4, "a loaded machine is slower, the wire never faster"
 
 
-@pytest.mark.slow
-def test_a_session_that_was_left_at_another_rate_is_found_on_a_serial_port(bench: Bench) -> None:
-    bench.arm.faults.inject(Fault.WRONG_BAUD, 1, amount=38400)
-    driver = bench.signed_on()
-    assert driver.baud == 38400
-    assert driver.poll().counts == UNIT.home
-    with pytest.raises(NotHomedError, match="another baud rate"):
-        driver.confirm_homed()
-    driver.close()  # the end of the session is received: the arm finds its rate anew
-    assert bench.arm.state is State.FINDING_BAUD
-
-
 def test_the_arm_changes_its_rate_with_the_host_and_takes_no_other(bench: Bench) -> None:
     bench.arm.faults.inject(Fault.WRONG_BAUD, 1, amount=9600)
     link = Link(str(bench.name), bench.clock, who="host", baud=38400)
@@ -207,12 +195,6 @@ def test_a_port_that_another_program_has_open(bench: Bench) -> None:
         LinkError, match=r"can't be opened.*Another program has the port open: close it.*fuser"
     ):
         Link(str(bench.name), bench.clock, who="arm")
-
-
-def test_a_port_that_is_not_there(bench: Bench) -> None:
-    there = r"Is the adapter plugged in, and the port's name right\? Serial ports on this machine"
-    with pytest.raises(LinkError, match=there):
-        Link(str(bench.name.with_name("ttyUSB9")), bench.clock, who="arm")
 
 
 def test_a_port_that_one_may_not_use(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

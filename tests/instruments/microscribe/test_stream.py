@@ -79,19 +79,6 @@ def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig, lost: i
     driver.read()
 
 
-@pytest.mark.parametrize("fault", ["lost byte", "bit 7 in payload", "garbage between packets"])
-def test_damage_costs_packets_and_nothing_else(rig: Rig, fault: str) -> None:
-    driver = rig.signed_on()
-    with driver.stream() as samples:
-        # one at a time: a byte lost in one packet and the header of the next make a packet that no
-        # rule refuses
-        for _ in range(20):
-            rig.arm.faults.inject(fault, 1)
-            assert {sample.counts for sample in itertools.islice(samples, 5)} == {UNIT.home}
-    assert driver.damaged >= (0 if fault == "garbage between packets" else 10)
-    assert driver.poll().counts == UNIT.home
-
-
 def test_questions_within_a_stream_are_refused(rig: Rig) -> None:
     driver = rig.signed_on()
     with driver.stream() as samples:
@@ -210,18 +197,3 @@ def test_events_alternate_and_agree_with_what_is_down(steps: list[tuple[int, int
             events[event.pedal].append(event.pressed)
         for pressed in events.values():
             assert pressed == [at % 2 == 0 for at in range(len(pressed))]
-
-
-def test_a_bouncing_contact_is_one_press(rig: Rig) -> None:
-    driver = rig.signed_on()
-    rig.arm.faults.inject("pedal bounce", amount=0.05)
-    start = rig.clock.now()
-    rig.clock.call_at(start + 0.2, lambda: setattr(rig.arm, "buttons", 1))
-    rig.clock.call_at(start + 0.6, lambda: setattr(rig.arm, "buttons", 0))
-    with driver.stream() as samples:
-        got = list(itertools.islice(samples, 720))
-    # the contacts did bounce
-    assert sum(a.buttons != b.buttons for a, b in itertools.pairwise(got)) > 2
-    debouncer = Debouncer()
-    events = [event for sample in got for event in debouncer.feed(sample.t_s, sample.buttons)]
-    assert [event.pressed for event in events] == [True, False]
