@@ -26,7 +26,6 @@ from instruments.operators.operator import (
     Touch,
     no_check,
 )
-from tests.instruments.operators.people import arrangement
 
 if sys.platform == "win32":
     pytest.skip("needs a pseudo-terminal, which Windows has not", allow_module_level=True)
@@ -123,22 +122,6 @@ def test_enter_goes_on_and_wrong_keys_do_not() -> None:
         assert done.result(PATIENCE_S) == DONE
 
 
-def test_what_is_typed_can_be_taken_back() -> None:
-    with desk() as here:
-        done = here.asked(arrangement())
-        here.expect("their numbers first (1 to 4) (s REASON")
-        here.type("9\x7f2\n")
-        assert done.result(PATIENCE_S).visible == (True, False, True, True)
-
-
-def test_nobody_will_type_any_more_after_ctrl_d() -> None:
-    with desk() as here:
-        done = here.prompted()
-        here.type("\x04")
-        with pytest.raises(OperatorAbort):
-            done.result(PATIENCE_S)
-
-
 def test_enter_pressed_twice_answers_one_question() -> None:
     with desk() as here:
         done = here.prompted()
@@ -232,24 +215,14 @@ def test_no_pedal_confirms_what_is_no_touch() -> None:
         done.result(PATIENCE_S)
 
 
-def test_a_pedal_whose_arm_has_gone_ends_the_prompt() -> None:
-    def watch() -> Pedal:
-        def pressed(_: float) -> bool:
-            raise RuntimeError("arm: nobody answers")
-
-        return pressed
-
-    with desk(watch=watch) as here:
-        done = here.asked(TOUCH)
-        here.expect("No answer is needed any more: arm: nobody answers")
-        with pytest.raises(RuntimeError):
-            done.result(PATIENCE_S)
-
-
-def test_a_terminal_that_closes_is_an_abort() -> None:
+@pytest.mark.parametrize("how", ["closed", "ctrl-d"])
+def test_a_terminal_that_closes_or_ends_is_an_abort(how: str) -> None:
     with desk() as here:
         done = here.prompted()
-        os.close(here.near)
-        here.near = -1
+        if how == "closed":
+            os.close(here.near)
+            here.near = -1
+        else:
+            here.type("\x04")
         with pytest.raises(OperatorAbort, match="nobody is at the terminal any more"):
             done.result(PATIENCE_S)

@@ -4,13 +4,22 @@ once each when told.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.operators.emulated import EmulatedOperator, Mistake
-from instruments.operators.operator import CheckPoint, Touch
+from instruments.operators.emulated import SHOWN, BoardHands, EmulatedOperator, Mistake
+from instruments.operators.operator import (
+    BoardAsked,
+    BoardTouch,
+    CheckPoint,
+    OperatorEnough,
+    Touch,
+)
+from instruments.world.boards import Pattern
 from instruments.world.phantom import PIVOT_MM, PlatePose
 from instruments.world.world import World
 from tests.instruments.operators.people import arrangement, hands, world
@@ -75,17 +84,6 @@ def test_without_errors_the_pose_is_the_one_asked_for() -> None:
     pose = PlatePose(10.0, -5.0, 3.0, 0.1)
     hands(here).ask(arrangement(pose=pose))
     assert here.ends_mm() == pytest.approx(arrangement().phantom.moved(pose).ends_mm, abs=1e-9)
-
-
-@pytest.mark.slow
-def test_chance_is_the_seed_s() -> None:
-    def ends(seed: int) -> np.ndarray:
-        here = world(seed)
-        hands(here, placement_error_mm=ERROR_MM).ask(arrangement())
-        return here.ends_mm()
-
-    assert (ends(1) == ends(1)).all()
-    assert (ends(1) != ends(2)).any()
 
 
 def test_touches_scatter_by_the_hand_s_error() -> None:
@@ -178,3 +176,57 @@ def test_what_was_put_on_a_stage_moves_with_it(
     )
     wanted = (phantom.moved(first).ends_mm - pivot) @ turn.T + pivot + [x, y, 3.0]
     assert phantom.moved(first.carried(second)).ends_mm == pytest.approx(wanted, abs=1e-6)
+
+
+# Calibration boards
+
+PATTERN = Pattern("chessboard", 10, 7, 40.0, 20.0)
+HELD = BoardAsked(PATTERN, "Hold the board.", 3)
+FIXED = BoardAsked(PATTERN, "Fix the board.", 1, fixed=True)
+
+
+@pytest.mark.slow
+def test_hands_hold_the_board_where_both_cameras_see_all_of_it_another_way_each_time() -> None:
+    here = world()
+    hands = BoardHands(here)
+    boards = [hands.held(replace(HELD, number=n, heated=n == 3)) for n in (1, 2, 3)]
+    assert (boards[2].dark, boards[2].light) == (40.0, "ambient")
+    assert len({board.corner_mm for board in boards}) == 3
+    for board in boards:
+        for camera in here.renderer.cameras[:2]:
+            pixels = camera.project(board.corners_mm)
+            assert ((pixels > 0) & (pixels < (camera.width_px - 1, camera.height_px - 1))).all()
+
+
+def test_hands_have_had_enough_after_a_while() -> None:
+    with pytest.raises(OperatorEnough, match=f"has shown the board {SHOWN} times"):
+        hands(world()).ask(replace(HELD, number=SHOWN + 1))
+
+
+@pytest.mark.slow
+def test_hands_take_the_phantom_away_meanwhile_and_put_it_back() -> None:
+    here = world()
+    who = hands(here)
+    who.ask(HELD)
+    assert len(here.scene().boards) == 1
+    assert here.scene().phantom.teats == ()
+    here.show(None)
+    assert here.scene().boards == ()
+    assert len(here.scene().phantom.teats) == 4
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_hands_rest_the_ball_on_the_face_that_the_cameras_see(number: int) -> None:
+    here = world()
+    tips = BoardHands(here)
+    board = tips.held(replace(FIXED, number=number))
+    centre, axis = tips.tip(13, 1.5)
+    off = centre - board.corners_mm[13]
+    assert np.linalg.norm(off) == pytest.approx(1.5)
+    assert off @ (here.renderer.cameras[0].centre_mm - board.corners_mm[13]) > 0
+    assert axis @ off > 0, "the stylus comes from that side too"
+
+
+def test_hands_touch_nothing_where_no_board_is() -> None:
+    with pytest.raises(ValueError, match="holds no board"):
+        hands(world()).ask(BoardTouch(0, "Touch it."))

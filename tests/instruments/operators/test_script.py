@@ -10,17 +10,20 @@ import pytest
 
 from instruments.errors import ProtocolError
 from instruments.operators.operator import (
+    BoardAsked,
     CheckPoint,
     Finish,
     Homing,
     Kind,
     NextTrial,
     OperatorAbort,
+    OperatorEnough,
     OperatorRepeat,
     OperatorSkip,
     Touch,
 )
 from instruments.operators.prompted import ScriptedAnswer, ScriptedAnswers
+from instruments.world.boards import Pattern
 from tests.instruments.operators.people import arrangement
 
 
@@ -39,6 +42,7 @@ def test_answers_come_in_their_order() -> None:
         ScriptedAnswer("touch", "repeat"),
         ScriptedAnswer("touch", "s the teat came off"),
         ScriptedAnswer("touch", "abort"),
+        ScriptedAnswer("board", "enough", says="view 3"),
     )
     who.ask(Homing("On its peg."))
     who.ask(CheckPoint(1, 2))
@@ -50,9 +54,11 @@ def test_answers_come_in_their_order() -> None:
         who.ask(Touch(1, 4))
     with pytest.raises(OperatorAbort):
         who.ask(Touch(1, 4))
+    with pytest.raises(OperatorEnough):
+        who.ask(BoardAsked(Pattern(), "Hold it.", 3))
     who.ask(Finish())
     assert shown[0] == "On its peg. > go"
-    assert len(shown) == 7
+    assert len(shown) == 8
 
 
 def test_an_answer_waits_for_the_prompt_that_it_is_for() -> None:
@@ -109,7 +115,7 @@ def test_a_teat_that_is_not_there_can_not_be_hidden() -> None:
     ("to", "answer", "words"),
     [
         ("touch", "skip", "needs a reason"),
-        ("touch", "2", 'Not understood: \'2\'; to a prompt of the kind "touch" there are "go", '),
+        ("corner", "enough", 'to a prompt of the kind "corner" there are "go", "abort"'),
         ("touch", "2", 'there are "go", "skip REASON", "repeat", "abort"'),
         ("homing", "skip it", 'there are "go", "abort"'),
         ("check point", "repeat", 'there are "go", "abort"'),
