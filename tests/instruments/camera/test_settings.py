@@ -49,9 +49,6 @@ def test_all_that_did_not_take_comes_at_once() -> None:
     ):
         back.finish()
     assert back.notes == ["gain asked 3, is 0"]
-
-
-def test_a_try_is_a_note() -> None:
     back = ReadBack("left camera", frozenset({"all"}))
     back.compare("gain", 3.0, 0.0)
     back.refused("fps", "fps was refused")
