@@ -71,23 +71,6 @@ def test_a_byte_that_comes_twice_gives_no_wrong_packet(rig: Rig, place: int, apa
     assert driver.poll().counts == right
 
 
-def test_one_wrong_packet_among_eight_does_not_move_a_reading(rig: Rig) -> None:
-    driver = rig.signed_on()
-    right = driver.read()
-    answers = 0
-
-    def spoil(data: bytes) -> list[bytes]:
-        nonlocal answers
-        answers += 1
-        return [data[:5] + bytes([data[5] ^ 0x06]) + data[6:]] if answers == 3 else [data]
-
-    rig.ear.spoil = spoil
-    reading = driver.read()
-    assert 0.1 < reading.spread_mm < 1.0
-    np.testing.assert_allclose(reading.tip_mm, right.tip_mm, atol=1e-9)
-    np.testing.assert_allclose(reading.axis, right.axis, atol=1e-9)
-
-
 def test_no_position_before_homing_is_confirmed_in_each_session(rig: Rig) -> None:
     driver = rig.driver()
     driver.sign_on()

@@ -23,7 +23,7 @@ from instruments.microscribe.emulator import (
 )
 from instruments.microscribe.kinematics import OutOfReachError
 from instruments.microscribe.protocol import PacketDecoder, State
-from tests.instruments.microscribe.rigs import AT_REST, POINT, UNIT, UP, Hand, Host
+from tests.instruments.microscribe.rigs import AT_REST, POINT, REPLIES, UNIT, UP, Hand, Host
 
 ARM = UNIT.geometry()
 HOME_RAD = ARM.angles(UNIT.home)[0]
@@ -38,22 +38,7 @@ HOME_RAD = ARM.angles(UNIT.home)[0]
         ("02", "82 00 6C 4F 30 5E 35 54 20 02 18 79 41 60 00 00"),
         ("00", "80 00"),
         ("07", "87 00 00 00 00 6C 4F 30 5E 35 54 20 02 18 79 41 60"),
-        ("C8", "C8 4D 69 63 72 6F 53 63 72 69 62 65 33 44 00"),
-        ("C9", "C9 4D 53 43 52 00"),
-        ("CA", "CA 44 58 00"),
-        ("CB", "CB 34 30 39 33 37 00"),
-        ("CC", "CC 53 74 61 6E 64 61 72 64 2B 42 65 74 61 00"),
-        ("CD", "CD 46 6F 72 6D 61 74 20 44 48 30 2E 35 00"),
-        ("CE", "CE 48 43 49 20 32 2E 30 00"),
-        ("C6", "C6 03 3F FF 00 00 00 00 00 00 00 00 00 3F FF 3F FF 1F FF 0F FF 0F FF 00 00"),
-        (
-            "C0",
-            (
-                "C0 24 00 00 3F F5 FF F9 3F E5 C0 02 C0 0C 00 00 03 C0 28 10 02 15 FE 6F 01 8F 20"
-                " 6C FC 92 FF FD 24 1C 01 40 EB 66"
-            ),
-        ),
-        ("D3", "D3 02 00 03"),
+        *((f"{code:02X}", reply.hex(" ").upper()) for code, reply in REPLIES.items()),
         ("C2", "C2"),
         ("C4 10", "C4"),
         ("C4 55", ""),

@@ -9,7 +9,6 @@ import pytest
 
 from instruments.errors import LinkError
 from instruments.microscribe.faults import Faults
-from instruments.microscribe.protocol import State
 from tests.instruments.microscribe.rigs import AT_REST, POINT, UNIT, Host
 
 REST = bytes.fromhex(AT_REST)
@@ -40,16 +39,6 @@ def test_a_fault_may_spare_the_first_answers(host: Host) -> None:
     assert whole == [True] * 3 + [False] * 2 + [True] * 2
 
 
-def test_a_byte_lost_to_the_arm_makes_it_wait_for_one_more(host: Host) -> None:
-    host.arm.faults.inject("lost byte to the arm", 1)
-    assert host.ask("03") == ""
-    assert host.ask("03") == AT_REST
-    host.arm.faults.inject("lost byte to the arm", 1)
-    assert host.ask("D2 41") in ("", "87 00 00 00 00 " + AT_REST[6:]), (
-        "the marker's code or its value, which is no command"
-    )
-
-
 def test_an_old_session_hears_letters_as_commands(fresh: Host) -> None:
     fresh.arm.faults.inject("old session alive", 1)
     fresh.plug_in_again()
@@ -65,15 +54,6 @@ def test_letters_that_start_an_eeprom_write_are_noticed(host: Host, letter: str)
     assert host.ask(letter) == ""
     assert host.arm.eeprom_attempts == 1
     assert host.ask("03") == AT_REST
-
-
-def test_at_another_rate_nothing_is_understood(fresh: Host) -> None:
-    fresh.arm.faults.inject("wrong baud", 3)
-    noise = [fresh.ask("C5 49 4D 4D 43") for _ in range(3)]
-    assert all(len(bytes.fromhex(got)) == 5 for got in noise)
-    assert len({*noise}) == 3
-    assert fresh.arm.state is State.FINDING_BAUD
-    fresh.session()
 
 
 def test_an_echo_only_after_repeats(fresh: Host) -> None:
@@ -161,15 +141,6 @@ def test_the_same_seed_gives_the_same_damage() -> None:
         return [faults.damage(bytes(14)) for _ in range(5)]
 
     assert garbled(1) == garbled(1) != garbled(2)
-
-
-def test_the_interface_box_and_a_block_of_another_length(fresh: Host) -> None:
-    fresh.arm.faults.inject("IBOX", 1)
-    fresh.ask("49 4D 4D 43")
-    assert fresh.ask("42 45 47 49 4E") == "49 42 4F 58 00"
-    fresh.arm.faults.inject("parameter block of another length", 1)
-    assert fresh.ask("C0").startswith("C0 22 00 00 3F F5")
-    assert fresh.ask("C0").startswith("C0 24 00 00 3F F5")
 
 
 def test_a_fault_that_is_none_is_refused() -> None:

@@ -15,12 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from instruments.microscribe import configuration as conf
-from instruments.microscribe import errors
 from instruments.microscribe import protocol as wire
 from instruments.microscribe.configuration import (
     BlockLengthError,
     Maxima,
-    Parameters,
     StreamRequest,
 )
 from instruments.microscribe.protocol import (
@@ -32,23 +30,11 @@ from instruments.microscribe.protocol import (
     State,
     WireError,
 )
+from tests.instruments.microscribe import rigs
 
-AT_REST = bytes.fromhex("83 00 6C 4F 30 5E 35 54 20 02 18 79 41 60")
-MAXIMA = bytes.fromhex("C6 03 3FFF 00 00 00 00 00 00 00 00 00 3FFF 3FFF 1FFF 0FFF 0FFF 0000")
-PARAMETERS = bytes.fromhex(
-    "C0 24 0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140"
-    " EB66"
-)
-EXTENDED = bytes.fromhex("D3 02 0003")
-NAMES = {
-    0xC8: "MicroScribe3D",
-    0xC9: "MSCR",
-    0xCA: "DX",
-    0xCB: "40937",
-    0xCC: "Standard+Beta",
-    0xCD: "Format DH0.5",
-    0xCE: "HCI 2.0",
-}
+AT_REST = bytes.fromhex(rigs.AT_REST)
+MAXIMA, PARAMETERS, EXTENDED = (rigs.REPLIES[code] for code in (0xC6, 0xC0, 0xD3))
+REPLIES = rigs.REPLIES | {code: bytes([code]) for code in (0xC2, 0xC4, 0xC5, 0xCF)}
 REST = Packet(0x03, 0, (13903, 6238, 6868, 4098, 3193, 8416))
 
 
@@ -85,14 +71,6 @@ def test_the_eighth_analog_has_no_low_bit() -> None:
     assert PacketDecoder().feed(wire.encode_packet(packet)) == [
         Packet(0x0C, 0, (), analogs=(255,) * 7 + (254,))
     ]
-
-
-@pytest.mark.parametrize(
-    "packet", [Packet(0x03, 0, (1,) * 5), Packet(0x23, 0, (1,) * 6), Packet(0x07, 0, (1,) * 6)]
-)
-def test_a_packet_that_does_not_fit_its_command_is_refused(packet: Packet) -> None:
-    with pytest.raises(WireError, match=f"command {packet.command:02X} has"):
-        wire.encode_packet(packet)
 
 
 def test_a_lost_byte_costs_one_packet_and_a_lost_header_also_the_one_before() -> None:
@@ -178,12 +156,20 @@ def test_cutting_changes_nothing(data: bytes, cuts: list[int]) -> None:
 # Configuration
 
 
-@pytest.mark.parametrize(("code", "name"), NAMES.items())
-def test_names_in_the_makers_order(code: int, name: str) -> None:
-    reply = bytes([code]) + name.encode("ascii") + b"\0"
-    assert conf.decode_name(code, reply) == name
-    assert conf.encode_name(code, name) == reply
-    assert bytes(conf.NAMES) == bytes(NAMES)
+def test_names_in_the_makers_order() -> None:
+    replies = {code: reply for code, reply in rigs.REPLIES.items() if code in conf.NAMES}
+    names = [conf.decode_name(code, reply) for code, reply in replies.items()]
+    assert names == [
+        "MicroScribe3D",
+        "MSCR",
+        "DX",
+        "40937",
+        "Standard+Beta",
+        "Format DH0.5",
+        "HCI 2.0",
+    ]
+    assert list(replies) == list(conf.NAMES)
+    assert list(map(conf.encode_name, conf.NAMES, names)) == list(replies.values())
 
 
 @pytest.mark.parametrize(
@@ -226,18 +212,6 @@ def test_a_parameter_block_of_another_length_is_refused_and_told_from_a_short_on
     assert isinstance(refused.value, BlockLengthError) is another_length
 
 
-SHORTS = st.lists(st.integers(-32768, 32767), min_size=6, max_size=6).map(tuple)
-
-
-@given(SHORTS, SHORTS, SHORTS)
-def test_any_parameters_come_back(
-    alpha: tuple[int, ...], a: tuple[int, ...], d: tuple[int, ...]
-) -> None:
-    parameters = Parameters(alpha, a, d)
-    encoded = conf.encode(Code.PARAMETERS, *astuple(parameters))
-    assert conf.decode_parameters(encoded) == parameters
-
-
 @pytest.mark.parametrize(
     "decode",
     [
@@ -268,15 +242,6 @@ def test_the_stream_command_has_25_bytes_or_27() -> None:
     assert len(data) == 27
     assert conf.decode_stream(data) == sevenfold
     assert not sevenfold.fixed_rate
-
-
-REPLIES = {
-    **{code: bytes([code]) + name.encode("ascii") + b"\0" for code, name in NAMES.items()},
-    0xC6: MAXIMA,
-    0xC0: PARAMETERS,
-    0xD3: EXTENDED,
-    **{code: bytes([code]) for code in (0xC2, 0xC4, 0xC5, 0xCF)},
-}
 
 
 @pytest.mark.parametrize(
@@ -344,27 +309,6 @@ def test_what_follows_a_command_in_a_session_may_not_configure(data: bytes) -> N
         with pytest.raises(WireError, match="if the byte before it were lost"):
             wire.refuse_forbidden(data, state)
     wire.refuse_forbidden(bytes([Code.END]) + wire.SYNC, F)
-
-
-# Who else may answer
-
-
-@pytest.mark.parametrize(
-    ("seen", "hint"),
-    [
-        (b"\r\nGrbl 1.1h ['$' for help]\r\n", "GRBL board"),
-        (b"\xc5IMMC", "sends back what it hears"),
-        (b"ok\r\nok\r\n", "motion controller"),
-        (bytes.fromhex("01 83 02 C0 F1"), "Modbus"),
-        (bytes.fromhex("FE FE 01 04 02 FF FF B8 80"), "Modbus"),
-        (b"23.05\r\n", "plain text"),
-        (bytes.fromhex("F8 80 00 FC FE"), "baud rate"),
-        (b"A", "baud rate"),
-    ],
-)
-def test_a_guess_at_who_answers(seen: bytes, hint: str) -> None:
-    assert hint in errors.what_to_try(seen)
-    assert errors.known(seen) is (hint != "baud rate")
 
 
 # The 14-bit clock

@@ -123,21 +123,6 @@ def test_whichever_byte_of_sign_on_is_lost_an_old_session_comes_to_no_harm(
 # What is refused
 
 
-def test_silence_at_sign_on(rig: Rig) -> None:
-    rig.arm.faults.inject("silent")
-    driver = rig.driver()
-    with pytest.raises(
-        SilentArmError,
-        match=(
-            r"nothing answers the sign-on \(asked C5 49 4D 4D 43, got nothing, after 3"
-            r" s\).*switched on"
-        ),
-    ):
-        driver.sign_on()
-    assert rig.clock.now() == pytest.approx(3.0, abs=0.02)
-    assert b"BEGIN" not in rig.ear.heard
-
-
 @pytest.mark.parametrize(
     ("unit", "fault", "message"),
     [
@@ -145,7 +130,6 @@ def test_silence_at_sign_on(rig: Rig) -> None:
         (UNIT, "parameter block of another length", "says it has 34 bytes; 36 are understood"),
         (renamed(format="Format DH1.0"), "", r"not understood: 'Format DH1.0', not 'Format DH0.5'"),
     ],
-    ids=["interface box", "block length", "format"],
 )
 def test_an_arm_that_cannot_be_measured_with_is_refused_and_let_go(
     make: Callable[..., Rig], unit: object, fault: str, message: str
@@ -196,6 +180,11 @@ def test_an_arm_that_has_echoed_is_waited_for_as_long_as_is_asked() -> None:
         (lambda _: bytes.fromhex("01 83 02 C0 F1"), NoMicroScribeError, "Modbus frames.*bath"),
         (lambda _: bytes.fromhex("F8 00 80 FC"), NoMicroScribeError, "baud rate right"),
         (
+            lambda _: b"",
+            SilentArmError,
+            r"nothing answers the sign-on \(asked C5 49 4D 4D 43, got nothing, after 3 s\).*switched",
+        ),
+        (
             lambda data: b"IMMC" if b"IMMC" in data else b"IMMCMSCR\0" if data == b"BEGIN" else b"",
             LinkError,
             "does not answer .asked C8",
@@ -207,16 +196,6 @@ def test_an_arm_that_has_echoed_is_waited_for_as_long_as_is_asked() -> None:
             ProtocolError,
             "doesn't begin with C8 .asked C8, got C9 58 00",
         ),
-    ],
-    ids=[
-        "loop-back",
-        "text",
-        "GRBL",
-        "controller",
-        "Modbus",
-        "noise",
-        "silent after a late echo",
-        "wrong reply",
     ],
 )
 def test_what_is_no_arm_is_refused_with_a_guess(
@@ -286,14 +265,6 @@ def test_a_session_at_another_rate_is_found_and_then_only_homing_helps(rig: Rig)
         driver.read()
     driver.home()
     driver.read()
-
-
-def test_no_rate_that_works_is_told_with_all_that_were_tried(rig: Rig) -> None:
-    device = AtRate(rig, 57600)
-    with pytest.raises(NoMicroScribeError, match="at 115200 or 38400 or 9600 baud"):
-        device.driver.sign_on()
-    assert rig.clock.now() == pytest.approx(4.0, abs=0.1)
-    assert device.link.baud == 115200
 
 
 # The adapter's latency timer

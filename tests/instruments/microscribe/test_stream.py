@@ -21,21 +21,17 @@ START = bytes.fromhex("CF 0000 23") + bytes(21)
 FASTEST_HZ = 720.0  # of the sheet, with stamps
 
 
-def state(rig: Rig) -> State:
-    return rig.arm.state
-
-
 def test_a_stream_is_asked_for_and_ended_as_the_sheet_says(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.ear.heard = b""
     with driver.stream() as samples:
         got = list(itertools.islice(samples, 50))
-        assert state(rig) is State.STREAMING
+        assert rig.arm.state is State.STREAMING
         ended = rig.clock.now()
     assert rig.ear.heard == START + b"\x00"
     assert len(START) == 25
     assert rig.clock.now() - ended == pytest.approx(0.05)
-    assert state(rig) is State.SESSION
+    assert rig.arm.state is State.SESSION
     assert {sample.counts for sample in got} == {UNIT.home}
     gaps_s = [b.t_s - a.t_s for a, b in itertools.pairwise(got)]
     assert sum(gaps_s) / len(gaps_s) == pytest.approx(1 / FASTEST_HZ, rel=0.02)
@@ -165,16 +161,6 @@ def test_an_arm_that_does_not_stream_is_told_apart_from_one_that_is_gone(
             [PedalEvent(Pedal.RIGHT, True, 0.01), PedalEvent(Pedal.LEFT, True, 0.02)],
         ),
         ([(0, 0), (10, 0x7C), (100, 0x7C)], []),
-    ],
-    ids=[
-        "once they have lasted",
-        "a bounce starts anew",
-        "and then lasts",
-        "one packet at a slow rate",
-        "two packets at a slow rate",
-        "down at first",
-        "two pedals",
-        "other bits",
     ],
 )
 def test_events_of_milliseconds_and_buttons(

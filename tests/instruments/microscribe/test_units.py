@@ -126,14 +126,6 @@ def test_all_faults_of_a_file_at_once(tmp_path: Path) -> None:
         ("counts = [0,", 'counts = ["a",', "peg.counts.0: input should be a valid integer"),
         ("counts = [0,", 'counts = ["0",', "peg.counts.0: input should be a valid integer"),
     ],
-    ids=[
-        "syntax",
-        "beta without Beta",
-        "two encoders",
-        "a count too high",
-        "a word",
-        "a number in quotes",
-    ],
 )
 def test_a_file_that_describes_no_arm(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in SIX
