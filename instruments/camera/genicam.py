@@ -11,7 +11,7 @@ from typing import Any
 
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.camera.pixel_formats import unpack
-from instruments.camera.settings import ReadBack, Settings, Value
+from instruments.camera.settings import Settings, Value, apply
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 
@@ -61,44 +61,6 @@ def load_aravis() -> Any:
     except (ImportError, ValueError) as error:  # ValueError: a binding without the library
         what = f"the library can't be loaded: {error}"
         raise DeviceError("genicam cameras", what, hint=INSTALL) from error
-
-
-def set_all(who: str, camera: Any, settings: Settings, failure: type[Exception]) -> tuple[str, ...]:
-    """Write each setting and read it back; notes about tries. ``failure`` is the library's
-    exception. Raises DeviceError for what did not take.
-    """
-    back = ReadBack(who, settings.tries)
-    ways: dict[str, tuple[Callable[[Any], object], Callable[[], object]]] = {
-        "pixel_format": (camera.set_pixel_format_from_string, camera.get_pixel_format_as_string),
-        "resolution": (lambda size: camera.set_region(0, 0, *size), lambda: _size(camera)),
-        "fps": (camera.set_frame_rate, camera.get_frame_rate),
-        "exposure": (lambda us: _set_exposure(camera, us), camera.get_exposure_time),
-        "gain": (camera.set_gain, camera.get_gain),
-    }
-    ways |= {name: _by_name(who, camera.get_device(), name) for name in settings.features}
-    asked = {name: getattr(settings, name, None) for name in ways} | dict(settings.features)
-    taken = []
-    for name, (write, read) in ways.items():
-        try:
-            if asked[name] is not None:
-                write(asked[name])
-                taken.append((name, read))
-        except (failure, DeviceError) as error:
-            why = error.what if isinstance(error, DeviceError) else getattr(error, "message", error)
-            back.refused(name, f"{name} was refused: {why}")
-    for name, read in taken:  # all set before any is read: one may change another
-        try:
-            back.compare(name, asked[name], read())
-        except failure as error:
-            why = getattr(error, "message", error)
-            back.refused(name, f"{name} can't be read back: {why}")
-    return back.finish()
-
-
-def _set_exposure(camera: Any, exposure_us: float) -> None:
-    if camera.is_exposure_auto_available():
-        camera.set_exposure_time_auto(0)
-    camera.set_exposure_time(exposure_us)
 
 
 def _size(camera: Any) -> tuple[int, int]:
@@ -175,7 +137,7 @@ class GenicamCamera:
         self._camera = self._found(self._device)
         self._lost_control = False
         try:
-            notes = set_all(self._who, self._camera, self._settings, self._failure)
+            notes = self._apply_settings()
             c, (width, height) = self._camera, _size(self._camera)
             who = f"{c.get_vendor_name()} {c.get_model_name()} {c.get_device_serial_number()}"
             size = f"({width} x {height}, {c.get_pixel_format_as_string()})"
@@ -186,6 +148,28 @@ class GenicamCamera:
             if isinstance(error, self._failure):
                 raise DeviceError(self._who, f"it refused: {error}") from error
             raise
+
+    def _apply_settings(self) -> tuple[str, ...]:
+        camera, who = self._camera, self._who
+
+        def set_exposure(exposure_us: float) -> None:
+            if camera.is_exposure_auto_available():
+                camera.set_exposure_time_auto(0)
+            camera.set_exposure_time(exposure_us)
+
+        ways = {
+            "pixel_format": (
+                camera.set_pixel_format_from_string,
+                camera.get_pixel_format_as_string,
+            ),
+            "resolution": (lambda size: camera.set_region(0, 0, *size), lambda: _size(camera)),
+            "fps": (camera.set_frame_rate, camera.get_frame_rate),
+            "exposure": (set_exposure, camera.get_exposure_time),
+            "gain": (camera.set_gain, camera.get_gain),
+        }
+        device = camera.get_device()
+        ways |= {name: _by_name(who, device, name) for name in self._settings.features}
+        return apply(who, self._settings, ways, (self._failure, DeviceError))
 
     @property
     def identity(self) -> str:

@@ -6,13 +6,16 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
-from instruments.camera.settings import ReadBack, Settings
+from instruments.camera.settings import Settings, apply
 from instruments.clock import Clock
 from instruments.errors import LinkError
 
@@ -219,27 +222,28 @@ def _opened(who: str, source: Source) -> cv2.VideoCapture:
 
 def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:
     """Write and read back; notes about tries. Raises DeviceError for what did not take."""
-    back = ReadBack(who, settings.tries)
-    asked: list[tuple[int, float]] = []
-    if settings.pixel_format is not None:
-        code = cv2.VideoWriter.fourcc(*settings.pixel_format[:4].ljust(4))
-        asked.append((cv2.CAP_PROP_FOURCC, code))
+
+    def set_pixel_format(name: str) -> None:
+        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*name[:4].ljust(4)))
+
+    def set_size(size: tuple[int, int]) -> None:
+        for prop, value in zip(SIZE, size, strict=True):
+            capture.set(prop, value)
+
+    ways: dict[str, tuple[Callable[[Any], object], Callable[[], object]]] = {
+        "pixel_format": (
+            set_pixel_format,
+            lambda: fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)),
+        ),
+        "resolution": (set_size, partial(_size, capture)),
+    }
+    ways |= {
+        name: (partial(capture.set, prop), partial(capture.get, prop))
+        for name, prop in NUMBERS.items()
+    }
     if settings.exposure is not None and not capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL):
         capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_OF_OLD)
-    asked += zip(SIZE, settings.resolution or (), strict=False)
-    numbers = {name: value for name in NUMBERS if (value := getattr(settings, name)) is not None}
-    asked += ((NUMBERS[name], value) for name, value in numbers.items())
-    for prop, value in asked:
-        capture.set(prop, value)
-    # all set before any is read: one may change another
-    if settings.pixel_format is not None:
-        seen = fourcc_name(capture.get(cv2.CAP_PROP_FOURCC))
-        back.compare("pixel_format", settings.pixel_format, seen)
-    if settings.resolution is not None:
-        back.compare("resolution", tuple(settings.resolution), _size(capture))
-    for name, value in numbers.items():
-        back.compare(name, value, capture.get(NUMBERS[name]))
-    return back.finish()
+    return apply(who, settings, ways)
 
 
 def fourcc_name(code: float) -> str:

@@ -38,8 +38,8 @@ def world(seed: int = 3) -> World:
 
 
 def hands(of: World, *, hand_error_mm: float = 0.0, **options: Any) -> EmulatedOperator:
-    check_point = {"check_point_mm": CHECK_POINT_MM}
-    return EmulatedOperator(of, hand_error_mm=hand_error_mm, **check_point, **options)
+    at = CHECK_POINT_MM
+    return EmulatedOperator(of, hand_error_mm=hand_error_mm, check_point_mm=at, **options)
 
 
 def person(answers: str, out: io.StringIO | None = None) -> Console:
