@@ -13,21 +13,12 @@ from dataclasses import asdict, dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import AfterValidator, ConfigDict, Field
 
-from instruments.microscribe.kinematics import COUNT_MODULUS, ArmGeometry, Floats
+from instruments.microscribe.kinematics import COUNT_MODULUS, ArmGeometry
 from instruments.microscribe.protocol import Code, WireError, encoder_count
 
-NAMES = (
-    Code.PRODUCT_NAME,
-    Code.PRODUCT_ID,
-    Code.MODEL,
-    Code.SERIAL_NUMBER,
-    Code.COMMENT,
-    Code.FORMAT,
-    Code.VERSION,
-)
+NAMES = tuple(Code(code) for code in range(Code.PRODUCT_NAME, Code.VERSION + 1))
 FORMAT = "Format DH0.5"
 BETA_MARK = "Beta"  # in the comment of an arm that has extended parameters
 NAME_MAX_BYTES = 32  # with the NUL, without the code
@@ -115,14 +106,6 @@ class Parameters:
     d: _Words
 
 
-def _rad(value: npt.ArrayLike) -> Floats:
-    return np.asarray(value) / 32768 * math.pi
-
-
-def _mm(value: npt.ArrayLike) -> Floats:
-    return np.asarray(value) * 25.4 / 1000
-
-
 @dataclass(frozen=True, slots=True)
 class DeviceInfo:
     """What sign-on reads from an arm; beta is 0 where it has none."""
@@ -134,9 +117,11 @@ class DeviceInfo:
 
     def geometry(self) -> ArmGeometry:
         """Its shape, in rad and mm."""
-        p, beta = self.parameters, self.beta if self.names.has_beta else 0
-        turns = np.array(self.maxima.turns)
-        return ArmGeometry(_rad(p.alpha), _mm(p.a), _mm(p.d), float(_rad(beta)), turns)
+        p, turns = self.parameters, np.array(self.maxima.turns)
+        alpha_rad = np.array(p.alpha) / 32768 * math.pi
+        beta_rad = self.beta / 32768 * math.pi if self.names.has_beta else 0.0
+        a_mm, d_mm = np.array([p.a, p.d]) * 25.4 / 1000
+        return ArmGeometry(alpha_rad, a_mm, d_mm, beta_rad, turns)
 
     def record(self) -> dict[str, object]:
         """Names and raw numbers: enough to compute every position again from its counts."""

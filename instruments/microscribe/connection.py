@@ -107,14 +107,14 @@ class ArmConnection:
             if noise is None:
                 return baud
             seen = (seen + noise)[-_KEPT:]
-            if errors.known(noise):
+            if errors.guess(noise):
                 break
         self._set_rate(rates[0])
         at = f" at {' or '.join(map(str, tried))} baud" if len(tried) > 1 else ""
         kind: type[InstrumentError] = SilentArmError
         what, hint = f"nothing answers the sign-on{at}", ON_HINT
         if seen:
-            kind, hint = NoMicroScribeError, errors.what_to_try(seen)
+            kind, hint = NoMicroScribeError, errors.guess(seen) or errors.NOISE_HINT
             what = f"something answers, but not as a MicroScribe{at}"
         seconds, asked = self.clock.now() - start, _END + wire.SYNC
         raise kind(self.who, what, asked=asked, seen=seen[-64:], seconds=seconds, hint=hint)
@@ -151,7 +151,8 @@ class ArmConnection:
         if answer.rstrip(b"\0").endswith(wire.PRODUCT_ID):
             return
         kind: type[InstrumentError] = NoMicroScribeError
-        what, hint = "the answer is not that of a MicroScribe", errors.what_to_try(answer)
+        what = "the answer is not that of a MicroScribe"
+        hint = errors.guess(answer) or errors.NOISE_HINT
         if not answer:
             kind, what, hint = SilentArmError, "the arm echoed, then fell silent", ON_HINT
         elif wire.INTERFACE_BOX in answer:

@@ -283,7 +283,7 @@ class MicroScribe:
             raise ProtocolError(self.who, what, asked=asked, seen=seen, hint=CABLE_HINT)
         self._lose_homing("the arm fell silent: it may have lost its power")
         self._arm.lose()
-        what = "the arm has fallen silent: its power or its cable, session and homing are lost"
+        what = "the arm has fallen silent: without power or cable, session and homing are lost"
         hint = _BACK_HINT
         raise SilentArmError(self.who, what, asked=asked, seen=b"", seconds=seconds, hint=hint)
 

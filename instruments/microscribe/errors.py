@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
@@ -47,11 +48,6 @@ def _modbus(seen: bytes) -> bool:
     return any(FramerRTU.compute_CRC(f[:-2]) == int.from_bytes(f[-2:], "big") for f in frames)
 
 
-def _text(seen: bytes) -> bool:
-    """Whether it is text, and enough of it to be no accident of a wrong baud rate."""
-    return len(seen) >= 4 and all(byte in range(0x20, 0x7F) or byte in b"\r\n\t" for byte in seen)
-
-
 _NEIGHBOURS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
     (
         lambda seen: b"Grbl" in seen or b"['$'" in seen,
@@ -66,19 +62,18 @@ _NEIGHBOURS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
         "It talks like a motion controller: is this the stage's port? Give the arm's",
     ),
     (_modbus, "It answers in Modbus frames: is this the bath's port? Give the arm's"),
-    (_text, "It talks in plain text: which device is on this port? Give the arm's"),
+    (
+        # enough text to be no accident of a wrong baud rate
+        lambda seen: re.fullmatch(rb"[\x20-\x7e\r\n\t]{4,}", seen) is not None,
+        "It talks in plain text: which device is on this port? Give the arm's",
+    ),
 )
-_NOISE = (
+NOISE_HINT = (
     "No known device talks so: is the baud rate right, and is it the arm's port? Else switch the"
     " arm off and on, and sign on again"
 )
 
 
-def known(seen: bytes) -> bool:
-    """Whether the bytes look like a known other device: then no other baud rate is tried."""
-    return any(fits(seen) for fits, _ in _NEIGHBOURS)
-
-
-def what_to_try(seen: bytes) -> str:
-    """A sentence for a person whose sign-on was answered with ``seen``, not empty."""
-    return next((hint for fits, hint in _NEIGHBOURS if fits(seen)), _NOISE)
+def guess(seen: bytes) -> str | None:
+    """Which known other device answered the sign-on with ``seen``, and what to do; else None."""
+    return next((hint for fits, hint in _NEIGHBOURS if fits(seen)), None)

@@ -16,17 +16,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import TextIO
 
 from instruments.clock import Clock
-from instruments.operators.operator import (
-    ABORT,
-    EXPLAIN,
-    NotUnderstoodError,
-    OperatorAbort,
-    OperatorEnough,
-    OperatorRepeat,
-    OperatorSkip,
-    Prompt,
-    understood,
-)
+from instruments.operators import operator as op
 from instruments.operators.prompted import PromptedOperator
 
 CTRL_C, CTRL_Z, BACKSPACE, FUNCTION_KEYS = "\x03", "\x1a", "\b", "\x00\xe0"
@@ -140,7 +130,7 @@ def keyboard_of(stream: TextIO, echo: Callable[[str], object]) -> Keyboard:
 TURN_S = 0.05  # between two looks at keyboard and interlocks
 REMIND_S = 120.0
 GONE = "nobody is at the terminal any more"
-WISHES = (OperatorAbort, OperatorSkip, OperatorRepeat, OperatorEnough)
+WISHES = (op.OperatorAbort, op.OperatorSkip, op.OperatorRepeat, op.OperatorEnough)
 
 Pedal = Callable[[float], bool]
 
@@ -178,39 +168,39 @@ class Console(PromptedOperator):
         with self._screen():
             self._write(text + "\n")
 
-    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+    def answer(self, prompt: op.Prompt, check: Callable[[], None]) -> frozenset[int]:
         """As the base, and what the pedals raise."""
         with self._screen():
             # Enter pressed twice must not answer the next question, but no abort is lost
             for line in self._keyboard.typed_ahead():
-                if line.strip().lower() in ABORT:
-                    raise OperatorAbort("the operator aborted the run")
+                if line.strip().lower() in op.ABORT:
+                    raise op.OperatorAbort("the operator aborted the run")
             progress = f"[{prompt.progress}] " if prompt.progress else ""
             self._write(f"\n{progress}{prompt.text}\n")
             try:
                 return self._answer(prompt, check)
             except (Exception, KeyboardInterrupt) as why:
                 if not isinstance(why, WISHES):  # ended without an answer
-                    with contextlib.suppress(OperatorAbort):
+                    with contextlib.suppress(op.OperatorAbort):
                         ended = str(why) or "interrupted"
                         self._write(f"\nNo answer is needed any more: {ended}\n")
                 raise
 
-    def _answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+    def _answer(self, prompt: op.Prompt, check: Callable[[], None]) -> frozenset[int]:
         """Ask until the answer is understood."""
         while True:
             line = self._line(prompt.keys(pedal=self._watch is not None), check, pedal=prompt.pedal)
-            if line.strip() == EXPLAIN:
+            if line.strip() == op.EXPLAIN:
                 self._write(f"{prompt.explained()}\n")
                 continue
             try:
-                return understood(line, prompt)
-            except NotUnderstoodError as error:
+                return op.understood(line, prompt)
+            except op.NotUnderstoodError as error:
                 self._write(f"{error}\n")
-            except OperatorSkip as skip:
+            except op.OperatorSkip as skip:
                 why = "Why? (a few words for the record; Enter alone: don't skip): "
                 if reason := skip.reason or self._line(why, check).strip():
-                    raise OperatorSkip(reason) from None
+                    raise op.OperatorSkip(reason) from None
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
         """What is typed, or "\\n" for a pedal; asks again in other words from time to time."""
@@ -233,7 +223,7 @@ class Console(PromptedOperator):
             self._write("\n")
         check()  # an answer that came too late is none
         if not line:
-            raise OperatorAbort(GONE)
+            raise op.OperatorAbort(GONE)
         return line
 
     def _write(self, text: str) -> None:
@@ -241,4 +231,4 @@ class Console(PromptedOperator):
             self._out.write(text)
             self._out.flush()
         except (OSError, ValueError) as error:  # ValueError: the stream has been closed
-            raise OperatorAbort(f"{GONE} ({error})") from error
+            raise op.OperatorAbort(f"{GONE} ({error})") from error

@@ -10,22 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from instruments.operators.operator import (
-    DONE,
-    Answer,
-    Arrangement,
-    BoardAsked,
-    BoardTouch,
-    CheckPoint,
-    Finish,
-    NextTrial,
-    OperatorEnough,
-    Release,
-    Request,
-    Task,
-    Touch,
-    no_check,
-)
+from instruments.operators import operator as op
 from instruments.teat_end import ball_centre_mm
 from instruments.world.boards import Board, poses
 from instruments.world.optics import CameraModel, Floats
@@ -75,44 +60,44 @@ class EmulatedOperator:
         self._to_make = list(mistakes)
         self._rng = np.random.default_rng([world.seed, *b"hand"])
         self._placing = np.random.default_rng([world.seed, *b"placing"])
-        self._stands: tuple[Arrangement, PlatePose] | None = None
+        self._stands: tuple[op.Arrangement, PlatePose] | None = None
         self._boards = BoardHands(world)
 
-    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+    def ask(self, request: op.Request, check: Callable[[], None] = op.no_check) -> op.Answer:
         """Raises ValueError for a check point or a board that isn't there, OperatorEnough."""
-        if isinstance(request, Task | NextTrial | Finish):
-            return DONE
-        if not isinstance(request, Release):
+        if isinstance(request, op.Task | op.NextTrial | op.Finish):
+            return op.DONE
+        if not isinstance(request, op.Release):
             self._take_time(check)
         match request:
-            case Arrangement():
+            case op.Arrangement():
                 return self._set_up(request)
-            case Touch(teat, of):
+            case op.Touch(teat, of):
                 self._touch(teat, of)
-            case CheckPoint(touch, of):
+            case op.CheckPoint(touch, of):
                 if self._check_point_mm is None:
                     what = "the emulated operator has no check point"
                     raise ValueError(f"{what}; give it check_point_mm")
                 turn, out, up = 2.0 * np.pi * (touch - 1) / of, np.sin(SWING_RAD), np.cos(SWING_RAD)
                 lean = np.array([out * np.cos(turn), out * np.sin(turn), up])
                 self._world.hold(np.array(self._check_point_mm), lean)
-            case BoardTouch(corner):
+            case op.BoardTouch(corner):
                 self._hold(*self._boards.tip(corner, self._tip_radius_mm))
             case _:
                 self._world.hold(None)
-                if isinstance(request, BoardAsked):
+                if isinstance(request, op.BoardAsked):
                     self._world.show(self._boards.held(request))
-        return DONE
+        return op.DONE
 
     def _hold(self, tip_mm: Floats, axis: Floats) -> None:
         self._world.hold(tip_mm + self._rng.normal(0.0, self._hand_error_mm, 3), axis)
 
-    def _set_up(self, wanted: Arrangement) -> Answer:
+    def _set_up(self, wanted: op.Arrangement) -> op.Answer:
         self._world.show(None)
         self._stands = wanted, pose = self._placed(wanted)
         self._world.arrange(wanted.phantom.moved(pose), wanted.objects, wanted.scene)
         seen = self._world.renderer.visible_ends(self._world.scene())
-        return Answer(tuple(bool(row.all()) for row in np.asarray(seen)))
+        return op.Answer(tuple(bool(row.all()) for row in np.asarray(seen)))
 
     def _touch(self, teat: int, of: int) -> None:
         if teat > 1 and self._makes("forgotten teat"):
@@ -123,7 +108,7 @@ class EmulatedOperator:
         tip = ball_centre_mm(phantom.ends_mm[at], phantom.axes[at], self._tip_radius_mm)
         self._hold(tip, STYLUS_AXIS)
 
-    def _placed(self, wanted: Arrangement) -> tuple[Arrangement, PlatePose]:
+    def _placed(self, wanted: op.Arrangement) -> tuple[op.Arrangement, PlatePose]:
         """What was done, and the plate's pose: kept where it stands as asked, else nearly it."""
         if self._stands is not None:
             before, stands = self._stands
@@ -159,10 +144,10 @@ class BoardHands:
         self._drawn: dict[object, tuple[Board, ...]] = {}
         self._board: Board | None = None
 
-    def held(self, asked: BoardAsked) -> Board:
+    def held(self, asked: op.BoardAsked) -> Board:
         """The board as it is held for ``asked``. Raises OperatorEnough after `SHOWN` views."""
         if not asked.fixed and asked.number > SHOWN:
-            raise OperatorEnough(f"the emulated operator has shown the board {SHOWN} times")
+            raise op.OperatorEnough(f"the emulated operator has shown the board {SHOWN} times")
         cameras = [c for c in self._world.renderer.cameras if c.name in asked.cameras]
         key = asked.pattern, asked.cameras
         if asked.fixed:
@@ -184,7 +169,7 @@ class BoardHands:
         axis = 0.5 * normal + np.array([0.0, 0.0, 1.0])
         return self._board.corners_mm[corner] + tip_radius_mm * normal, axis / np.linalg.norm(axis)
 
-    def _fixed(self, asked: BoardAsked, cameras: Sequence[CameraModel]) -> Board:
+    def _fixed(self, asked: op.BoardAsked, cameras: Sequence[CameraModel]) -> Board:
         """Near the teat ends, within the arm's reach, tilted towards the middle of the cameras."""
         turn = (asked.number - 1) % len(FIXED_TURNS_RAD)
         middle = self._world.ends_mm().mean(axis=0) + np.array(FIXED_SHIFTS_MM[turn])
