@@ -63,6 +63,11 @@ def load_aravis() -> Any:
         raise DeviceError("genicam cameras", what, hint=INSTALL) from error
 
 
+def _controls(camera: Any) -> bool:
+    """Whether this program controls the camera; on a network only one can."""
+    return not camera.is_gv_device() or bool(camera.get_device().is_controller())
+
+
 def _size(camera: Any) -> tuple[int, int]:
     region = camera.get_region()
     return int(region.width), int(region.height)
@@ -142,7 +147,16 @@ class GenicamCamera:
             who = f"{c.get_vendor_name()} {c.get_model_name()} {c.get_device_serial_number()}"
             size = f"({width} x {height}, {c.get_pixel_format_as_string()})"
             self._identity = "; ".join([f"{who} {size}", *notes])
-            self._start()
+            trigger, source = self._settings.trigger, self._settings.trigger_source
+            if trigger == "free":
+                c.clear_triggers()
+            else:
+                c.set_trigger("Software" if trigger == "software" else source)
+            c.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
+            self._stream = c.create_stream(None, None)
+            for _ in range(BUFFERS):
+                self._stream.push_buffer(self._aravis.Buffer.new_allocate(c.get_payload()))
+            c.start_acquisition()
         except BaseException as error:
             self.close()
             if isinstance(error, self._failure):
@@ -226,26 +240,29 @@ class GenicamCamera:
 
     def _found(self, device: str) -> Any:
         try:
-            camera = self._by_loopback(self._aravis.Camera.new(device or None))
+            camera = self._aravis.Camera.new(device or None)
+            if camera.is_gv_device():
+                near = camera.get_device().get_interface_address().get_address()
+                far = camera.get_device().get_device_address().get_address()
+                # on this machine: frames from 127.0.0.1 reach no other interface
+                if far.get_is_loopback() and not near.get_is_loopback():
+                    del camera  # hands the control of the camera back
+                    camera = self._aravis.Camera.new(far.to_string())
         except self._failure as error:
             self._aravis.update_device_list()  # takes a second
             known = map(self._aravis.get_device_id, range(self._aravis.get_n_devices()))
             hint = f"Cameras that answer: {', '.join(known) or 'none'}."
             hint += " On a network the bench and the camera must be in one subnet."
             raise LinkError(self._who, f"can't be opened: {error}", hint=hint) from error
-        if not self._controls(camera):  # the library opens it, but every setting would time out
+        if not _controls(camera):  # the library opens it, but every setting would time out
             what = "can't be opened: it is open already, here or in another program"
             hint = "Is it twice in the rig file? Or close the other program."
             raise LinkError(self._who, what, hint=hint)
         return camera
 
-    def _controls(self, camera: Any) -> bool:
-        """Whether this program controls the camera; on a network only one can."""
-        return not camera.is_gv_device() or bool(camera.get_device().is_controller())
-
     def _check_control(self) -> None:
         """Raise FrameError for a camera that this program no longer controls, and let it go."""
-        if self._controls(self._camera):
+        if _controls(self._camera):
             return
         self._stream = self._camera = None
         self._lost_control = True
@@ -259,33 +276,6 @@ class GenicamCamera:
         self, fault: FrameFault, what: str, hint: str, *, seconds: float | None = None
     ) -> FrameError:
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
-
-    def _by_loopback(self, camera: Any) -> Any:
-        """The same camera; one on this machine is opened by its address, since no frame from
-        127.0.0.1 reaches another interface.
-        """
-        if not camera.is_gv_device():
-            return camera
-        device = camera.get_device()
-        near = device.get_interface_address().get_address()
-        far = device.get_device_address().get_address()
-        if not far.get_is_loopback() or near.get_is_loopback():
-            return camera
-        del camera, device  # hands the control of the camera back
-        return self._aravis.Camera.new(far.to_string())
-
-    def _start(self) -> None:
-        camera, settings = self._camera, self._settings
-        if settings.trigger == "free":
-            camera.clear_triggers()
-        else:
-            software = settings.trigger == "software"
-            camera.set_trigger("Software" if software else settings.trigger_source)
-        camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
-        self._stream = camera.create_stream(None, None)
-        for _ in range(BUFFERS):
-            self._stream.push_buffer(self._aravis.Buffer.new_allocate(camera.get_payload()))
-        camera.start_acquisition()
 
     def _pixels(self, buffer: Any) -> Any:
         """Pixels and their bits. Raises FrameError for a damaged buffer, else ProtocolError."""

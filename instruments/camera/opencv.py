@@ -30,7 +30,7 @@ MANUAL, MANUAL_OF_OLD = 1.0, 0.25
 
 
 def is_live(source: Source) -> bool:
-    """Whether frames come whether or not anyone asks: a device or a stream, not a file."""
+    """Whether frames come unasked: from a device or a stream, not a file."""
     return isinstance(source, int) or _is_url(source) or source.startswith("/dev/")
 
 
@@ -186,7 +186,17 @@ class OpenCvCamera:
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
     def _open(self) -> None:
-        capture = _opened(self._who, self._source)
+        if _is_url(self._source):
+            limits = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
+            parameters = [part for limit in limits for part in (limit, SILENCE_MS)]
+            capture = cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, parameters)
+        else:
+            capture = cv2.VideoCapture(self._source)
+        if not capture.isOpened():
+            capture.release()
+            asked = f"cv2.VideoCapture({self._source!r})"
+            hint = "Check its number, path or URL, and that no other program holds it."
+            raise LinkError(self._who, "can't be opened", asked=asked, hint=hint)
         try:
             notes = apply_settings(self._who, capture, self._settings)
         except BaseException:
@@ -196,28 +206,13 @@ class OpenCvCamera:
         self._identity = "; ".join(
             [f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes]
         )
-        # The library scales a frame of another size to the first one's: so it doesn't decode here.
+        # undecoded, since the library scales a frame of another size to the first one's
         is_mjpeg = _is_url(self._source) and fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)) == "MJPG"
         self._is_jpeg = is_mjpeg and capture.set(cv2.CAP_PROP_FORMAT, -1)
         if is_live(self._source):
             self._live = LiveReader(capture, self._clock, self._name)
         else:
             self._file = capture
-
-
-def _opened(who: str, source: Source) -> cv2.VideoCapture:
-    if _is_url(source):
-        limits = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
-        capture = cv2.VideoCapture(
-            source, cv2.CAP_FFMPEG, [part for limit in limits for part in (limit, SILENCE_MS)]
-        )
-    else:
-        capture = cv2.VideoCapture(source)
-    if not capture.isOpened():
-        capture.release()
-        hint = "Check its number, path or URL, and that no other program holds it."
-        raise LinkError(who, "can't be opened", asked=f"cv2.VideoCapture({source!r})", hint=hint)
-    return capture
 
 
 def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:

@@ -33,17 +33,12 @@ class Reader:
         """A line with its end, "" once nothing more can come, None while no whole line is there."""
         return self._stream.readline()
 
-    def typed_ahead(self) -> list[str]:
-        """Take the lines typed before the prompt; none from a pipe."""
-        return []
-
 
 class Descriptor:
     """A POSIX terminal or pipe. A terminal gives whole lines, editable until Enter."""
 
     def __init__(self, stream: TextIO) -> None:
         self._number = stream.fileno()
-        self._terminal = stream.isatty()
         self._encoding = stream.encoding or "utf-8"
         self._bytes = b""
         self._ended = False
@@ -60,12 +55,6 @@ class Descriptor:
             self._ended = not got
         line, end, self._bytes = self._bytes.partition(b"\n")
         return (line + end).decode(self._encoding, errors="replace")
-
-    def typed_ahead(self) -> list[str]:
-        lines: list[str] = []
-        while self._terminal and not self._ended and (line := self.line()):
-            lines.append(line)
-        return lines
 
 
 class Keys:
@@ -101,13 +90,6 @@ class Keys:
                 self._typed += char
                 self._echo(char)
         return None
-
-    def typed_ahead(self) -> list[str]:
-        lines: list[str] = []
-        while line := self.line():
-            lines.append(line)
-        self._typed = ""
-        return lines
 
 
 Keyboard = Reader | Descriptor | Keys
@@ -172,7 +154,7 @@ class Console(PromptedOperator):
         """As the base, and what the pedals raise."""
         with self._screen():
             # Enter pressed twice must not answer the next question, but no abort is lost
-            for line in self._keyboard.typed_ahead():
+            while self._terminal and (line := self._keyboard.line()):
                 if line.strip().lower() in op.ABORT:
                     raise op.OperatorAbort("the operator aborted the run")
             progress = f"[{prompt.progress}] " if prompt.progress else ""

@@ -175,22 +175,3 @@ def test_cameras_play_a_recording_once(folder: Path) -> None:
         cameras.capture()
     assert "aufnahme" in cameras.identity["left"]
     cameras.close()
-
-
-def test_the_path_traced_recording() -> None:
-    folder = ROOT / "../shared/data/path_traced"
-    if not folder.is_dir():
-        pytest.skip("needs ../shared/data/path_traced: absent on this machine")
-    recording = Recording(folder)
-    assert len(recording.frames) == 33
-    frames = recording.load("0000")
-    assert frames.left.shape == frames.right.shape == (1024, 1360)
-    assert frames.thermal is not None
-    assert frames.thermal_ck is not None
-    assert frames.thermal.shape == (480, 640)
-    assert frames.thermal_ck.shape == (120, 160)
-    # From the first line of its truth.csv, by eye.
-    assert recording.truth["0000"][0] == TruthRow(
-        "ideal", "1", (-250.7173, 294.5578, 131.3914), True
-    )
-    assert sum(not row.visible for rows in recording.truth.values() for row in rows) == 2

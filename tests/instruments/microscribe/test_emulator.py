@@ -532,8 +532,6 @@ def test_all_faults_of_a_file_at_once(tmp_path: Path) -> None:
             "[0x3FFF, 0x3FFF, 0, 0, 0, 0]",
             "can't be moved in three dimensions",
         ),
-        ("counts = [0,", "counts = [16384,", "peg.counts.0: input should be less than 16384"),
-        ("counts = [0,", 'counts = ["a",', "peg.counts.0: input should be a valid integer"),
         ("counts = [0,", 'counts = ["0",', "peg.counts.0: input should be a valid integer"),
     ],
 )

@@ -26,7 +26,6 @@ def test_a_pipe_gives_whole_lines_then_its_end_and_nothing_is_waited_for() -> No
         os.write(writes, "schö".encode()[:-1])
         assert keyboard.line() is None
         os.write(writes, "schö".encode()[-1:] + b"n\nnext\n")
-        assert keyboard.typed_ahead() == [], "what came too early can't be told in a pipe"
         assert [keyboard.line(), keyboard.line(), keyboard.line()] == ["schön\n", "next\n", None]
         os.write(writes, b"one\nlast")
         os.close(writes)
@@ -34,7 +33,7 @@ def test_a_pipe_gives_whole_lines_then_its_end_and_nothing_is_waited_for() -> No
 
 
 @POSIX
-def test_a_terminal_gives_up_what_was_typed_too_early() -> None:
+def test_a_terminal_gives_whole_lines_and_its_end() -> None:
     import pty
 
     near, far = pty.openpty()
@@ -44,19 +43,17 @@ def test_a_terminal_gives_up_what_was_typed_too_early() -> None:
     ):
         keyboard = keyboard_of(stream, print)
         os.write(near, b"\nabort\npart")
-        assert keyboard.typed_ahead() == ["\n", "abort\n"]
-        assert keyboard.line() is None
+        assert [keyboard.line(), keyboard.line(), keyboard.line()] == ["\n", "abort\n", None]
         os.write(near, b"ial\n")
         assert keyboard.line() == "partial\n"
         os.close(near)
         assert keyboard.line() == ""
-        assert keyboard.typed_ahead() == []
 
 
 def test_a_stream_without_a_keyboard_is_read() -> None:
     keyboard = keyboard_of(io.StringIO("one\n"), print)
     assert isinstance(keyboard, Reader)
-    assert [keyboard.line(), keyboard.line(), keyboard.typed_ahead()] == ["one\n", "", []]
+    assert [keyboard.line(), keyboard.line()] == ["one\n", ""]
 
 
 class WindowsConsole:
@@ -83,10 +80,6 @@ def test_keys_of_a_windows_console() -> None:
     console.pressed += "\rab\b\x00;c\xe0H\r"
     assert [keys.line(), keys.line()] == ["s hose\n", "ac\n"]
     assert console.screen == "s hose\nab\b \bc\n"
-    console.pressed += "\rabort\rhal"
-    assert keys.typed_ahead() == ["\n", "abort\n"]
-    console.pressed += "2\r"
-    assert keys.line() == "2\n"
     console.pressed.append("\x03")
     with pytest.raises(KeyboardInterrupt):
         keys.line()
