@@ -181,39 +181,31 @@ class Mechanics:
         return chance.normal(0.0, self._tremor_mm / np.sqrt(3.0), (_BLOCK, 3))
 
 
-class Trigger:
-    """Whether a stream by differences sends. A delta or mask bit of 0 leaves its encoder or pedal
-    out; the analog channels are not connected and never differ. A pedal that comes up triggers too,
-    and an encoder's difference is measured from the last packet.
+class Stream:
+    """A running stream of ``command``: a packet every ``period_s``, by differences only when it
+    `fires`. A delta or mask bit of 0 leaves its encoder or pedal out; the analog channels are not
+    connected. A difference is measured from the last packet, the first from ``look``.
     """
 
-    def __init__(self, request: StreamRequest, first: Look) -> None:
-        self._mask = request.button_mask
-        self._deltas = request.encoder_deltas
-        self._before = first.buttons
-        self._from = first.counts
+    def __init__(self, request: StreamRequest, look: Look | None) -> None:
+        self.command = request.command & ~wire.MARK
+        wire_s = (1 + wire.payload_length(self.command)) * _BITS_PER_BYTE / FASTEST_BAUD
+        self.period_s = max(request.delay_ms / 1000.0, wire_s)
+        self._request = request
+        self._last = look
 
     def fires(self, now: Look) -> bool:
         """Whether a pedal changed since the last look, or an encoder by its delta."""
-        changed = bool((now.buttons ^ self._before) & self._mask)
-        self._before = now.buttons
-        steps = [(a - b) % COUNT_MODULUS for a, b in zip(now.counts, self._from, strict=True)]
-        fires = changed or any(
+        if self._last is None:
+            return True
+        before, counts = self._last
+        steps = [(a - b) % COUNT_MODULUS for a, b in zip(now.counts, counts, strict=True)]
+        fires = bool((now.buttons ^ before) & self._request.button_mask) or any(
             delta and delta <= min(step, COUNT_MODULUS - step)  # the shorter way round
-            for delta, step in zip(self._deltas, steps, strict=False)
+            for delta, step in zip(self._request.encoder_deltas, steps, strict=False)
         )
-        if fires:
-            self._from = now.counts
+        self._last = Look(now.buttons, now.counts if fires else counts)
         return fires
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stream:
-    """A running stream of ``command``: packets, or with ``trigger`` looks, every ``period_s``."""
-
-    command: int
-    period_s: float
-    trigger: Trigger | None
 
 
 class ArmEmulator:
@@ -368,10 +360,7 @@ class ArmEmulator:
             return self._packet(command[0] & ~wire.MARK, self._look())
         if event is Event.STREAM:
             request = conf.decode_stream(bytes([Code.STREAM]) + command[1:])
-            asked = request.command & ~wire.MARK
-            wire_s = (1 + wire.payload_length(asked)) * _BITS_PER_BYTE / FASTEST_BAUD
-            trigger = None if request.fixed_rate else Trigger(request, self._look())
-            self._stream = Stream(asked, max(request.delay_ms / 1000.0, wire_s), trigger)
+            self._stream = Stream(request, None if request.fixed_rate else self._look())
             return bytes([Code.STREAM])
         if event is Event.END:
             return bytes([Code.END])
@@ -463,7 +452,7 @@ class ArmEmulator:
 
         def packet() -> bytes:
             look = self._look()
-            if stream.trigger and not stream.trigger.fires(look):
+            if not stream.fires(look):
                 return b""
             return self.faults.damage(self._packet(stream.command, look))
 

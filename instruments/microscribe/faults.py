@@ -90,7 +90,7 @@ class Faults:
 
     def strikes(self, fault: Fault) -> bool:
         """Whether the fault happens now; one of its times is used up."""
-        if not self.on(fault):
+        if self._left.get(fault, 0) <= 0:
             return False
         if self._spared[fault] > 0:
             self._spared[fault] -= 1
@@ -136,9 +136,9 @@ class Faults:
 
     def cut(self, data: bytes) -> tuple[bytes, bool]:
         """As much of ``data`` as passes, and whether the cable breaks behind it."""
-        passes = self._amounts[Fault.DISCONNECT]
         if not self.on(Fault.DISCONNECT) or not data:
             return data, False
+        passes = self._amounts[Fault.DISCONNECT]
         if len(data) <= passes:
             self._amounts[Fault.DISCONNECT] = passes - len(data)
             return data, False

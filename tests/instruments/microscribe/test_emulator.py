@@ -21,7 +21,7 @@ from instruments.microscribe.emulator import (
     KinematicError,
     Look,
     Mechanics,
-    Trigger,
+    Stream,
     workspace,
 )
 from instruments.microscribe.faults import Faults
@@ -167,8 +167,8 @@ def test_a_pedal_of_the_mask_sends_when_it_changes(host: Host) -> None:
 
 def test_a_slow_drift_is_measured_from_the_last_packet() -> None:
     drift = [Look(0, (count % 16384,)) for count in range(16380, 16414)]
-    trigger = Trigger(StreamRequest(0, 3, encoder_deltas=(5, 0, 0, 0, 0, 0)), drift[0])
-    fired = [look.counts[0] for look in drift[1:] if trigger.fires(look)]
+    running = Stream(StreamRequest(0, 3, encoder_deltas=(5, 0, 0, 0, 0, 0)), drift[0])
+    fired = [look.counts[0] for look in drift[1:] if running.fires(look)]
     assert fired == [1, 6, 11, 16, 21, 26], "counts go round at 16384"
 
 
