@@ -15,22 +15,16 @@ KNOWN = (*REQUIRED, "thermal")
 class Camera(Protocol):
     """One camera with its settings made."""
 
-    @property
-    def identity(self) -> str:
-        """Who it is, and what it was set to."""
-        ...
+    identity: str  # who it is, and what it was set to
 
     def begin(self) -> None:
         """Trigger, or ask for a fresh frame. Does not wait for it."""
-        ...
 
     def take(self) -> RawFrame:
         """The frame that ``begin`` asked for. Raises FrameError, or LinkError when gone."""
-        ...
 
     def close(self) -> None:
         """Let the camera go; may be called again."""
-        ...
 
 
 class CameraSet:

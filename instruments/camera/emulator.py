@@ -186,20 +186,16 @@ class SeenWorld(Protocol):
     @property
     def renderer(self) -> Renderer:
         """The three cameras' pictures of a state."""
-        ...
 
     @property
     def clock(self) -> Clock:
         """The bench's clock."""
-        ...
 
     def scene(self) -> SceneState:
         """What stands before the cameras now."""
-        ...
 
     def frame_rng(self, kind: str, index: int) -> np.random.Generator:
         """The noise generator for frame ``index`` of ``kind``."""
-        ...
 
 
 class EmulatedCameras:

@@ -109,9 +109,9 @@ def feature_names(device: Any) -> list[str]:
 
 
 class GenicamCamera:
-    """``device``: name as Aravis lists it, serial number or IP address; "" for the only one. Raises
-    LinkError where it doesn't answer, DeviceError without the library or for settings that did not
-    take.
+    """``device``: name as Aravis lists it, serial number or IP address; "" for the only one.
+    ``identity`` has settings tried in vain too. Raises LinkError where it doesn't answer,
+    DeviceError without the library or for settings that did not take.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class GenicamCamera:
             c, (width, height) = self._camera, _size(self._camera)
             who = f"{c.get_vendor_name()} {c.get_model_name()} {c.get_device_serial_number()}"
             size = f"({width} x {height}, {c.get_pixel_format_as_string()})"
-            self._identity = "; ".join([f"{who} {size}", *notes])
+            self.identity = "; ".join([f"{who} {size}", *notes])
             trigger, source = self._settings.trigger, self._settings.trigger_source
             if trigger == "free":
                 c.clear_triggers()
@@ -184,11 +184,6 @@ class GenicamCamera:
         device = camera.get_device()
         ways |= {name: _by_name(who, device, name) for name in self._settings.features}
         return apply(who, self._settings, ways, (self._failure, DeviceError))
-
-    @property
-    def identity(self) -> str:
-        """Vendor, model, serial number, size, pixel format, and settings tried in vain."""
-        return self._identity
 
     def begin(self) -> None:
         """Return old buffers, and trigger by software where set. Raises LinkError; FrameError when

@@ -103,8 +103,8 @@ class LiveReader:
 
 
 class OpenCvCamera:
-    """``name``: its place in the rig. Raises LinkError, or DeviceError for settings that did not
-    take.
+    """``name``: its place in the rig; ``identity`` has settings tried in vain too. Raises
+    LinkError, DeviceError for settings that did not take.
     """
 
     def __init__(
@@ -125,11 +125,6 @@ class OpenCvCamera:
         self._file: cv2.VideoCapture | None = None
         self._begun_s: float | None = None
         self._open()
-
-    @property
-    def identity(self) -> str:
-        """Source, backend, picture size, and settings that were tried in vain."""
-        return self._identity
 
     def begin(self) -> None:
         """Ask for a fresh frame, a file's next. Reopens a broken stream once. Raises LinkError."""
@@ -203,7 +198,7 @@ class OpenCvCamera:
             capture.release()
             raise
         width, height = self._size = _size(capture)
-        self._identity = "; ".join(
+        self.identity = "; ".join(
             [f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes]
         )
         # undecoded, since the library scales a frame of another size to the first one's

@@ -31,7 +31,6 @@ class Source(Protocol):
 
     def capture(self) -> FrameSet:
         """The next one. Raises FrameError where a frame does not come."""
-        ...
 
 
 class StreamServer:

@@ -51,7 +51,6 @@ class Hand(Protocol):
         """Tip (3,) mm in the arm's frame, and direction (3,) from it up the stylus or None for any.
         None altogether: the stylus is on its peg.
         """
-        ...
 
 
 class Look(NamedTuple):

@@ -173,7 +173,6 @@ class Operator(Protocol):
         what it raises; a `Notice` checks nothing. Raises OperatorAbort, OperatorSkip,
         OperatorRepeat, OperatorEnough, InstrumentError.
         """
-        ...
 
 
 Kind = Literal["homing", "check point", "set up", "touch", "board", "corner", "task"]

@@ -10,14 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from instruments.operators import operator as op
 from instruments.operators.emulated import SHOWN, BoardHands, EmulatedOperator, Mistake
-from instruments.operators.operator import (
-    BoardAsked,
-    BoardTouch,
-    CheckPoint,
-    OperatorEnough,
-    Touch,
-)
 from instruments.world.boards import Pattern
 from instruments.world.phantom import PIVOT_MM, PlatePose
 from instruments.world.world import World
@@ -81,7 +75,7 @@ def test_touches_scatter_by_the_hand_s_error() -> None:
     who.ask(arrangement())
     touched = []
     for _ in range(400):
-        who.ask(Touch(2, 4))
+        who.ask(op.Touch(2, 4))
         touched.append(tip(here) - here.ends_mm()[1])
     assert np.std(touched, axis=0) == pytest.approx([0.3] * 3, rel=0.12)
     assert np.mean(touched, axis=0) == pytest.approx(np.zeros(3), abs=0.06)
@@ -91,7 +85,7 @@ def touched_teats(who: EmulatedOperator, here: World, teats: list[int]) -> list[
     """Which teat the tip is at after each touch that is asked for."""
     at = []
     for teat in teats:
-        who.ask(Touch(teat, 4))
+        who.ask(op.Touch(teat, 4))
         at.append(int(np.linalg.norm(here.ends_mm() - tip(here), axis=1).argmin()) + 1)
     return at
 
@@ -137,21 +131,21 @@ def test_a_prompt_takes_its_time_and_the_interlocks_are_looked_at_meanwhile() ->
             raise RuntimeError("tripped")
 
     with pytest.raises(RuntimeError, match="tripped"):
-        who.ask(Touch(1, 4), tripped)
+        who.ask(op.Touch(1, 4), tripped)
     assert here.clock.now() == pytest.approx(10.5)
     assert here.arm_target() is None, "the hand had not got there yet"
 
 
 def test_who_knows_no_check_point_says_so() -> None:
     with pytest.raises(ValueError, match="give it check_point_mm"):
-        EmulatedOperator(world(), hand_error_mm=0.1).ask(CheckPoint(1, 5))
+        EmulatedOperator(world(), hand_error_mm=0.1).ask(op.CheckPoint(1, 5))
 
 
 # Calibration boards
 
 PATTERN = Pattern("chessboard", 10, 7, 40.0, 20.0)
-HELD = BoardAsked(PATTERN, "Hold the board.", 3)
-FIXED = BoardAsked(PATTERN, "Fix the board.", 1, fixed=True)
+HELD = op.BoardAsked(PATTERN, "Hold the board.", 3)
+FIXED = op.BoardAsked(PATTERN, "Fix the board.", 1, fixed=True)
 
 
 @pytest.mark.slow
@@ -168,7 +162,7 @@ def test_hands_hold_the_board_where_both_cameras_see_all_of_it_another_way_each_
 
 
 def test_hands_have_had_enough_after_a_while() -> None:
-    with pytest.raises(OperatorEnough, match=f"has shown the board {SHOWN} times"):
+    with pytest.raises(op.OperatorEnough, match=f"has shown the board {SHOWN} times"):
         hands(world()).ask(replace(HELD, number=SHOWN + 1))
 
 
@@ -198,4 +192,4 @@ def test_hands_rest_the_ball_on_the_face_that_the_cameras_see(number: int) -> No
 
 def test_hands_touch_nothing_where_no_board_is() -> None:
     with pytest.raises(ValueError, match="holds no board"):
-        hands(world()).ask(BoardTouch(0, "Touch it."))
+        hands(world()).ask(op.BoardTouch(0, "Touch it."))
