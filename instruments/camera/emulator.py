@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import CentiKelvin, FrameError, FrameFault, FrameSet, Grey
 from instruments.clock import Clock
 from instruments.world.scene import Renderer
@@ -158,7 +159,6 @@ def _upper_half(image: NDArray[Any]) -> NDArray[Any]:
 
 
 def _parts(camera: str) -> tuple[str, ...]:
-    """What a camera gives to a frame set."""
     return ("thermal", "thermal_ck") if camera == "thermal" else (camera,)
 
 
@@ -175,9 +175,6 @@ def _blurred(
 
 def _bytes(values: NDArray[np.float64]) -> Grey:
     return np.ascontiguousarray(np.clip(np.rint(values), 0.0, 255.0).astype(np.uint8))
-
-
-CAMERAS = ("left", "right", "thermal")
 
 
 class SeenWorld(Protocol):
@@ -218,7 +215,7 @@ class EmulatedCameras:
         spoiling = self.faults.next()
         clock = self._world.clock
         now_s = clock.now()
-        frames, exposed_s = self._seen(), dict.fromkeys(CAMERAS, now_s)
+        frames, exposed_s = self._seen(), dict.fromkeys(KNOWN, now_s)
         if FrameFault.LATE in spoiling:
             camera, late_s = spoiling[FrameFault.LATE]
             clock.sleep(max(0.0, now_s + late_s - clock.now()))

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameSet, grey8
 from instruments.errors import DeviceError
 
@@ -270,7 +271,7 @@ class RecordingCameras:
     @property
     def identity(self) -> Mapping[str, str]:
         """Where the pictures come from, for each camera."""
-        return dict.fromkeys(("left", "right", "thermal"), f"recording {self._recording.path}")
+        return dict.fromkeys(KNOWN, f"recording {self._recording.path}")
 
     def capture(self) -> FrameSet:
         """The next frame set. Raises DeviceError after the last."""

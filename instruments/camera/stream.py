@@ -16,10 +16,10 @@ from typing import Any, Protocol
 
 import cv2
 
+from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameError, FrameSet
 from instruments.clock import Clock, VirtualClock
 
-CAMERAS = ("left", "right", "thermal")
 BOUNDARY = "frame"
 QUALITY = 95
 STALLED_S = 5.0  # a reader that takes nothing for so long is disconnected
@@ -59,7 +59,7 @@ class StreamServer:
         self._server = _Server((host, port), _Handler)
         self._server.owner = self
         self.urls: Mapping[str, str] = {
-            name: f"http://{host}:{self._server.server_address[1]}/{name}.mjpg" for name in CAMERAS
+            name: f"http://{host}:{self._server.server_address[1]}/{name}.mjpg" for name in KNOWN
         }
         serve = {"poll_interval": LOOK_S}
         self._thread = threading.Thread(
@@ -109,8 +109,8 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Send one camera's pictures until somebody hangs up."""
         camera = self.path.partition("?")[0].strip("/").removesuffix(".mjpg")
-        if camera not in CAMERAS:
-            there = ", ".join(f"/{name}.mjpg" for name in CAMERAS)
+        if camera not in KNOWN:
+            there = ", ".join(f"/{name}.mjpg" for name in KNOWN)
             self.send_error(HTTPStatus.NOT_FOUND, f"no such camera; there are {there}")
             return
         self.send_response(HTTPStatus.OK)

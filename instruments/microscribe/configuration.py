@@ -34,10 +34,6 @@ def _checked_name(name: str) -> str:
     return name
 
 
-def _signed(word: int) -> int:
-    return word - 0x10000 if word > 0x7FFF else word
-
-
 def _exactly(count: int) -> AfterValidator:
     def check(values: tuple[int, ...]) -> tuple[int, ...]:
         if len(values) != count:
@@ -50,7 +46,8 @@ def _exactly(count: int) -> AfterValidator:
 _Name = Annotated[str, AfterValidator(_checked_name)]
 _Byte = Annotated[int, Field(ge=0, le=0xFF)]
 _Count = Annotated[int, Field(ge=0, lt=COUNT_MODULUS)]
-Word = Annotated[int, Field(ge=-0x8000, le=0xFFFF), AfterValidator(_signed)]
+_SIGNED = AfterValidator(lambda word: (word + 0x8000) % 0x10000 - 0x8000)
+Word = Annotated[int, Field(ge=-0x8000, le=0xFFFF), _SIGNED]
 Counts = Annotated[tuple[_Count, ...], _exactly(6)]
 _Words = Annotated[tuple[Word, ...], _exactly(6)]
 

@@ -179,7 +179,6 @@ class ArmConnection:
         raise last or ProtocolError(self.who, what, asked=asked, hint=hint)
 
     def _read_once(self) -> DeviceInfo:
-        """The arm's data in the maker's order."""
         ask = partial(self.ask, timeout_s=SIGN_ON_S)
         names = Identity(*(ask(code, partial(conf.decode_name, code)) for code in conf.NAMES))
         maxima = ask(Code.MAXIMA, conf.decode_maxima)

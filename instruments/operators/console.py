@@ -169,7 +169,6 @@ class Console(PromptedOperator):
                 raise
 
     def _answer(self, prompt: op.Prompt, check: Callable[[], None]) -> frozenset[int]:
-        """Ask until the answer is understood."""
         while True:
             line = self._line(prompt.keys(pedal=self._watch is not None), check, pedal=prompt.pedal)
             if line.strip() == op.EXPLAIN:
