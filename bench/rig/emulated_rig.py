@@ -18,9 +18,8 @@ from instruments.bath.profile import Profile, RelayProfile
 from instruments.camera.emulator import EmulatedCameras
 from instruments.clock import Clock
 from instruments.listener import Device, Listener
-from instruments.microscribe.emulator import ArmEmulator
+from instruments.microscribe.emulator import ArmEmulator, Hand
 from instruments.microscribe.faults import FOREVER
-from instruments.microscribe.mechanics import Hand
 from instruments.operators.emulated import EmulatedOperator
 from instruments.pty_listener import PtyListener
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Mounting, StageEmulator

@@ -19,7 +19,7 @@ from pydantic import Field, field_validator, model_validator
 
 from bench.config import ConfigError, Fault, Section, did_you_mean, read_config, read_text
 from instruments.operators.operator import Kind
-from instruments.operators.script import KINDS, ScriptedAnswer, ScriptedAnswers, check_answer
+from instruments.operators.prompted import KINDS, ScriptedAnswer, ScriptedAnswers, check_answer
 
 LINE = re.compile(
     r"(?P<otherwise>otherwise\s+)?(?P<to>[a-z"

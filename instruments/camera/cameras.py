@@ -15,24 +15,16 @@ KNOWN = (*REQUIRED, "thermal")
 class Camera(Protocol):
     """One camera with its settings made."""
 
-    @property
-    def identity(self) -> str:
-        """Who it is, and what it was set to."""
-        ...
+    identity: str  # who it is, and what it was set to
 
     def begin(self) -> None:
-        """Trigger, or make sure that the next frame is a fresh one. Does not wait for it."""
-        ...
+        """Trigger, or ask for a fresh frame. Does not wait for it."""
 
     def take(self) -> RawFrame:
-        """The frame that ``begin`` asked for. Raises FrameError for a bad frame, LinkError when
-        gone.
-        """
-        ...
+        """The frame that ``begin`` asked for. Raises FrameError, or LinkError when gone."""
 
     def close(self) -> None:
         """Let the camera go; may be called again."""
-        ...
 
 
 class CameraSet:
@@ -62,9 +54,7 @@ class CameraSet:
         self._open()
 
     def capture(self) -> FrameSet:
-        """Expose all cameras as nearly together as possible. Raises FrameError, LinkError,
-        ProtocolError.
-        """
+        """Expose all cameras together. Raises FrameError, LinkError, ProtocolError."""
         for camera in self._cameras.values():
             camera.begin()
         raw = {name: camera.take() for name, camera in self._cameras.items()}

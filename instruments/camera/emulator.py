@@ -1,7 +1,5 @@
-"""Emulated cameras that look at the simulated world in this process, and their faults.
-
-The world is whatever has a scene, a renderer, a clock and a generator for each frame, so the same
-run gives the same bytes.
+"""Emulated cameras that look at the simulated world in this process, and their faults. The same run
+gives the same bytes.
 """
 
 from __future__ import annotations
@@ -15,13 +13,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import CentiKelvin, FrameError, FrameFault, FrameSet, Grey
 from instruments.clock import Clock
 from instruments.world.scene import Renderer
 from instruments.world.state import SceneState
 
-# What an emulated camera can have, and which camera has it where nobody says. A wrong size is a
-# wrong rig file, not a fault of a camera.
+# what an emulated camera can have, and by default which one; a wrong size is a wrong rig file
 FAULTS: Mapping[FrameFault, str] = {
     FrameFault.DROPPED: "left",
     FrameFault.LOST_PACKETS: "left",
@@ -34,7 +32,10 @@ FAULTS: Mapping[FrameFault, str] = {
     FrameFault.OUT_OF_FOCUS: "left",
     FrameFault.SWAPPED: "left",
 }
-KEPT_BACK = (FrameFault.DROPPED, FrameFault.LOST_PACKETS)
+KEPT_BACK: Mapping[FrameFault, str] = {
+    FrameFault.DROPPED: "no frame came",
+    FrameFault.LOST_PACKETS: "a frame came with holes",
+}
 FOREVER = 1 << 30
 AMOUNTS: Mapping[FrameFault, tuple[float, str]] = {
     FrameFault.LATE: (0.2, "seconds"),
@@ -72,7 +73,7 @@ class CameraFaults:
             self._on[fault] = (camera or FAULTS[fault], given, times)
 
     def clear(self, name: str) -> None:
-        """Have it no more; no matter whether it was there."""
+        """End a fault, whether it was on or not."""
         with self._lock:
             self._on.pop(named(name), None)
 
@@ -98,9 +99,8 @@ def check_amount(fault: FrameFault, amount: float | None) -> None:
     """Raise ValueError where a fault has no amount."""
     if amount is not None and fault not in AMOUNTS:
         said = ", ".join(f'"{known}" in {unit}' for known, (_, unit) in AMOUNTS.items())
-        raise ValueError(
-            f'of the cameras\' faults only these have an amount: {said}; "{fault}" has none'
-        )
+        what = f"of the cameras' faults only these have an amount: {said}"
+        raise ValueError(f'{what}; "{fault}" has none')
 
 
 def check_camera(fault: FrameFault, camera: str | None) -> None:
@@ -121,28 +121,17 @@ def spoiled(
         elif fault is FrameFault.FROZEN and last is not None:
             new = {part: getattr(last, part) for part in old}
         elif fault is FrameFault.HALF:
-            new = {part: image.copy() for part, image in old.items()}
-            for image in new.values():
-                image[len(image) // 2 :] = 0
+            new = {part: _upper_half(image) for part, image in old.items()}
         elif camera == "thermal":
             new = _spoiled_thermal(fault, old["thermal"], old["thermal_ck"], amount, rng)
-        else:
-            new = _spoiled_optical(fault, camera, old[camera], amount, rng)
+        elif fault is FrameFault.BLACK:
+            new = {camera: _bytes(BLACK_DN + _noise(rng, READ_NOISE_DN, old[camera]))}
+        elif fault is FrameFault.SATURATED:
+            new = {camera: _bytes(old[camera].astype(np.float64) * amount)}
+        elif fault is FrameFault.OUT_OF_FOCUS:
+            new = {camera: _bytes(_blurred(old[camera], amount, rng, READ_NOISE_DN))}
         frames = replace(frames, **new)
     return frames
-
-
-def _spoiled_optical(
-    fault: FrameFault, camera: str, grey: Grey, amount: float, rng: np.random.Generator
-) -> dict[str, Any]:
-    match fault:
-        case FrameFault.BLACK:
-            return {camera: _bytes(BLACK_DN + _noise(rng, READ_NOISE_DN, grey))}
-        case FrameFault.SATURATED:
-            return {camera: _bytes(grey.astype(np.float64) * amount)}
-        case FrameFault.OUT_OF_FOCUS:
-            return {camera: _bytes(_blurred(grey, amount, rng, READ_NOISE_DN))}
-    return {}
 
 
 def _spoiled_thermal(
@@ -165,8 +154,11 @@ def _spoiled_thermal(
     return {"thermal": _bytes(shown), "thermal_ck": np.rint(kelvin).astype(np.uint16)}
 
 
+def _upper_half(image: NDArray[Any]) -> NDArray[Any]:
+    return np.where(np.arange(len(image))[:, None] < len(image) // 2, image, 0)
+
+
 def _parts(camera: str) -> tuple[str, ...]:
-    """What a camera gives to a frame set."""
     return ("thermal", "thermal_ck") if camera == "thermal" else (camera,)
 
 
@@ -185,29 +177,22 @@ def _bytes(values: NDArray[np.float64]) -> Grey:
     return np.ascontiguousarray(np.clip(np.rint(values), 0.0, 255.0).astype(np.uint8))
 
 
-CAMERAS = ("left", "right", "thermal")
-
-
 class SeenWorld(Protocol):
     """What emulated cameras need of the world."""
 
     @property
     def renderer(self) -> Renderer:
         """The three cameras' pictures of a state."""
-        ...
 
     @property
     def clock(self) -> Clock:
         """The bench's clock."""
-        ...
 
     def scene(self) -> SceneState:
         """What stands before the cameras now."""
-        ...
 
     def frame_rng(self, kind: str, index: int) -> np.random.Generator:
         """The noise generator for frame ``index`` of ``kind``."""
-        ...
 
 
 class EmulatedCameras:
@@ -222,19 +207,15 @@ class EmulatedCameras:
     @property
     def identity(self) -> Mapping[str, str]:
         """Who each camera is."""
-        models = {camera.name: camera for camera in self._world.renderer.cameras}
-        return {
-            name: f"emulated {models[name].width_px} x {models[name].height_px}" for name in CAMERAS
-        }
+        cameras = self._world.renderer.cameras
+        return {one.name: f"emulated {one.width_px} x {one.height_px}" for one in cameras}
 
     def capture(self) -> FrameSet:
-        """A frame set of the present world, all cameras at one moment unless one is late. Raises
-        FrameError where a fault keeps a frame back.
-        """
+        """A frame set of the present world. Raises FrameError where a fault keeps a frame back."""
         spoiling = self.faults.next()
         clock = self._world.clock
         now_s = clock.now()
-        frames, exposed_s = self._seen(), dict.fromkeys(CAMERAS, now_s)
+        frames, exposed_s = self._seen(), dict.fromkeys(KNOWN, now_s)
         if FrameFault.LATE in spoiling:
             camera, late_s = spoiling[FrameFault.LATE]
             clock.sleep(max(0.0, now_s + late_s - clock.now()))
@@ -243,11 +224,9 @@ class EmulatedCameras:
             exposed_s[camera] = clock.now()
         rng = self._world.frame_rng("camera faults", self._taken)
         frames = spoiled(frames, self._last, spoiling, rng)
-        for fault in KEPT_BACK:
+        for fault, what in KEPT_BACK.items():
             if fault in spoiling:
                 camera = spoiling[fault][0]
-                holes = fault is FrameFault.LOST_PACKETS
-                what = "a frame came with holes" if holes else "no frame came"
                 raise FrameError(fault, camera, f"{camera} camera, emulated", what)
         self._last = replace(frames, exposed_s=exposed_s, identity=self.identity)
         return self._last

@@ -1,5 +1,4 @@
-"""Frames: raw as a camera gave them, a set of grey pictures and temperatures, how the one becomes
-the other, and the faults of a frame.
+"""Frames: raw, as a set of grey pictures and temperatures, the conversion, and a frame's faults.
 
 Conversion, in this order: colour to grey, mirrored back, turned, flipped, then 16 bits to 8 and
 perhaps inverted, or counts to centi-kelvin.
@@ -54,10 +53,8 @@ class FrameSet:
             if not isinstance(image, np.ndarray):
                 raise ValueError(f"{wanted}, is a {type(image).__name__}")
             if image.dtype != dtype or image.ndim != 2 or image.size == 0:
-                raise ValueError(
-                    f"{wanted}, is {image.shape} of {image.dtype}; `grey8` makes 8-bit grey of raw"
-                    " images"
-                )
+                seen = f"{image.shape} of {image.dtype}"
+                raise ValueError(f"{wanted}, is {seen}; `grey8` makes 8-bit grey of raw images")
 
     @property
     def thermal_k(self) -> NDArray[np.float64] | None:
@@ -72,9 +69,8 @@ def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
     Raises ValueError.
     """
     if image.ndim not in (2, 3) or not image.size or image.shape[2:] not in ((), (1,), (3,), (4,)):
-        raise ValueError(
-            f"an image must be (height, width) with one, three or four channels, is {image.shape}"
-        )
+        what = "an image must be (height, width) with one, three or four channels"
+        raise ValueError(f"{what}, is {image.shape}")
     if image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"an image must have 8 or 16 bits, is {image.dtype}")
     if image.ndim == 3:
@@ -103,6 +99,7 @@ Channel = Literal["luma", "red", "green", "blue"]
 Flip = Literal["none", "horizontal", "vertical", "both"]
 Turn = Literal[0, 90, 180, 270]
 _BGR = {"blue": 0, "green": 1, "red": 2}
+_FLIPPED = {"none": (), "horizontal": (1,), "vertical": (0,), "both": (0, 1)}  # axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,23 +146,17 @@ class Conversion:
         centikelvin = np.rint(100.0 * (zero_k + per_count_k * counts.astype(np.float64)))
         if centikelvin.min() < 0.0 or centikelvin.max() > 65535.0:
             span = f"{centikelvin.min() / 100:g} to {centikelvin.max() / 100:g} K"
-            raise ValueError(
-                f"counts {counts.min()} to {counts.max()} would be {span}: kelvin_per_count or"
-                " kelvin_at_zero is wrong"
-            )
+            what = f"counts {counts.min()} to {counts.max()} would be {span}"
+            raise ValueError(f"{what}: kelvin_per_count or kelvin_at_zero is wrong")
         return np.ascontiguousarray(centikelvin.astype(np.uint16))
 
     def _upright(self, image: NDArray[Any]) -> NDArray[Any]:
         if image.ndim == 3 and self.grey in _BGR:
             image = image[:, :, _BGR[self.grey]]
         if self.mirrored:
-            image = image[:, ::-1]
+            image = np.fliplr(image)
         image = np.rot90(image, k=-self.turn_deg // 90)
-        if self.flip in ("horizontal", "both"):
-            image = image[:, ::-1]
-        if self.flip in ("vertical", "both"):
-            image = image[::-1]
-        return np.ascontiguousarray(image)
+        return np.ascontiguousarray(np.flip(image, _FLIPPED[self.flip]))
 
 
 class FrameFault(StrEnum):

@@ -1,8 +1,5 @@
 """A GigE Vision or USB3 Vision camera, optical or radiometric, through Aravis, which is loaded on
-demand.
-
-Features are set by name and read back. A buffer with missing packets or of another size is a named
-fault, never a picture. The camera's own time stamps are brought to the bench's clock.
+demand. A buffer with missing packets or of another size is a named fault, never a picture.
 """
 
 from __future__ import annotations
@@ -13,9 +10,8 @@ from collections.abc import Callable
 from typing import Any
 
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
-from instruments.camera.live import DeviceTime
 from instruments.camera.pixel_formats import unpack
-from instruments.camera.settings import ReadBack, Settings, Value
+from instruments.camera.settings import Settings, Value, apply
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 
@@ -30,6 +26,30 @@ DAMAGED = dict.fromkeys(
     ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT"), FrameFault.LOST_PACKETS
 ) | {"SIZE_MISMATCH": FrameFault.HALF}
 FAKE = "Fake_"  # how the library's own camera in this process is named
+DRIFT = 1e-4  # two crystals of 50 ppm each
+KEPT_S = 600.0  # frames older than this say no more than their drift
+
+
+class DeviceTime:
+    """A camera's stamps on the bench's clock. A frame arrives after its stamp, so the least
+    difference, aged by the clocks' drift, is the offset. A stamp that goes back starts anew.
+    """
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[float, float]] = []  # arrival and offset, s on the bench's clock
+        self._last_s = float("-inf")
+
+    def bench_s(self, device_s: float, arrived_s: float) -> float:
+        """Exposure time of a frame with stamp ``device_s`` (0: none) that came at ``arrived_s``."""
+        if device_s <= 0.0:
+            return arrived_s
+        if device_s < self._last_s:
+            self._seen.clear()
+        self._last_s = device_s
+        self._seen = [seen for seen in self._seen if arrived_s - seen[0] <= KEPT_S]
+        self._seen.append((arrived_s, arrived_s - device_s))
+        offset_s = min(offset + DRIFT * (arrived_s - at) for at, offset in self._seen)
+        return min(device_s + offset_s, arrived_s)
 
 
 def load_aravis() -> Any:
@@ -38,61 +58,14 @@ def load_aravis() -> Any:
         gi = importlib.import_module("gi")
         gi.require_version("Aravis", "0.8")
         return importlib.import_module("gi.repository.Aravis")
-    # ValueError: the binding is there, the library isn't
-    except (ImportError, ValueError) as error:
-        raise DeviceError(
-            "genicam cameras", f"the library can't be loaded: {error}", hint=INSTALL
-        ) from error
+    except (ImportError, ValueError) as error:  # ValueError: a binding without the library
+        what = f"the library can't be loaded: {error}"
+        raise DeviceError("genicam cameras", what, hint=INSTALL) from error
 
 
-def found_cameras(aravis: Any) -> list[str]:
-    """Names of the cameras that answer on the network and on USB; takes a second."""
-    aravis.update_device_list()
-    return [str(aravis.get_device_id(i)) for i in range(aravis.get_n_devices())]
-
-
-def set_all(who: str, camera: Any, settings: Settings, failure: type[Exception]) -> tuple[str, ...]:
-    """Write each setting and read it back; notes about tries. ``failure`` is the library's
-    exception. Raises DeviceError for what did not take.
-    """
-    back = ReadBack(who, settings.tries)
-    ways: dict[str, tuple[Callable[[Any], object], Callable[[], object]]] = {
-        "pixel_format": (camera.set_pixel_format_from_string, camera.get_pixel_format_as_string),
-        "resolution": (lambda size: camera.set_region(0, 0, *size), lambda: _size(camera)),
-        "fps": (camera.set_frame_rate, camera.get_frame_rate),
-        "exposure": (lambda us: _set_exposure(camera, us), camera.get_exposure_time),
-        "gain": (camera.set_gain, camera.get_gain),
-    }
-    asked = [
-        (name, value, *way)
-        for name, way in ways.items()
-        if (value := getattr(settings, name)) is not None
-    ]
-    for name, value in settings.features.items():
-        asked.append((name, value, *_by_name(who, camera.get_device(), name)))
-    taken = []
-    for name, value, write, read in asked:
-        try:
-            write(value)
-            taken.append((name, value, read))
-        except (failure, DeviceError) as error:
-            back.refused(name, f"{name} was refused: {_message(error)}")
-    for name, value, read in taken:  # all set before any is read: one may change another
-        try:
-            back.compare(name, value, read())
-        except failure as error:
-            back.refused(name, f"{name} can't be read back: {_message(error)}")
-    return back.finish()
-
-
-def _message(error: Exception) -> str:
-    return error.what if isinstance(error, DeviceError) else str(getattr(error, "message", error))
-
-
-def _set_exposure(camera: Any, exposure_us: float) -> None:
-    if camera.is_exposure_auto_available():
-        camera.set_exposure_time_auto(0)
-    camera.set_exposure_time(exposure_us)
+def _controls(camera: Any) -> bool:
+    """Whether this program controls the camera; on a network only one can."""
+    return not camera.is_gv_device() or bool(camera.get_device().is_controller())
 
 
 def _size(camera: Any) -> tuple[int, int]:
@@ -122,25 +95,23 @@ def _by_name(
 
 def feature_names(device: Any) -> list[str]:
     """All features that a camera lists, by its categories."""
-    names: list[str] = []
-    open_, seen = ["Root"], set()
-    while open_:
-        name = open_.pop()
-        found = device.get_feature(name)
-        if found is None or name in seen:
+    names, categories, seen = set(), ["Root"], set()
+    while categories:
+        name = categories.pop()
+        if name in seen or (found := device.get_feature(name)) is None:
             continue
         seen.add(name)
         if hasattr(found, "get_features"):
-            open_ += list(found.get_features())
+            categories += found.get_features()
         else:
-            names.append(name)
+            names.add(name)
     return sorted(names)
 
 
 class GenicamCamera:
-    """``device``: name as Aravis lists it, serial number or IP address; "" for the only one. Raises
-    LinkError where it doesn't answer, DeviceError without the library or for settings that did not
-    take.
+    """``device``: name as Aravis lists it, serial number or IP address; "" for the only one.
+    ``identity`` has settings tried in vain too. Raises LinkError where it doesn't answer,
+    DeviceError without the library or for settings that did not take.
     """
 
     def __init__(
@@ -171,20 +142,48 @@ class GenicamCamera:
         self._camera = self._found(self._device)
         self._lost_control = False
         try:
-            notes = set_all(self._who, self._camera, self._settings, self._failure)
-            self._identity = "; ".join([self._described(), *notes])
-            self._start()
-        except self._failure as error:
+            notes = self._apply_settings()
+            c, (width, height) = self._camera, _size(self._camera)
+            who = f"{c.get_vendor_name()} {c.get_model_name()} {c.get_device_serial_number()}"
+            size = f"({width} x {height}, {c.get_pixel_format_as_string()})"
+            self.identity = "; ".join([f"{who} {size}", *notes])
+            trigger, source = self._settings.trigger, self._settings.trigger_source
+            if trigger == "free":
+                c.clear_triggers()
+            else:
+                c.set_trigger("Software" if trigger == "software" else source)
+            c.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
+            self._stream = c.create_stream(None, None)
+            for _ in range(BUFFERS):
+                self._stream.push_buffer(self._aravis.Buffer.new_allocate(c.get_payload()))
+            c.start_acquisition()
+        except BaseException as error:
             self.close()
-            raise DeviceError(self._who, f"it refused: {error}") from error
-        except BaseException:
-            self.close()
+            if isinstance(error, self._failure):
+                raise DeviceError(self._who, f"it refused: {error}") from error
             raise
 
-    @property
-    def identity(self) -> str:
-        """Vendor, model, serial number, size, pixel format, and settings tried in vain."""
-        return self._identity
+    def _apply_settings(self) -> tuple[str, ...]:
+        camera, who = self._camera, self._who
+
+        def set_exposure(exposure_us: float) -> None:
+            if camera.is_exposure_auto_available():
+                camera.set_exposure_time_auto(0)
+            camera.set_exposure_time(exposure_us)
+
+        ways = {
+            "pixel_format": (
+                camera.set_pixel_format_from_string,
+                camera.get_pixel_format_as_string,
+            ),
+            "resolution": (lambda size: camera.set_region(0, 0, *size), lambda: _size(camera)),
+            "fps": (camera.set_frame_rate, camera.get_frame_rate),
+            "exposure": (set_exposure, camera.get_exposure_time),
+            "gain": (camera.set_gain, camera.get_gain),
+        }
+        device = camera.get_device()
+        ways |= {name: _by_name(who, device, name) for name in self._settings.features}
+        return apply(who, self._settings, ways, (self._failure, DeviceError))
 
     def begin(self) -> None:
         """Return old buffers, and trigger by software where set. Raises LinkError; FrameError when
@@ -229,37 +228,36 @@ class GenicamCamera:
             self._stream = None
             try:
                 self._camera.stop_acquisition()
-            except self._failure:  # it has gone already, and with it whatever there was to stop
+            except self._failure:  # it has gone already
                 return
             finally:
                 self._camera = None
 
     def _found(self, device: str) -> Any:
         try:
-            camera = self._by_loopback(self._aravis.Camera.new(device or None))
+            camera = self._aravis.Camera.new(device or None)
+            if camera.is_gv_device():
+                near = camera.get_device().get_interface_address().get_address()
+                far = camera.get_device().get_device_address().get_address()
+                # on this machine: frames from 127.0.0.1 reach no other interface
+                if far.get_is_loopback() and not near.get_is_loopback():
+                    del camera  # hands the control of the camera back
+                    camera = self._aravis.Camera.new(far.to_string())
         except self._failure as error:
-            there = ", ".join(found_cameras(self._aravis)) or "none"
-            hint = (
-                f"Cameras that answer: {there}. On a network the bench and the camera must be in"
-                " one subnet."
-            )
+            self._aravis.update_device_list()  # takes a second
+            known = map(self._aravis.get_device_id, range(self._aravis.get_n_devices()))
+            hint = f"Cameras that answer: {', '.join(known) or 'none'}."
+            hint += " On a network the bench and the camera must be in one subnet."
             raise LinkError(self._who, f"can't be opened: {error}", hint=hint) from error
-        if not self._controls(camera):  # the library opens it, but every setting would time out
+        if not _controls(camera):  # the library opens it, but every setting would time out
             what = "can't be opened: it is open already, here or in another program"
-            hint = (
-                "Is it twice in the rig file? Close the other program; a crashed one's hold soon"
-                " ends."
-            )
+            hint = "Is it twice in the rig file? Or close the other program."
             raise LinkError(self._who, what, hint=hint)
         return camera
 
-    def _controls(self, camera: Any) -> bool:
-        """Whether this program may set and start the camera: on a network only one may."""
-        return not camera.is_gv_device() or bool(camera.get_device().is_controller())
-
     def _check_control(self) -> None:
         """Raise FrameError for a camera that this program no longer controls, and let it go."""
-        if self._controls(self._camera):
+        if _controls(self._camera):
             return
         self._stream = self._camera = None
         self._lost_control = True
@@ -274,49 +272,11 @@ class GenicamCamera:
     ) -> FrameError:
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
-    def _by_loopback(self, camera: Any) -> Any:
-        """The same camera; one on this machine, found through a network interface, is opened by its
-        address: frames from 127.0.0.1 never reach another interface.
-        """
-        if not camera.is_gv_device():
-            return camera
-        device = camera.get_device()
-        near = device.get_interface_address().get_address()
-        far = device.get_device_address().get_address()
-        if not far.get_is_loopback() or near.get_is_loopback():
-            return camera
-        del camera, device  # hands the control of the camera back
-        return self._aravis.Camera.new(far.to_string())
-
-    def _described(self) -> str:
-        c = self._camera
-        who = f"{c.get_vendor_name()} {c.get_model_name()} {c.get_device_serial_number()}"
-        width, height = _size(c)
-        return f"{who} ({width} x {height}, {c.get_pixel_format_as_string()})"
-
-    def _start(self) -> None:
-        camera, settings = self._camera, self._settings
-        if settings.trigger == "free":
-            camera.clear_triggers()
-        else:
-            software = settings.trigger == "software"
-            camera.set_trigger("Software" if software else settings.trigger_source)
-        camera.set_acquisition_mode(self._aravis.AcquisitionMode.CONTINUOUS)
-        self._stream = camera.create_stream(None, None)
-        for _ in range(BUFFERS):
-            self._stream.push_buffer(self._aravis.Buffer.new_allocate(camera.get_payload()))
-        camera.start_acquisition()
-
     def _pixels(self, buffer: Any) -> Any:
-        """Pixels and their bits. Raises FrameError for a damaged buffer, ProtocolError for none of
-        pixels.
-        """
+        """Pixels and their bits. Raises FrameError for a damaged buffer, else ProtocolError."""
         status = buffer.get_status().value_nick.upper().replace("-", "_")
         if status != "SUCCESS":
-            hint = (
-                "Raise the socket's buffer and the packet size (jumbo frames), or lower the frame"
-                " rate."
-            )
+            hint = "Raise the socket's buffer and the packet size, or lower the frame rate."
             what = f"a frame's buffer came with status {status}"
             raise self._fault(DAMAGED.get(status, FrameFault.DROPPED), what, hint)
         kind = buffer.get_payload_type().value_nick

@@ -1,24 +1,27 @@
 """A camera through OpenCV: a device's number or path, a video file, or a stream (`http://` MJPEG,
-`rtsp://`).
-
-Live sources are read without pause (`live`), files frame by frame. Settings are read back.
+`rtsp://`). Live sources are read without pause, files frame by frame.
 """
 
 from __future__ import annotations
 
 import math
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
-from instruments.camera.live import LiveReader
-from instruments.camera.settings import ReadBack, Settings
+from instruments.camera.settings import Settings, apply
 from instruments.clock import Clock
 from instruments.errors import LinkError
 
 Source = int | str
-SILENCE_MS = 5000  # a stream that says nothing for so long is gone
+SILENCE_MS = 5000  # a stream that is silent for so long is gone
+LOOK_S = 0.002
 PATIENCE_S = 2.0  # the longest exposure and interval that a frame may take
 SIZE = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 NUMBERS = {"fps": cv2.CAP_PROP_FPS, "exposure": cv2.CAP_PROP_EXPOSURE, "gain": cv2.CAP_PROP_GAIN}
@@ -27,7 +30,7 @@ MANUAL, MANUAL_OF_OLD = 1.0, 0.25
 
 
 def is_live(source: Source) -> bool:
-    """Whether frames come whether or not anyone asks: a device or a stream, not a file."""
+    """Whether frames come unasked: from a device or a stream, not a file."""
     return isinstance(source, int) or _is_url(source) or source.startswith("/dev/")
 
 
@@ -41,9 +44,67 @@ def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
     return round(width), round(height)
 
 
+class LiveReader:
+    """Fresh frames: a thread grabs all the time and decodes on request, since OpenCV keeps frames
+    that were not taken. Owns ``capture`` from now on; to be closed.
+    """
+
+    def __init__(self, capture: cv2.VideoCapture, clock: Clock, name: str) -> None:
+        self._capture = capture
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._wanted_s = math.inf
+        self._got: tuple[NDArray[np.uint8] | None, float] | None = None
+        self._closing = False
+        self.broken = False
+        self._thread = threading.Thread(target=self._read, name=f"{name} camera", daemon=True)
+        self._thread.start()
+
+    def ask(self) -> None:
+        """The next frame that arrives whole from now on is wanted."""
+        with self._lock:
+            self._got, self._wanted_s = None, self._clock.now()
+
+    def answer(self, patience_s: float) -> tuple[NDArray[np.uint8] | None, float] | None:
+        """The frame (None: undecodable) and its arrival; None where none came in ``patience_s``."""
+        end_s = self._clock.now() + patience_s
+        while self._clock.now() < end_s:
+            with self._lock:
+                if self._got is not None:
+                    return self._got
+            if self.broken:
+                return None
+            self._clock.sleep(LOOK_S)
+        return None
+
+    def close(self) -> None:
+        """End the thread once it has its frame, or its source's time-out; may be called again."""
+        self._closing = True
+        self._thread.join()
+
+    def _read(self) -> None:
+        try:
+            while not self._closing:
+                began_s = self._clock.now()
+                if not self._capture.grab():
+                    self.broken = True
+                    return
+                arrived_s = self._clock.now()
+                if began_s < self._wanted_s:
+                    continue
+                good, image = self._capture.retrieve()
+                whole = good and image is not None
+                with self._lock:
+                    if began_s >= self._wanted_s:  # not asked anew meanwhile
+                        self._wanted_s = math.inf
+                        self._got = np.asarray(image, np.uint8) if whole else None, arrived_s
+        finally:
+            self._capture.release()
+
+
 class OpenCvCamera:
-    """``name``: its place in the rig. Raises LinkError, or DeviceError for settings that did not
-    take.
+    """``name``: its place in the rig; ``identity`` has settings tried in vain too. Raises
+    LinkError, DeviceError for settings that did not take.
     """
 
     def __init__(
@@ -64,11 +125,6 @@ class OpenCvCamera:
         self._file: cv2.VideoCapture | None = None
         self._begun_s: float | None = None
         self._open()
-
-    @property
-    def identity(self) -> str:
-        """Source, backend, picture size, and settings that were tried in vain."""
-        return self._identity
 
     def begin(self) -> None:
         """Ask for a fresh frame, a file's next. Reopens a broken stream once. Raises LinkError."""
@@ -125,17 +181,27 @@ class OpenCvCamera:
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
     def _open(self) -> None:
-        capture = _opened(self._who, self._source)
+        if _is_url(self._source):
+            limits = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
+            parameters = [part for limit in limits for part in (limit, SILENCE_MS)]
+            capture = cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, parameters)
+        else:
+            capture = cv2.VideoCapture(self._source)
+        if not capture.isOpened():
+            capture.release()
+            asked = f"cv2.VideoCapture({self._source!r})"
+            hint = "Check its number, path or URL, and that no other program holds it."
+            raise LinkError(self._who, "can't be opened", asked=asked, hint=hint)
         try:
             notes = apply_settings(self._who, capture, self._settings)
         except BaseException:
             capture.release()
             raise
         width, height = self._size = _size(capture)
-        self._identity = "; ".join(
+        self.identity = "; ".join(
             [f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes]
         )
-        # The library scales a frame of another size to the first one's: so it doesn't decode here.
+        # undecoded, since the library scales a frame of another size to the first one's
         is_mjpeg = _is_url(self._source) and fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)) == "MJPG"
         self._is_jpeg = is_mjpeg and capture.set(cv2.CAP_PROP_FORMAT, -1)
         if is_live(self._source):
@@ -144,44 +210,30 @@ class OpenCvCamera:
             self._file = capture
 
 
-def _opened(who: str, source: Source) -> cv2.VideoCapture:
-    if _is_url(source):
-        limits = (cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, cv2.CAP_PROP_READ_TIMEOUT_MSEC)
-        capture = cv2.VideoCapture(
-            source, cv2.CAP_FFMPEG, [part for limit in limits for part in (limit, SILENCE_MS)]
-        )
-    else:
-        capture = cv2.VideoCapture(source)
-    if not capture.isOpened():
-        capture.release()
-        hint = "Check its number, path or URL, and that no other program holds it."
-        raise LinkError(who, "can't be opened", asked=f"cv2.VideoCapture({source!r})", hint=hint)
-    return capture
-
-
 def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:
     """Write and read back; notes about tries. Raises DeviceError for what did not take."""
-    back = ReadBack(who, settings.tries)
-    asked: list[tuple[int, float]] = []
-    if settings.pixel_format is not None:
-        code = cv2.VideoWriter.fourcc(*settings.pixel_format[:4].ljust(4))
-        asked.append((cv2.CAP_PROP_FOURCC, code))
+
+    def set_pixel_format(name: str) -> None:
+        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*name[:4].ljust(4)))
+
+    def set_size(size: tuple[int, int]) -> None:
+        for prop, value in zip(SIZE, size, strict=True):
+            capture.set(prop, value)
+
+    ways: dict[str, tuple[Callable[[Any], object], Callable[[], object]]] = {
+        "pixel_format": (
+            set_pixel_format,
+            lambda: fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)),
+        ),
+        "resolution": (set_size, partial(_size, capture)),
+    }
+    ways |= {
+        name: (partial(capture.set, prop), partial(capture.get, prop))
+        for name, prop in NUMBERS.items()
+    }
     if settings.exposure is not None and not capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL):
         capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_OF_OLD)
-    asked += zip(SIZE, settings.resolution or (), strict=False)
-    numbers = {name: value for name in NUMBERS if (value := getattr(settings, name)) is not None}
-    asked += ((NUMBERS[name], value) for name, value in numbers.items())
-    for prop, value in asked:
-        capture.set(prop, value)
-    # all set before any is read: one may change another
-    if settings.pixel_format is not None:
-        seen = fourcc_name(capture.get(cv2.CAP_PROP_FOURCC))
-        back.compare("pixel_format", settings.pixel_format, seen)
-    if settings.resolution is not None:
-        back.compare("resolution", tuple(settings.resolution), _size(capture))
-    for name, value in numbers.items():
-        back.compare(name, value, capture.get(NUMBERS[name]))
-    return back.finish()
+    return apply(who, settings, ways)
 
 
 def fourcc_name(code: float) -> str:

@@ -24,8 +24,8 @@ Decoder = Callable[[Bytes, int], NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """``stored_bits`` on the wire, ``bits`` of signal; ``channels`` as sent; ``decode`` gives n
-    values of a line.
+    """``stored_bits`` a pixel on the wire, ``bits`` of signal; ``channels`` as sent; ``decode``
+    gives n values of a line.
     """
 
     name: str
@@ -35,10 +35,6 @@ class PixelFormat:
     decode: Decoder
     channels: int = 1
     to_bgr: int | None = None  # OpenCV's code for what isn't grey yet
-
-    def line_bytes(self, pixels: int) -> int:
-        """Bytes that so many pixels take, the last one filled up."""
-        return -(-pixels * self.stored_bits // 8)
 
 
 def _bytes8(data: Bytes, count: int) -> Bytes:
@@ -103,31 +99,27 @@ BY_CODE = {known.code: known for known in FORMATS}
 def format_of(code: int) -> PixelFormat:
     """The format of that PFNC code. Raises ValueError that lists what is known."""
     if code not in BY_CODE:
-        raise ValueError(
-            f"pixel format 0x{code:08X} is not one that is unpacked here; choose one of"
-            f" {', '.join(f.name for f in FORMATS)}"
-        )
+        known = ", ".join(known.name for known in FORMATS)
+        what = f"pixel format 0x{code:08X} is not one that is unpacked here"
+        raise ValueError(f"{what}; choose one of {known}")
     return BY_CODE[code]
 
 
 def unpack(
     data: bytes, code: int, width: int, height: int, x_padding: int = 0
 ) -> tuple[Pixels, int]:
-    """Pixels (height, width), or (height, width, 3) blue-green-red, of a payload, and their bits of
-    signal.
-
-    ``x_padding`` bytes follow each line. Raises ValueError for an unknown format or a short
-    payload.
+    """Pixels (height, width), or (height, width, 3) blue-green-red, of a payload whose lines are
+    followed by ``x_padding`` bytes, and their bits of signal. Raises ValueError for an unknown
+    format or a short payload.
     """
     layout = format_of(code)
     # without padding all lines are one
     lines, per_line = (height, width) if x_padding else (1, width * height)
-    step = layout.line_bytes(per_line) + x_padding
+    step = -(-per_line * layout.stored_bits // 8) + x_padding  # the last byte is filled up
     raw = np.frombuffer(data, dtype=np.uint8)
     if len(raw) < (needed := step * lines - x_padding):
-        raise ValueError(
-            f"{width} x {height} pixels of {layout.name} take {needed} bytes, {len(raw)} came"
-        )
+        what = f"{width} x {height} pixels of {layout.name} take {needed} bytes"
+        raise ValueError(f"{what}, {len(raw)} came")
     count = per_line * layout.channels
     flat = [layout.decode(raw[y * step :][: step - x_padding], count) for y in range(lines)]
     image = np.concatenate(flat).reshape((height, width, layout.channels))

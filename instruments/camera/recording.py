@@ -1,7 +1,5 @@
 """Recordings: folders of frames with calibration and truth, read and written (recording-format.md).
-
-Files are written beside their place and then moved there. A `RecordingError` names the file and, in
-a table, the line.
+Files are written beside their place and then moved there.
 """
 
 from __future__ import annotations
@@ -18,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameSet, grey8
 from instruments.errors import DeviceError
 
@@ -52,24 +51,15 @@ class Recording:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        if not self.path.is_dir():
-            raise RecordingError(
-                f"{self.path}: there is no such folder; a recording is a folder with frames/, and"
-                " perhaps truth.csv"
-            )
         frames = self.path / "frames"
+        if not self.path.is_dir():
+            raise RecordingError(f"{self.path}: there is no such folder; a recording has frames/")
         if not frames.is_dir():
-            raise RecordingError(
-                f"{frames}: missing; a recording keeps its images in frames/<id>/left.png and"
-                " right.png"
-            )
-        self.frames: tuple[str, ...] = tuple(
-            sorted(entry.name for entry in frames.iterdir() if entry.is_dir())
-        )
+            raise RecordingError(f"{frames}: missing; a recording has its images in frames/<id>/")
+        self.frames: tuple[str, ...] = tuple(sorted(p.name for p in frames.iterdir() if p.is_dir()))
         if not self.frames:
-            raise RecordingError(
-                f"{frames}: holds no frames; each is a folder with left.png and right.png"
-            )
+            what = "holds no frames; each is a folder with left.png and right.png"
+            raise RecordingError(f"{frames}: {what}")
         self.calibration_path = self.path / "calibration.toml"
         self.truth: dict[str, tuple[TruthRow, ...]] = self._truth()
 
@@ -77,16 +67,12 @@ class Recording:
         """The images of a frame. The thermal ones may be absent. Raises RecordingError."""
         folder = self.path / "frames" / frame_id
         if frame_id not in self.frames:
-            raise RecordingError(
-                f"{folder}: there is no frame {frame_id!r}; the first of {len(self.frames)} is"
-                f" {self.frames[0]!r}"
-            )
-        left, right = (read_grey(folder / f"{side}.png") for side in ("left", "right"))
-        eight, radiometric = folder / "thermal.png", folder / "thermal_radiometric.png"
+            first = f"the first of {len(self.frames)} is {self.frames[0]!r}"
+            raise RecordingError(f"{folder}: there is no frame {frame_id!r}; {first}")
+        left, right, eight, radiometric = (folder / name for name in FILES)
         thermal = read_grey(eight) if eight.exists() else None
-        return FrameSet(
-            left, right, thermal, _centikelvin(radiometric) if radiometric.exists() else None
-        )
+        kelvin = _centikelvin(radiometric) if radiometric.exists() else None
+        return FrameSet(read_grey(left), read_grey(right), thermal, kelvin)
 
     def _truth(self) -> dict[str, tuple[TruthRow, ...]]:
         path = self.path / "truth.csv"
@@ -98,10 +84,8 @@ class Recording:
             with path.open(encoding="utf-8-sig", newline="") as file:
                 lines = csv.DictReader(file, strict=True)
                 if missing := [name for name in COLUMNS if name not in (lines.fieldnames or ())]:
-                    raise RecordingError(
-                        f"the column(s) {', '.join(missing)} are missing; the first line must name"
-                        f" {','.join(COLUMNS)}"
-                    )
+                    what = f"the column(s) {', '.join(missing)} are missing"
+                    raise RecordingError(f"{what}; the first line must name {','.join(COLUMNS)}")
                 for line in lines:
                     line_number = lines.line_num
                     frame, row = _truth_row(line)
@@ -110,45 +94,37 @@ class Recording:
         except RecordingError as fault:
             raise RecordingError(f"{path}:{line_number}: {fault}") from fault
         except (csv.Error, UnicodeDecodeError) as fault:
-            raise RecordingError(
-                f"{path}: is not a table of comma-separated values in UTF-8: {fault}"
-            ) from fault
+            what = "is not a table of comma-separated values in UTF-8"
+            raise RecordingError(f"{path}: {what}: {fault}") from fault
         return {frame: tuple(rows) for frame, rows in found.items()}
 
     def _check(self, rows: Sequence[TruthRow], frame: str, row: TruthRow) -> None:
         """Raise RecordingError for a row that contradicts the folder or the frame's rows above."""
         if frame not in self.frames:
             raise RecordingError(f"names frame {frame!r}, but frames/ has no such folder")
-        for other in rows:
-            if other.teat == row.teat:
-                raise RecordingError(
-                    f"teat {row.teat!r} of frame {frame!r} stands here a second time"
-                )
+        if any(other.teat == row.teat for other in rows):
+            raise RecordingError(f"teat {row.teat!r} of frame {frame!r} stands here a second time")
         for other in rows:
             if other.situation != row.situation:
-                raise RecordingError(
-                    f"frame {frame!r} is {row.situation!r} here and {other.situation!r} above"
-                )
+                what = f"is {row.situation!r} here and {other.situation!r} above"
+                raise RecordingError(f"frame {frame!r} {what}")
             if (apart := math.dist(other.xyz_mm, row.xyz_mm)) < SAME_END_MM:
                 names = f"teats {other.teat!r} and {row.teat!r} of frame {frame!r}"
-                raise RecordingError(
-                    f"the ends of {names} are {apart:.2f} mm apart: one was measured twice; measure"
-                    " them again"
-                )
+                what = "one was measured twice; measure them again"
+                raise RecordingError(f"the ends of {names} are {apart:.2f} mm apart: {what}")
 
 
 def _truth_row(line: Mapping[str | Any, Any]) -> tuple[str, TruthRow]:
     if None in line or any(line.get(name) is None for name in COLUMNS):
         raise RecordingError("has another number of values than the first line has names")
     x, y, z = (_number(name, line[name]) for name in ("x_mm", "y_mm", "z_mm"))
-    frame, situation, teat, visible = (
-        line[name].strip() for name in ("frame", "situation", "teat", "visible")
-    )
+    frame, situation, teat = (line[name].strip() for name in COLUMNS[:3])
+    visible = line["visible"].strip()
     if visible not in ("0", "1"):
         raise RecordingError(f"visible must be 0 or 1, is {line['visible']!r}")
     given = (line.get("u_mm") or "").strip()
     u_mm = _number("u_mm", given) if given else None
-    if u_mm is not None and u_mm < 0.0:
+    if u_mm and u_mm < 0.0:
         raise RecordingError(f"u_mm, a standard uncertainty, can't be below zero: {given}")
     return frame, TruthRow(situation, teat, (x, y, z), visible == "1", u_mm)
 
@@ -172,19 +148,16 @@ def _image(path: Path) -> NDArray[Any]:
         raise RecordingError(f"{path}: can't be read: {fault}") from fault
     # OpenCV takes some of these, and libpng writes about others to the terminal
     if damaged := _damaged_chunk(data):
-        raise RecordingError(
-            f"{path}: is damaged: {damaged}. Copy it again from where it was taken."
-        )
-    image, raw = None, np.frombuffer(data, dtype=np.uint8)
-    try:  # through memory, for imread knows only the ASCII paths of Windows
+        again = "Copy it again from where it was taken."
+        raise RecordingError(f"{path}: is damaged: {damaged}. {again}")
+    image, why = None, f"{len(data)} bytes"
+    try:  # through memory, for imread takes only the ASCII paths of Windows
         if data:
-            image = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED)
+            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as fault:  # its header claims a size that no memory holds
-        raise RecordingError(
-            f"{path}: is not an image that can be read: OpenCV refuses it ({fault.err})"
-        ) from fault
+        why = f"OpenCV refuses it: {fault.err}"
     if image is None:
-        raise RecordingError(f"{path}: is not an image that can be read ({len(data)} bytes)")
+        raise RecordingError(f"{path}: is not an image that can be read ({why})")
     return image
 
 
@@ -206,10 +179,9 @@ def _damaged_chunk(data: bytes) -> str:
 
 def read_grey(path: Path) -> NDArray[np.uint8]:
     """The image in a file as 8-bit grey. Raises RecordingError where it is missing, or no image."""
+    image = _image(path)
     try:
-        return grey8(_image(path))
-    except RecordingError:
-        raise
+        return grey8(image)
     except ValueError as fault:
         raise RecordingError(f"{path}: {fault}") from fault
 
@@ -217,11 +189,9 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
 def _centikelvin(path: Path) -> NDArray[np.uint16]:
     image = _image(path)
     if image.dtype != np.uint16 or image.ndim != 2:
-        raise RecordingError(
-            f"{path}: must be 16-bit grey in centi-kelvin, is {image.dtype} with {image.ndim}"
-            " dimensions"
-        )
-    return np.asarray(image, dtype=np.uint16)
+        what = f"is {image.dtype} with {image.ndim} dimensions"
+        raise RecordingError(f"{path}: must be 16-bit grey in centi-kelvin, {what}")
+    return image
 
 
 class RecordingWriter:
@@ -232,10 +202,9 @@ class RecordingWriter:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         (self.path / "frames").mkdir(parents=True, exist_ok=True)
-        there = (self.path / "truth.csv").exists()
-        self._truth: dict[str, tuple[TruthRow, ...]] = (
-            dict(Recording(self.path).truth) if there else {}
-        )
+        self._truth: dict[str, tuple[TruthRow, ...]] = {}
+        if (self.path / "truth.csv").exists():
+            self._truth = Recording(self.path).truth
 
     def add_calibration(self, text: str) -> None:
         """Write calibration.toml, as the text that it was read from."""
@@ -243,19 +212,14 @@ class RecordingWriter:
 
     def add(self, frame_id: str, frames: FrameSet) -> None:
         """Write a frame's images as PNG; the folder appears when all of them are there."""
-        if (
-            not frame_id
-            or frame_id != frame_id.strip(" .")
-            or UNSAFE & set(frame_id)
-            or not frame_id.isprintable()
-        ):
-            raise RecordingError(
-                f"a frame's id must be a name that any file system takes, is {frame_id!r}"
-            )
+        safe = frame_id.isprintable() and not UNSAFE & set(frame_id)
+        if not frame_id or frame_id != frame_id.strip(" .") or not safe:
+            what = "a frame's id must be a name that any file system takes"
+            raise RecordingError(f"{what}, is {frame_id!r}")
         folder = self.path / "frames" / frame_id
         if folder.exists():
             raise RecordingError(f"{folder}: there is such a frame already")
-        # Beside frames/, not in it: whoever reads meanwhile must not take it for a frame.
+        # beside frames/, not in it: a reader must not take it for a frame
         making = self.path / f"making {frame_id}"
         making.mkdir(exist_ok=True)
         for name, field in zip(FILES, FIELDS, strict=True):
@@ -264,8 +228,8 @@ class RecordingWriter:
                 continue
             good, data = cv2.imencode(".png", image, PNG_FAST)
             if not good:
-                what = f"an image {image.shape} of {image.dtype} can't be written as PNG"
-                raise RecordingError(what)
+                kind = f"{image.shape} of {image.dtype}"
+                raise RecordingError(f"an image {kind} can't be written as PNG")
             _write(making / name, data.tobytes())
         making.replace(folder)
 
@@ -276,28 +240,19 @@ class RecordingWriter:
         if frame_id in self._truth:
             raise RecordingError(f"{self.path}: frame {frame_id!r} has its truth already")
         if len({row.teat for row in rows}) != len(rows) or len({row.situation for row in rows}) > 1:
-            raise RecordingError(
-                f"frame {frame_id!r}: each teat once, one situation; got"
-                f" {[(row.situation, row.teat) for row in rows]}"
-            )
+            got = [(row.situation, row.teat) for row in rows]
+            raise RecordingError(f"frame {frame_id!r}: each teat once, one situation; got {got}")
         self._truth[frame_id] = tuple(rows)
-        _write(self.path / "truth.csv", _truth_table(self._truth).encode())
-
-
-def _truth_table(truth: Mapping[str, Sequence[TruthRow]]) -> str:
-    lines = [",".join((*COLUMNS, *OPTIONAL))]
-    for frame, rows in truth.items():
-        for row in rows:
+        lines = [",".join((*COLUMNS, *OPTIONAL))]
+        for frame, row in ((frame, row) for frame, those in self._truth.items() for row in those):
             names = (frame, row.situation, row.teat)
             if set("".join(names)) & set(',"\r\n'):
-                raise RecordingError(
-                    f"frame {frame!r}: names in truth.csv can't hold commas, quotes or line ends,"
-                    f" got {names}"
-                )
+                what = "names in truth.csv can't hold commas, quotes or line ends"
+                raise RecordingError(f"frame {frame!r}: {what}, got {names}")
             u_mm = "" if row.u_mm is None else repr(float(row.u_mm))
             place = (repr(float(v)) for v in row.xyz_mm)
             lines.append(",".join((*names, *place, str(int(row.visible)), u_mm)))
-    return "\n".join(lines) + "\n"
+        _write(self.path / "truth.csv", "".join(f"{line}\n" for line in lines).encode())
 
 
 def _write(path: Path, data: bytes) -> None:
@@ -316,16 +271,15 @@ class RecordingCameras:
     @property
     def identity(self) -> Mapping[str, str]:
         """Where the pictures come from, for each camera."""
-        return dict.fromkeys(("left", "right", "thermal"), f"recording {self._recording.path}")
+        return dict.fromkeys(KNOWN, f"recording {self._recording.path}")
 
     def capture(self) -> FrameSet:
         """The next frame set. Raises DeviceError after the last."""
         frames = self._recording.frames
         if self._next >= len(frames):
-            played = f"all {len(frames)} frames have been played"
-            raise DeviceError(
-                f"cameras of {self._recording.path}", played, hint="Record more, or play fewer."
-            )
+            who, played = f"cameras of {self._recording.path}", f"all {len(frames)} frames"
+            hint = "Record more, or play fewer."
+            raise DeviceError(who, f"{played} have been played", hint=hint)
         self._next += 1
         return self._recording.load(frames[self._next - 1])
 

@@ -1,13 +1,11 @@
-"""A camera's settings and whether they took: each is read back; a failure is an error unless it was
-a try.
-"""
+"""A camera's settings and whether they took: a failure is an error unless it was a try."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from instruments.errors import DeviceError
 
@@ -35,33 +33,41 @@ class Settings:
     tries: frozenset[str] = frozenset()
 
 
-class ReadBack:
-    """Collects what was asked and what is; raises for all that did not take at once."""
+def apply(
+    who: str,
+    settings: Settings,
+    ways: Mapping[str, tuple[Callable[[Any], object], Callable[[], object]]],
+    failures: tuple[type[Exception], ...] = (),
+) -> tuple[str, ...]:
+    """Write each setting and read it back by its way (write, read), of which both may raise one of
+    ``failures``; notes about tries. Raises DeviceError that names all that did not take.
+    """
+    asked = {name: getattr(settings, name, None) for name in ways} | dict(settings.features)
+    taken, faults = [], []
+    for name, (write, read) in ways.items():
+        if asked[name] is None:
+            continue
+        try:
+            write(asked[name])
+            taken.append((name, read))
+        except failures as error:
+            faults.append((name, f"{name} was refused: {_message(error)}"))
+    for name, read in taken:  # all set before any is read: one may change another
+        try:
+            if not same(asked[name], seen := read()):
+                what = f"{name} asked {_shown(asked[name])}, is {_shown(seen)}"
+                faults.append((name, what))
+        except failures as error:
+            faults.append((name, f"{name} can't be read back: {_message(error)}"))
+    if wrong := [fault for name, fault in faults if not {"all", name} & settings.tries]:
+        what = f"settings did not take: {'; '.join(wrong)}"
+        hint = "Ask for what the camera offers, or name the setting in the rig file's try."
+        raise DeviceError(who, what, hint=hint)
+    return tuple(fault for _, fault in faults)
 
-    def __init__(self, who: str, tries: frozenset[str]) -> None:
-        self._who = who
-        self._tries = tries
-        self._wrong: list[str] = []
-        self.notes: list[str] = []
 
-    def compare(self, name: str, asked: object, seen: object) -> None:
-        """Remember ``name`` where what is differs from what was asked."""
-        if not same(asked, seen):
-            self.refused(name, f"{name} asked {_shown(asked)}, is {_shown(seen)}")
-
-    def refused(self, name: str, sentence: str) -> None:
-        """Remember that ``name`` did not take; a fault, or a note where it was only a try."""
-        tried = "all" in self._tries or name in self._tries
-        (self.notes if tried else self._wrong).append(sentence)
-
-    def finish(self) -> tuple[str, ...]:
-        """The notes about tries. Raises DeviceError where anything else did not take."""
-        if self._wrong:
-            hint = "Ask for what the camera offers, or name the setting in the rig file's try."
-            raise DeviceError(
-                self._who, f"settings did not take: {'; '.join(self._wrong)}", hint=hint
-            )
-        return tuple(self.notes)
+def _message(error: Exception) -> str:
+    return error.what if isinstance(error, DeviceError) else str(getattr(error, "message", error))
 
 
 def same(asked: object, seen: object) -> bool:

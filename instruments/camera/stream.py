@@ -1,8 +1,7 @@
-"""Cameras served as MJPEG streams over HTTP, one path a camera.
+"""Cameras served as MJPEG streams over HTTP (multipart/x-mixed-replace), one path a camera.
 
 One frame set a tick for all readers; ticks that a slow reader misses, or whose frame never came,
-are left out. A thread for each reader, and no lock while sending. multipart/x-mixed-replace, each
-part with its length and time of exposure.
+are left out. Each part has its length and time of exposure.
 """
 
 from __future__ import annotations
@@ -17,13 +16,13 @@ from typing import Any, Protocol
 
 import cv2
 
+from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import FrameError, FrameSet
 from instruments.clock import Clock, VirtualClock
 
-CAMERAS = ("left", "right", "thermal")
 BOUNDARY = "frame"
 QUALITY = 95
-STALLED_S = 5.0  # a reader that takes nothing for so long is let go
+STALLED_S = 5.0  # a reader that takes nothing for so long is disconnected
 LOOK_S = 0.05
 
 
@@ -32,7 +31,6 @@ class Source(Protocol):
 
     def capture(self) -> FrameSet:
         """The next one. Raises FrameError where a frame does not come."""
-        ...
 
 
 class StreamServer:
@@ -61,7 +59,7 @@ class StreamServer:
         self._server = _Server((host, port), _Handler)
         self._server.owner = self
         self.urls: Mapping[str, str] = {
-            name: f"http://{host}:{self._server.server_address[1]}/{name}.mjpg" for name in CAMERAS
+            name: f"http://{host}:{self._server.server_address[1]}/{name}.mjpg" for name in KNOWN
         }
         serve = {"poll_interval": LOOK_S}
         self._thread = threading.Thread(
@@ -76,7 +74,7 @@ class StreamServer:
                 self._tick = tick
                 try:
                     self._frames = self._source.capture()
-                except FrameError:  # told to the reader as on a real network: by silence
+                except FrameError:  # the reader gets nothing, as on a real network
                     self._frames = None
             return self._frames
 
@@ -111,11 +109,9 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Send one camera's pictures until somebody hangs up."""
         camera = self.path.partition("?")[0].strip("/").removesuffix(".mjpg")
-        if camera not in CAMERAS:
-            self.send_error(
-                HTTPStatus.NOT_FOUND,
-                f"no such camera; there are {', '.join(f'/{name}.mjpg' for name in CAMERAS)}",
-            )
+        if camera not in KNOWN:
+            there = ", ".join(f"/{name}.mjpg" for name in KNOWN)
+            self.send_error(HTTPStatus.NOT_FOUND, f"no such camera; there are {there}")
             return
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
@@ -146,8 +142,6 @@ class _Handler(BaseHTTPRequestHandler):
 
 def part(jpeg: bytes, exposed_s: float) -> bytes:
     """One picture of the stream."""
-    head = (
-        f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length:"
-        f" {len(jpeg)}\r\nX-Exposed-Seconds: {exposed_s:.6f}\r\n\r\n"
-    )
-    return head.encode("ascii") + jpeg + b"\r\n"
+    head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n"
+    stamp = f"X-Exposed-Seconds: {exposed_s:.6f}\r\n\r\n"
+    return (head + stamp).encode("ascii") + jpeg + b"\r\n"

@@ -1,15 +1,15 @@
 """The host's end of a MicroScribe arm: identity, packets, and positions.
 
-The protocol has no checksum and no error codes. So damaged packets are asked for again, several
-packets make a reading, and no position is given before the operator has confirmed homing: an arm
-that was not homed gives plausible, wrong positions. A lost session loses the homing. A broken link
-is closed at once, which frees its port's name, and opened again before the next sign-on.
+The protocol has no checksum: damaged packets are asked for again, and several make a reading. There
+is no position before homing is confirmed, since an arm that was not homed gives plausible, wrong
+ones. A broken link is closed at once, which frees its port's name, and opened by the next sign-on.
 """
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,7 +19,13 @@ from instruments.link import Link
 from instruments.microscribe import configuration as conf
 from instruments.microscribe import protocol as wire
 from instruments.microscribe.configuration import DeviceInfo, Identity
-from instruments.microscribe.connection import ANSWER_S, ATTEMPTS, CABLE_HINT, ArmConnection
+from instruments.microscribe.connection import (
+    ANSWER_S,
+    ATTEMPTS,
+    CABLE_HINT,
+    SIGN_ON_S,
+    ArmConnection,
+)
 from instruments.microscribe.errors import (
     AnotherArmError,
     ArmMovesError,
@@ -29,17 +35,17 @@ from instruments.microscribe.errors import (
     UnusableArmError,
 )
 from instruments.microscribe.protocol import ArmTime, Code, Packet
-from instruments.microscribe.session import SIGN_ON_S, open_session
 from instruments.microscribe.stream import Reading, Sample, reading_of
 
-# Eight packets of a still arm spread by some 0.35 mm at most: rounding (0.31 mm a packet) and a
-# hand's tremor.
+# eight packets of a still arm spread by some 0.35 mm: rounding (0.31 mm a packet) and tremor
 MAX_SPREAD_MM = 1.0
 INTERVAL_S = 0.01
 RECOVER_S = 30.0
 _RETRY_S = 0.25
 _RETRY_SIGN_ON_S = 1.0  # a port that is back is noticed, and its arm signed on, well within 2 s
 _RATES = (115200, 38400, 57600, 19200, 9600, 28800, 14400)  # the likely ones first
+SYSFS = Path("/sys")
+WANTED_MS = 1
 
 _CONFIRM_HINT = (
     "Confirm it if the stylus sat on its peg when the arm was last switched on; "
@@ -53,7 +59,6 @@ _BACK_HINT = (
     "Check power and cable, and sign on again; if it lost its power, switch it on with its stylus"
     " on its peg"
 )
-_AT_FIRST = "it has not been confirmed since sign-on"
 _DOUBT = (
     "the arm was in a session at another baud rate, and what was sent at the wrong one may have"
     " re-homed it"
@@ -61,11 +66,9 @@ _DOUBT = (
 
 
 class MicroScribe:
-    """One arm on one link, which it owns. Only a hand moves it.
-
-    ``rates``: tried by sign-on, the first one for longest; default the link's own, then on a serial
-    port all others. ``answer_s``: how long an answer is waited for, three times, before the arm
-    counts as lost.
+    """One arm on one link, which it owns. ``rates``: tried by sign-on, the first one for longest;
+    default the link's own, then on a serial port all others. ``answer_s``: time for an answer, of
+    which three have to be missing before the arm counts as lost.
     """
 
     moves: ClassVar[bool] = False
@@ -90,18 +93,14 @@ class MicroScribe:
         self._arm_time = ArmTime()
         self._info: DeviceInfo | None = None
         self._broken = False
-        self._homed = False
-        self._not_homed = _AT_FIRST  # why
+        self._not_homed: str | None = "it has not been confirmed since sign-on"  # why; None: homed
         self._doubt = ""  # why a confirmation is not enough
-
-    # Who it is
 
     @property
     def info(self) -> DeviceInfo:
-        """All that the arm says of itself, as read at sign-on. Raises NoSessionError before it."""
+        """The arm's own data, as read at sign-on. Raises NoSessionError before it."""
         if self._info is None:
-            what = "who the arm is has not been read yet"
-            raise NoSessionError(self.who, what, hint="Sign on first")
+            raise NoSessionError(self.who, "it has not been identified yet", hint="Sign on first")
         return self._info
 
     @property
@@ -121,22 +120,20 @@ class MicroScribe:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences about a slow adapter, another rate, and joints that lose count."""
-        slow = latency_warning(self._link.url)
-        found = [slow] if slow else []
-        if self._info:
-            if self.baud != self._rates[0]:
-                found.append(f"the arm answers at {self.baud} baud, not at {self._rates[0]}")
-            found += self._info.warnings()
-        return tuple(found)
+        found = [latency_warning(self._link.url)]
+        if self._info and self.baud != self._rates[0]:
+            found.append(f"the arm answers at {self.baud} baud, not at {self._rates[0]}")
+        found += self._info.warnings() if self._info else []
+        return tuple(warning for warning in found if warning)
 
     @property
     def homed(self) -> bool:
         """Whether homing has been confirmed in this session."""
-        return self._homed and self.live
+        return self._not_homed is None and self.live
 
     @property
     def live(self) -> bool:
-        """Whether a session is open, as far as is known."""
+        """Whether a session is open, as far as the host can tell."""
         return self._arm.live
 
     @property
@@ -147,19 +144,16 @@ class MicroScribe:
     # Sessions
 
     def sign_on(self) -> Identity:
-        """Find the arm, open a session, and read who it is; homing has to be confirmed afterwards.
-
-        Opens a broken link again. Raises LinkError (SilentArmError: no answer), NoMicroScribeError,
-        UnusableArmError, or ProtocolError for damaged answers.
+        """Find the arm and open a session, and before it a broken link; homing has to be confirmed
+        afterwards. Raises LinkError (SilentArmError: no answer), NoMicroScribeError,
+        UnusableArmError, ProtocolError for damaged answers.
         """
         return self._sign_on(self._rates, SIGN_ON_S)
 
     def recover(self, timeout_s: float = RECOVER_S) -> Identity:
-        """After a loss: wait for port and arm, and sign on again at the rate that worked.
-
-        Homing has to be confirmed afterwards. Raises what ``sign_on`` raised last once
-        ``timeout_s`` have passed; at once what is refused for good, and AnotherArmError for another
-        serial number.
+        """After a loss: wait for port and arm, and sign on at the rate that worked. Raises what
+        ``sign_on`` raised last once ``timeout_s`` have passed; at once UnusableArmError, and
+        AnotherArmError for another serial number.
         """
         before, deadline = self._info, self._clock.now() + timeout_s
         try:
@@ -174,10 +168,10 @@ class MicroScribe:
                     if self._clock.now() + _RETRY_S >= deadline:
                         raise
                 self._clock.sleep(_RETRY_S)
-            if before and before.names.serial_number != now.serial_number:
+            there = now.serial_number
+            if before and before.names.serial_number != there:
                 self.safe()
-                lost, there = before.names.serial_number, now.serial_number
-                what = f"arm {lost} was lost, and arm {there} answers"
+                what = f"arm {before.names.serial_number} was lost, and arm {there} answers"
                 hint = "Plug the first arm in again, or sign on to the new one"
                 raise AnotherArmError(self.who, what, hint=hint)
         except BaseException:
@@ -193,7 +187,7 @@ class MicroScribe:
             self._link.reopen()
             self._broken = False
         with self._noticing():
-            self._info, baud = open_session(self._arm, rates, patience_s)
+            self._info, baud = self._arm.open(rates, patience_s)
         self._doubt = _DOUBT if baud != rates[0] else ""
         return self._info.names
 
@@ -220,7 +214,7 @@ class MicroScribe:
             raise  # the link is whole
         except LinkError:
             self._broken = True
-            self._lose_homing("the link broke, and nobody can tell whether the arm kept its power")
+            self._lose_homing("the link broke, and the arm may have lost its power")
             self._arm.lose()
             self._link.close()
             raise
@@ -228,8 +222,7 @@ class MicroScribe:
     def _need_session(self, asked: str) -> None:
         """Raise NoSessionError without a session, LimitError within a stream."""
         if not self.live:
-            what = "there is no session with the arm"
-            raise NoSessionError(self.who, what, asked=asked, hint="Sign on first")
+            raise NoSessionError(self.who, "there is no session", asked=asked, hint="Sign on first")
         if self._arm.streaming:
             raise LimitError(self.who, "a stream runs", asked=asked, hint="End the stream first")
 
@@ -242,7 +235,7 @@ class MicroScribe:
         self._need_session("to confirm homing")
         if self._doubt:
             raise NotHomedError(self.who, self._doubt, asked="to confirm homing", hint=_HOME_HINT)
-        self._set_homed()
+        self._not_homed, self._doubt = None, ""
 
     def home(self) -> None:
         """Make the arm load its home counts. Only with the stylus on its peg: anywhere else ruins
@@ -251,24 +244,18 @@ class MicroScribe:
         self._need_session("to home")
         self._lose_homing("the arm was asked to home, and did not confirm it")
         with self._noticing():
-            self._arm.ask(Code.HOME, lambda reply: conf.expect_echo(Code.HOME, reply))
-        self._set_homed()
-
-    def _set_homed(self) -> None:
-        self._homed, self._not_homed, self._doubt = True, _AT_FIRST, ""
+            self._arm.ask(Code.HOME, partial(conf.decode, Code.HOME))
+        self._not_homed, self._doubt = None, ""
 
     def _lose_homing(self, why: str) -> None:
-        if self._homed:
+        if self._not_homed is None:
             self._not_homed = why
-        self._homed = False
 
     def _need_homing(self, asked: str) -> None:
-        if not self._homed:
-            what = (
-                f"no positions before homing is confirmed: {self._doubt or self._not_homed}. An arm"
-                " that was not homed gives plausible, wrong ones"
-            )
+        if self._not_homed is not None:
             hint = _HOME_HINT if self._doubt else _CONFIRM_HINT
+            what = f"no positions before homing is confirmed: {self._doubt or self._not_homed}"
+            what += ". An arm that was not homed gives plausible, wrong ones"
             raise NotHomedError(self.who, what, asked=asked, hint=hint)
 
     # Packets and positions
@@ -296,43 +283,35 @@ class MicroScribe:
             raise ProtocolError(self.who, what, asked=asked, seen=seen, hint=CABLE_HINT)
         self._lose_homing("the arm fell silent: it may have lost its power")
         self._arm.lose()
-        what = (
-            "the arm has fallen silent: it lost its power or its cable, and with it its session and"
-            " its homing"
-        )
-        raise SilentArmError(
-            self.who, what, asked=asked, seen=b"", seconds=seconds, hint=_BACK_HINT
-        )
+        what = "the arm has fallen silent: without power or cable, session and homing are lost"
+        hint = _BACK_HINT
+        raise SilentArmError(self.who, what, asked=asked, seen=b"", seconds=seconds, hint=hint)
 
     def read(self, n: int = 8, max_spread_mm: float = MAX_SPREAD_MM) -> Reading:
-        """One position from ``n`` packets, 10 ms apart.
-
-        Raises NotHomedError, ArmMovesError for a tip further than ``max_spread_mm`` from the
-        median, ValueError for n below 1, else as ``poll``.
+        """One position from ``n`` packets, 10 ms apart. Raises NotHomedError, ArmMovesError for a
+        tip further than ``max_spread_mm`` from the median, ValueError for n below 1, else as
+        ``poll``.
         """
         if n < 1:
             raise ValueError(f"a reading needs one packet at least, not {n}")
         self._need_session("a reading")
         self._need_homing("a reading")
         counts = [self.poll().counts]
-        for _ in range(n - 1):
+        while len(counts) < n:
             self._clock.sleep(INTERVAL_S)
             counts.append(self.poll().counts)
         reading = reading_of(self.info.geometry(), counts)
         if not reading.spread_mm <= max_spread_mm:
-            spread = f"{reading.spread_mm:.2f} mm, more than {max_spread_mm:g} mm"
-            what = f"the arm moves: {n} packets spread by {spread}"
-            hint = "Hold the tip still in its place and read again"
+            what = f"the arm moves: {n} packets spread by {reading.spread_mm:.2f} mm, more than"
+            what, hint = f"{what} {max_spread_mm:g} mm", "Hold the tip still and read again"
             raise ArmMovesError(self.who, what, asked="a reading", hint=hint)
         return reading
 
     @contextlib.contextmanager
     def stream(self, *, stamped: bool = True) -> Iterator[Iterator[Sample]]:
-        """Samples without end, as fast as the arm sends them: ``with arm.stream() as samples:``.
-
-        Ends the stream on the way out and drops what is left. A silent stream is started again if
-        the arm still answers. Raises NoSessionError, LimitError within a stream; while it runs, as
-        ``poll``.
+        """Samples without end, as fast as the arm sends them: ``with arm.stream() as samples:``. A
+        silent stream is started again if the arm still answers. Raises NoSessionError, LimitError
+        within a stream; while it runs, as ``poll``.
         """
         self._need_session("a stream")
         command = wire.POLL | (wire.TIME_STAMP if stamped else 0)
@@ -340,7 +319,8 @@ class MicroScribe:
         try:
             yield self._samples(command)
         finally:
-            self._stop_stream()
+            with self._noticing():
+                self._arm.stop_stream()
 
     def _start_stream(self, command: int) -> None:
         start, seen = self._clock.now(), b""
@@ -353,26 +333,22 @@ class MicroScribe:
         what = f"{ATTEMPTS} requests for a stream were answered otherwise"
         kind: type[InstrumentError] = ProtocolError
         if not seen:
-            # an arm that is still there, but doesn't stream, is told apart from one that is gone
-            self._packet()
+            self._packet()  # raises where the arm is gone
             kind, what = SilentArmError, "the arm answers polls, but no stream"
         seconds = self._clock.now() - start
         asked, hint = bytes([Code.STREAM]), f"{CABLE_HINT}; or poll"
         raise kind(self.who, what, asked=asked, seen=seen[-64:], seconds=seconds, hint=hint)
 
-    def _stop_stream(self) -> None:
-        with self._noticing():
-            self._arm.stop_stream()
-
     def _samples(self, command: int) -> Iterator[Sample]:
         while True:
             if not self._arm.streaming:
-                what, hint = "the stream has ended", "Start another stream"
-                raise NoSessionError(self.who, what, asked="the next sample", hint=hint)
+                what, asked = "the stream has ended", "the next sample"
+                raise NoSessionError(self.who, what, asked=asked, hint="Start another stream")
             with self._noticing():
                 packets = self._arm.stream_packets()
             if not packets:  # the command may have been lost, or the arm
-                self._stop_stream()
+                with self._noticing():
+                    self._arm.stop_stream()
                 self._packet()
                 self._start_stream(command)
             host_s = self._clock.now()
@@ -391,10 +367,6 @@ class MicroScribe:
         return reading_of(self.info.geometry(), [sample.counts for sample in samples])
 
 
-SYSFS = Path("/sys")
-WANTED_MS = 1
-
-
 def latency_warning(port: str, sysfs: Path = SYSFS) -> str | None:
     """Advice about a slow adapter behind a port's path or link; None when fine or unknown."""
     if not port.startswith("/"):
@@ -403,8 +375,7 @@ def latency_warning(port: str, sysfs: Path = SYSFS) -> str | None:
     timer = sysfs / "bus" / "usb-serial" / "devices" / name / "latency_timer"
     try:
         latency_ms = int(timer.read_text(encoding="ascii"))
-    # no USB adapter, one without a timer, or no Linux: nothing is known, so nothing to say
-    except (OSError, ValueError):
+    except (OSError, ValueError):  # no USB adapter, one without a timer, or no Linux
         return None
     if latency_ms <= WANTED_MS:
         return None

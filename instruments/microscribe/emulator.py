@@ -1,15 +1,19 @@
-"""The other end of a MicroScribe's wire: firmware, encoders, pedals, cable and adapter, with their
+"""The other end of a MicroScribe's wire: firmware, joints, pedals, cable and adapter, with their
 faults.
 
-What no document states is a choice of `Firmware`. The emulator never waits. Changes from outside
-(``power_cycle``, ``faults``, ``buttons``) need the world's lock.
+What no document states is a choice made here. The emulator never waits. Changes from outside
+(``power_cycle``, ``faults``, ``buttons``) need the world's lock. Chance comes from the seed and the
+packet's number.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
+
+import numpy as np
 
 from instruments.clock import Clock
 from instruments.listener import Connection
@@ -17,8 +21,15 @@ from instruments.microscribe import configuration as conf
 from instruments.microscribe import protocol as wire
 from instruments.microscribe.configuration import StreamRequest
 from instruments.microscribe.faults import Fault, Faults
-from instruments.microscribe.kinematics import COUNT_MODULUS, Floats, OutOfReachError
-from instruments.microscribe.mechanics import Contacts, Hand, Mechanics
+from instruments.microscribe.kinematics import (
+    COUNT_MODULUS,
+    JOINTS,
+    RANGES_RAD,
+    ArmGeometry,
+    Floats,
+    OutOfReachError,
+    inverse,
+)
 from instruments.microscribe.protocol import Code, Event, Packet, State
 from instruments.microscribe.unit import ArmIdentity, shipped_unit
 
@@ -28,176 +39,180 @@ TREMOR_MM = 0.05
 CATCH_UP_S = 0.1
 FASTEST_BAUD = 115200  # no stream is faster than this carries it
 _BITS_PER_BYTE = 10
+_POSES = 4000
+_BLOCK = 1024
+_PARAMETERS, _TREMOR, _CONTACTS = 0, 1, 3  # streams of chance; 2 is that of the faults
+
+
+class Hand(Protocol):
+    """Whoever holds the stylus."""
+
+    def arm_target(self) -> tuple[Floats, Floats | None] | None:
+        """Tip (3,) mm in the arm's frame, and direction (3,) from it up the stylus or None for any.
+        None altogether: the stylus is on its peg.
+        """
 
 
 class Look(NamedTuple):
-    """What the arm sees of itself at one moment."""
+    """Pedals and encoders at one moment."""
 
     buttons: int
     counts: Sequence[int]
 
 
-class Trigger:
-    """Whether a stream by differences sends. A delta or mask bit of 0 leaves its encoder or pedal
-    out; the analog channels are not connected and never differ. A pedal that comes up triggers too,
-    and an encoder's difference is measured from the last packet.
+class KinematicError:
+    """The tip's distance from where the counts say, as a smooth function of the pose.
+
+    Lengths, twists and encoder zeros differ a little from the stored ones. Joint 0 stays true and
+    the mean is removed, since both would be another frame. The mean distance is ``accuracy_mm``.
     """
 
-    def __init__(self, request: StreamRequest, first: Look) -> None:
-        self._mask = request.button_mask
-        self._deltas = request.encoder_deltas
-        self._before = first.buttons
-        self._from = first.counts
-
-    def fires(self, now: Look) -> bool:
-        """Whether a pedal changed since the last look, or an encoder by its delta."""
-        changed = bool((now.buttons ^ self._before) & self._mask)
-        self._before = now.buttons
-        steps = [(a - b) % COUNT_MODULUS for a, b in zip(now.counts, self._from, strict=True)]
-        fires = changed or any(
-            delta and delta <= min(step, COUNT_MODULUS - step)  # the shorter way round
-            for delta, step in zip(self._deltas, steps, strict=False)
+    def __init__(
+        self, geometry: ArmGeometry, home_rad: Floats, *, seed: int, accuracy_mm: float
+    ) -> None:
+        chance = np.random.default_rng([seed, _PARAMETERS])
+        later = np.arange(JOINTS) > 0
+        self._stored = geometry
+        self._real = dataclasses.replace(
+            geometry,
+            alpha_rad=geometry.alpha_rad + later * chance.normal(0.0, 3e-4, JOINTS),
+            a_mm=geometry.a_mm + later * chance.normal(0.0, 0.1, JOINTS),
+            d_mm=geometry.d_mm + later * chance.normal(0.0, 0.1, JOINTS),
         )
-        if fires:
-            self._from = now.counts
-        return fires
+        self._zeros_rad = later * geometry.active * chance.normal(0.0, 5e-4, JOINTS)
+        poses = workspace(geometry, home_rad, chance)
+        if not len(poses):
+            what = "this arm's tip never comes above the table that it stands on"
+            raise ValueError(f"{what}: check its parameters and home counts")
+        raw = self._raw(poses)
+        self._mean = raw.mean(axis=0)
+        self._scale = accuracy_mm / float(np.linalg.norm(raw - self._mean, axis=1).mean())
+
+    def at(self, angles_rad: Floats) -> Floats:
+        """Error of the tip (n, 3) mm at joint angles (n, 6) rad."""
+        error: Floats = self._scale * (self._raw(angles_rad) - self._mean)
+        return error
+
+    def _raw(self, angles_rad: Floats) -> Floats:
+        real, _ = self._real.forward_angles(angles_rad + self._zeros_rad)
+        stored, _ = self._stored.forward_angles(angles_rad)
+        return real - stored
+
+
+def workspace(geometry: ArmGeometry, home_rad: Floats, chance: np.random.Generator) -> Floats:
+    """Poses (n, 6) rad spread over the joint ranges whose tip is above the table."""
+    turned = chance.uniform(RANGES_RAD[:, 0], RANGES_RAD[:, 1], (_POSES, JOINTS))
+    poses = home_rad + turned * geometry.active
+    tips, _ = geometry.forward_angles(poses)
+    return poses[tips[:, 2] > 0.0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stream:
-    """A running stream of ``command``: packets, or with ``trigger`` looks, every ``period_s``."""
+class Pose:
+    """Counts that are not rounded, and the least joint motion that moves the tip."""
 
-    command: int
-    period_s: float
-    trigger: Trigger | None
+    counts: Floats  # (6,)
+    counts_per_mm: Floats  # (6, 3)
 
 
-class Firmware:
-    """The arm's side of the conversation: each byte received, and the answer to it.
-
-    In a live session bit 7 of a command is ignored, so letters are commands; unsupported commands
-    get no answer. ``rate`` is the arm's own, None while any will do.
+class Mechanics:
+    """The joints of one arm in one hand. ``home`` (6,) are the counts on the peg, ``accuracy_mm``
+    the mean error over the workspace, ``tremor_mm`` the tip's rms distance from its target.
     """
 
-    def __init__(self, arm: ArmEmulator) -> None:
-        self.state = State.FINDING_BAUD
-        self.rate: int | None = None
-        self.stream: Stream | None = None
-        self.eeprom_attempts = 0
-        self.packets = 0
-        self._arm = arm
-        self._button_mask = arm.unit.maxima.button_mask
-        self._replies = arm.unit.replies()
-        self._heard = b""
-        self._syncs = 0
-        self._command = bytearray()
+    def __init__(
+        self,
+        geometry: ArmGeometry,
+        home: tuple[int, ...],
+        hand: Hand,
+        *,
+        seed: int,
+        accuracy_mm: float,
+        tremor_mm: float,
+    ) -> None:
+        self._geometry = geometry
+        self._home = home
+        self._hand = hand
+        self._seed = seed
+        self._tremor_mm = tremor_mm
+        home_rad = geometry.angles(home)[0]
+        self._error = KinematicError(geometry, home_rad, seed=seed, accuracy_mm=accuracy_mm)
+        self._held: tuple[bytes, Pose] | None = None
+        self._block: tuple[Pose, int, list[list[int]]] | None = None
 
-    def enter(self, state: State) -> None:
-        """A state anew: nothing received, no stream, and outside a session no rate."""
-        self.state = state
-        self.stream = None
-        self._heard = b""
-        self._syncs = 0
-        self._command.clear()
-        if state not in wire.LIVE:
-            self.rate = None
+    def counts(self, packet: int) -> Sequence[int]:
+        """Counts (6,) of the ``packet``-th packet; made a thousand at a time, for hosts that poll
+        fast. Raises OutOfReachError.
+        """
+        target = self._hand.arm_target()
+        if target is None:
+            return self._home
+        point_mm, direction = target
+        key = point_mm.tobytes() + (b"" if direction is None else direction.tobytes())
+        if self._held is None or self._held[0] != key:
+            self._held = key, self.solve(point_mm, direction)
+        pose = self._held[1]
+        block, row = divmod(packet, _BLOCK)
+        if self._block is None or self._block[0] is not pose or self._block[1] != block:
+            counts = np.rint(pose.counts + self.tremor(block) @ pose.counts_per_mm.T)
+            self._block = pose, block, counts.astype(np.int64).tolist()
+        return self._block[2][row]
 
-    def take(self, byte: int, rate: int | None) -> bytes:
-        """The answer to a byte at ``rate`` (None: unknown); empty while a command is cut."""
-        if self.state not in wire.LIVE:
-            return self._listen(byte, rate)
-        self._command.append(byte)
-        if len(self._command) <= _arguments(self._command):
-            return b""
-        command = bytes(self._command)
-        self._command.clear()
-        return self._obey(command)
+    def solve(self, point_mm: Floats, direction: Floats | None) -> Pose:
+        """The pose for this target, the arm's inaccuracy included. Raises OutOfReachError."""
+        counts = inverse(self._geometry, point_mm, direction, start=self._home)
+        goal = np.asarray(point_mm) + self._error.at(self._geometry.angles(counts))[0]
+        # a step of a fraction of a millimetre: Newton is exact to 1e-9 mm after three
+        for _ in range(3):
+            tip, _ = self._geometry.forward(counts)
+            counts = counts + self._counts_per_mm(counts) @ (goal - tip[0])
+        return Pose(counts, self._counts_per_mm(counts))
 
-    def packet(self, command: int, look: Look) -> bytes:
-        """The answer to a data command; nothing for what isn't one."""
-        if command & (wire.MARK | wire.CONFIGURE | wire.UNUSED):
-            return b""
-        self.packets += 1
-        ticks = self._arm.ticks() if command & wire.TIME_STAMP else None
-        analogs = (0,) * wire.analog_count(command)  # nothing is plugged in
-        counts = (*look.counts, 0)[: wire.encoder_count(command)]
-        buttons = look.buttons & self._button_mask
-        return wire.encode_packet(Packet(command, buttons, counts, ticks, analogs))
+    def _counts_per_mm(self, counts: Floats) -> Floats:
+        slopes = self._geometry.jacobian(self._geometry.angles(counts))[0, :3]
+        per_rad = self._geometry.turns / (2.0 * np.pi)
+        moved: Floats = np.linalg.pinv(slopes) * per_rad[:, None]
+        return moved
 
-    def _listen(self, byte: int, rate: int | None) -> bytes:
-        """Outside a session: words, and the end byte."""
-        self._heard = (self._heard + bytes([byte]))[-len(wire.BEGIN) :]
-        faults = self._arm.faults
-        if byte == Code.END:
-            self.state = wire.next_state(self.state, Event.END)
-        elif self._heard.endswith(wire.SYNC):
-            self._syncs += 1
-            if faults.on(Fault.LATE_ECHO) and self._syncs < faults.amount(Fault.LATE_ECHO):
-                return b""
-            self.state = wire.next_state(self.state, Event.SYNC)
-            self.rate = rate
-            return wire.SYNC * (3 if faults.strikes(Fault.SURPLUS_ECHOES) else 1)
-        elif self._heard == wire.BEGIN and self.state is State.SYNCED:
-            self.enter(wire.next_state(self.state, Event.BEGIN))
-            box = faults.strikes(Fault.INTERFACE_BOX)
-            return (wire.INTERFACE_BOX if box else wire.PRODUCT_ID) + b"\0"
-        return b""
-
-    def _obey(self, command: bytes) -> bytes:
-        """In a session: one whole command. Whatever it is, it ends a stream, but for the marker."""
-        event = wire.event_of(command[0])
-        state = wire.next_state(self.state, event)
-        if event is Event.MARKER:
-            return bytes([Code.MARKER]) + command[1:]
-        self.enter(state)
-        if event is Event.POLL:
-            return self.packet(command[0] & ~wire.MARK, self._arm.look())
-        if event is Event.STREAM:
-            return self._start(conf.decode_stream(bytes([Code.STREAM]) + command[1:]))
-        if event is Event.END:
-            return bytes([Code.END])
-        return self._configure(command)
-
-    def _configure(self, command: bytes) -> bytes:
-        """The reply to a configuration command; silence for what is not supported."""
-        code = command[0] | wire.MARK
-        self.eeprom_attempts += code in wire.FORBIDDEN
-        if code == Code.HOME:
-            self._arm.load_home()
-            return bytes([code])
-        if code == Code.SET_BAUD:
-            rates = [rate for rate, number in wire.BAUD_CODES.items() if number == command[1]]
-            # from the next byte on: the echo comes at the old rate
-            self.rate = rates[0] if rates else self.rate
-            return bytes([code]) if rates else b""
-        reply = self._replies.get(code, b"")
-        if code == Code.PARAMETERS and self._arm.faults.strikes(Fault.BLOCK_LENGTH):
-            return reply[:1] + bytes([conf.PARAMETER_BYTES - 2]) + reply[2:-2]
-        return reply
-
-    def _start(self, request: StreamRequest) -> bytes:
-        """Echo; what follows is for whoever keeps the time to ask for."""
-        command = request.command & ~wire.MARK
-        wire_s = (1 + wire.payload_length(command)) * _BITS_PER_BYTE / FASTEST_BAUD
-        trigger = None if request.fixed_rate else Trigger(request, self._arm.look())
-        self.stream = Stream(command, max(request.delay_ms / 1000.0, wire_s), trigger)
-        return bytes([Code.STREAM])
+    def tremor(self, block: int) -> Floats:
+        """How far the hand is off at each packet of a block, (n, 3) mm."""
+        chance = np.random.default_rng([self._seed, _TREMOR, block])
+        return chance.normal(0.0, self._tremor_mm / np.sqrt(3.0), (_BLOCK, 3))
 
 
-def _arguments(command: bytearray) -> int:
-    """How many bytes follow the first; a stream's depends on the command within it."""
-    if not command[0] & wire.CONFIGURE:
-        return 0
-    code = command[0] | wire.MARK
-    sevenfold = code == Code.STREAM and len(command) > 3 and wire.encoder_count(command[3]) == 7
-    return wire.ARGUMENTS.get(code, 0) + (2 if sevenfold else 0)
+class Stream:
+    """A running stream of ``command``: a packet every ``period_s``, by differences only when it
+    `fires`. A delta or mask bit of 0 leaves its encoder or pedal out; the analog channels are not
+    connected. A difference is measured from the last packet, the first from ``look``.
+    """
+
+    def __init__(self, request: StreamRequest, look: Look | None) -> None:
+        self.command = request.command & ~wire.MARK
+        wire_s = (1 + wire.payload_length(self.command)) * _BITS_PER_BYTE / FASTEST_BAUD
+        self.period_s = max(request.delay_ms / 1000.0, wire_s)
+        self._request = request
+        self._last = look
+
+    def fires(self, now: Look) -> bool:
+        """Whether a pedal changed since the last look, or an encoder by its delta."""
+        if self._last is None:
+            return True
+        before, counts = self._last
+        steps = [(a - b) % COUNT_MODULUS for a, b in zip(now.counts, counts, strict=True)]
+        fires = bool((now.buttons ^ before) & self._request.button_mask) or any(
+            delta and delta <= min(step, COUNT_MODULUS - step)  # the shorter way round
+            for delta, step in zip(self._request.encoder_deltas, steps, strict=False)
+        )
+        self._last = Look(now.buttons, now.counts if fires else counts)
+        return fires
 
 
 class ArmEmulator:
     """An arm in a hand, switched on with its stylus on the peg.
 
-    ``unreachable``: why it hung up on an impossible pose. Raises ValueError for a ``unit`` whose
-    tip never comes above the table.
+    ``state`` of its session, ``packets`` sent, ``eeprom_attempts`` (writes that were asked for),
+    and ``unreachable``: why it hung up on an impossible pose. Raises ValueError for a ``unit``
+    whose tip never comes above the table.
     """
 
     def __init__(
@@ -212,15 +227,23 @@ class ArmEmulator:
     ) -> None:
         self.unit = unit or shipped_unit("40937")
         self.faults = Faults(seed, self._fault_changed)
+        self.state = State.FINDING_BAUD
+        self.packets = self.eeprom_attempts = 0
         self.unreachable: OutOfReachError | None = None
-        home = self.unit.home
-        self._firmware = Firmware(self)
-        geometry = self.unit.geometry()
+        self._button_mask = self.unit.maxima.button_mask
+        self._replies = self.unit.replies()
+        self._words = self._command = b""
+        self._syncs = 0
+        self._rate: int | None = None  # the arm's own; None while any will do
+        self._stream: Stream | None = None
+        geometry, home = self.unit.geometry(), self.unit.home
         self._mechanics = Mechanics(
             geometry, home, hand, seed=seed, accuracy_mm=accuracy_mm, tremor_mm=tremor_mm
         )
-        self._contacts = Contacts(seed)
         self._clock = clock
+        self._seed = seed
+        self._pressed = self._pressed_before = self._presses = 0
+        self._settled_s = 0.0
         self._looks = 0
         self._runs = 0
         self._offset = [0] * len(home)
@@ -228,29 +251,15 @@ class ArmEmulator:
         self._sent_until_s = 0.0
 
     @property
-    def state(self) -> State:
-        """Where the arm's side of the conversation stands."""
-        return self._firmware.state
-
-    @property
-    def packets(self) -> int:
-        """How many were sent."""
-        return self._firmware.packets
-
-    @property
-    def eeprom_attempts(self) -> int:
-        """How often a write to the EEPROM was asked for: no driver ever should."""
-        return self._firmware.eeprom_attempts
-
-    @property
     def buttons(self) -> int:
         """The pedals that are pressed: bit 0 the single or right one, bit 1 the left one."""
-        return self._contacts.meant
+        return self._pressed
 
     @buttons.setter
     def buttons(self, pressed: int) -> None:
-        bounce_s = self.faults.amount_now(Fault.PEDAL_BOUNCE)
-        self._contacts.move(pressed, self._clock.now(), bounce_s)
+        self._pressed_before, self._pressed = self._pressed, pressed
+        self._settled_s = self._clock.now() + self.faults.amount_now(Fault.PEDAL_BOUNCE)
+        self._presses += 1
 
     def check_reach(self, point_mm: Floats, direction: Floats | None) -> None:
         """Raise OutOfReachError unless the arm can hold its tip there."""
@@ -259,12 +268,12 @@ class ArmEmulator:
     def power_off(self) -> None:
         """Cut the power: the session is gone."""
         self._powered = False
-        self._firmware.enter(wire.next_state(self.state, Event.POWER_LOST))
+        self._enter(wire.next_state(self.state, Event.POWER_LOST))
 
     def power_on(self) -> None:
         """Start with the home counts, wherever the stylus is. Raises OutOfReachError."""
         self._powered = True
-        self.load_home()
+        self._load_home()
         self._displace()
 
     def power_cycle(self) -> None:
@@ -278,25 +287,117 @@ class ArmEmulator:
         elif fault is Fault.NEVER_HOMED:
             self._displace()
 
+    # The firmware. In a live session bit 7 of a command is ignored, so letters are commands;
+    # unsupported commands get no answer.
+
+    def _enter(self, state: State) -> None:
+        """A state anew: nothing received, no stream, and outside a session no rate."""
+        self.state = state
+        self._stream = None
+        self._words = self._command = b""
+        self._syncs = 0
+        if state not in wire.LIVE:
+            self._rate = None
+
+    def _take(self, byte: int, rate: int | None) -> bytes:
+        """The answer to a byte at ``rate`` (None: unknown); empty while a command is cut."""
+        if self.state not in wire.LIVE:
+            return self._outside_session(byte, rate)
+        command = self._command + bytes([byte])
+        if command[0] & wire.CONFIGURE:
+            code = command[0] | wire.MARK
+            sevenfold = len(command) > 3 and wire.encoder_count(command[3]) == 7
+            more = 2 if code == Code.STREAM and sevenfold else 0
+            if len(command) <= wire.ARGUMENTS.get(code, 0) + more:
+                self._command = command
+                return b""
+        self._command = b""
+        return self._execute(command)
+
+    def _packet(self, command: int, look: Look) -> bytes:
+        """The answer to a data command; nothing for what isn't one."""
+        if command & (wire.MARK | wire.CONFIGURE | wire.UNUSED):
+            return b""
+        self.packets += 1
+        ticks = (
+            int(self._clock.now() / wire.TICK_S) % wire.TICK_MODULUS
+            if command & wire.TIME_STAMP
+            else None
+        )
+        analogs = (0,) * wire.analog_count(command)  # nothing is plugged in
+        counts = (*look.counts, 0)[: wire.encoder_count(command)]
+        buttons = look.buttons & self._button_mask
+        return wire.encode_packet(Packet(command, buttons, counts, ticks, analogs))
+
+    def _outside_session(self, byte: int, rate: int | None) -> bytes:
+        """Words, and the end byte."""
+        self._words = (self._words + bytes([byte]))[-len(wire.BEGIN) :]
+        faults = self.faults
+        if byte == Code.END:
+            self.state = wire.next_state(self.state, Event.END)
+        elif self._words.endswith(wire.SYNC):
+            self._syncs += 1
+            if faults.on(Fault.LATE_ECHO) and self._syncs < faults.amount(Fault.LATE_ECHO):
+                return b""
+            self.state = wire.next_state(self.state, Event.SYNC)
+            self._rate = rate
+            return wire.SYNC * (3 if faults.strikes(Fault.SURPLUS_ECHOES) else 1)
+        elif self._words == wire.BEGIN and self.state is State.SYNCED:
+            self._enter(wire.next_state(self.state, Event.BEGIN))
+            box = faults.strikes(Fault.INTERFACE_BOX)
+            return (wire.INTERFACE_BOX if box else wire.PRODUCT_ID) + b"\0"
+        return b""
+
+    def _execute(self, command: bytes) -> bytes:
+        """In a session: one whole command. Whatever it is, it ends a stream, but for the marker."""
+        event = wire.event_of(command[0])
+        state = wire.next_state(self.state, event)
+        if event is Event.MARKER:
+            return bytes([Code.MARKER]) + command[1:]
+        self._enter(state)
+        if event is Event.POLL:
+            return self._packet(command[0] & ~wire.MARK, self._look())
+        if event is Event.STREAM:
+            request = conf.decode_stream(bytes([Code.STREAM]) + command[1:])
+            self._stream = Stream(request, None if request.fixed_rate else self._look())
+            return bytes([Code.STREAM])
+        if event is Event.END:
+            return bytes([Code.END])
+        return self._configure(command)
+
+    def _configure(self, command: bytes) -> bytes:
+        """The reply to a configuration command; silence for what is not supported."""
+        code = command[0] | wire.MARK
+        self.eeprom_attempts += code in wire.FORBIDDEN
+        if code == Code.HOME:
+            self._load_home()
+            return bytes([code])
+        if code == Code.SET_BAUD:
+            rates = [rate for rate, number in wire.BAUD_CODES.items() if number == command[1]]
+            # from the next byte on: the echo comes at the old rate
+            self._rate = rates[0] if rates else self._rate
+            return bytes([code]) if rates else b""
+        reply = self._replies.get(code, b"")
+        if code == Code.PARAMETERS and self.faults.strikes(Fault.BLOCK_LENGTH):
+            return reply[:1] + bytes([conf.PARAMETER_BYTES - 2]) + reply[2:-2]
+        return reply
+
     # The body behind the firmware
 
-    def look(self) -> Look:
+    def _look(self) -> Look:
         """Pedals and encoders at this moment. Raises OutOfReachError for an impossible hand."""
         self._looks += 1
-        counts = zip(self._mechanics.counts(self._looks), self._offset, strict=True)
-        return Look(
-            self._contacts.at(self._clock.now(), self._looks),
-            [(count + offset) % COUNT_MODULUS for count, offset in counts],
-        )
+        buttons = self._pressed
+        if self._clock.now() < self._settled_s:  # a bouncing contact shows either
+            chance = np.random.default_rng([self._seed, _CONTACTS, self._presses, self._looks])
+            buttons = self._pressed_before if chance.random() < 0.5 else buttons
+        joints = zip(self._mechanics.counts(self._looks), self._offset, strict=True)
+        return Look(buttons, [(count + offset) % COUNT_MODULUS for count, offset in joints])
 
-    def load_home(self) -> None:
+    def _load_home(self) -> None:
         """Show the home counts, wherever the stylus is. Raises OutOfReachError."""
         counts = self._mechanics.counts(self._looks)
         self._offset = [home - count for home, count in zip(self.unit.home, counts, strict=True)]
-
-    def ticks(self) -> int:
-        """The time stamp of this moment."""
-        return int(self._clock.now() / wire.TICK_S) % wire.TICK_MODULUS
 
     def _displace(self) -> None:
         """The arm wakes with its stylus off the peg, where that is its fault."""
@@ -310,13 +411,13 @@ class ArmEmulator:
         """A host plugs in. The arm doesn't notice; what another host left behind is still there."""
         self._sent_until_s = 0.0
         if self._powered and self.faults.strikes(Fault.OLD_SESSION):
-            self._firmware.enter(State.SESSION)
+            self._enter(State.SESSION)
         known = connection.baud() is not None
         if self._powered and known and self.faults.strikes(Fault.WRONG_BAUD):
-            self._firmware.enter(State.SESSION)
-            self._firmware.rate = int(self.faults.amount(Fault.WRONG_BAUD))
-        if self._firmware.stream:
-            self._run(self._firmware.stream, connection)
+            self._enter(State.SESSION)
+            self._rate = int(self.faults.amount(Fault.WRONG_BAUD))
+        if self._stream:
+            self._run(self._stream, connection)
 
     def disconnect(self, connection: Connection) -> None:
         """The host's cable is out; the arm doesn't notice, and its session lives on."""
@@ -329,15 +430,15 @@ class ArmEmulator:
         if (
             self.faults.strikes(Fault.WRONG_BAUD)  # where the host's rate is unknown
             if rate is None
-            else self._firmware.rate not in (None, rate)
+            else self._rate not in (None, rate)
         ):
             self._put(connection, self.faults.noise(len(data)))
             return
-        before = self._firmware.stream
+        before = self._stream
+        take, damage = self._take, self.faults.damage
         data = self.faults.mislay(data)
-        take, damage = self._firmware.take, self.faults.damage
         self._send(connection, lambda: b"".join([damage(take(byte, rate)) for byte in data]))
-        stream = self._firmware.stream
+        stream = self._stream
         if stream is not None and stream is not before:
             self._run(stream, connection)
 
@@ -348,21 +449,22 @@ class ArmEmulator:
         self._runs += 1
         run, due_s = self._runs, self._clock.now() + stream.period_s
 
+        def packet() -> bytes:
+            look = self._look()
+            if not stream.fires(look):
+                return b""
+            return self.faults.damage(self._packet(stream.command, look))
+
         def tick() -> None:
             nonlocal due_s
-            if self._firmware.stream is not stream or self._runs != run:
+            if self._stream is not stream or self._runs != run:
                 return
-            self._send(connection, lambda: self._streamed(stream))
+            self._send(connection, packet)
             now = self._clock.now()
             due_s = max(due_s + stream.period_s, now - CATCH_UP_S)
             connection.after(max(0.0, due_s - now, connection.busy_s() - stream.period_s), tick)
 
         connection.after(stream.period_s, tick)
-
-    def _streamed(self, stream: Stream) -> bytes:
-        look = self.look()
-        fires = stream.trigger is None or stream.trigger.fires(look)
-        return self.faults.damage(self._firmware.packet(stream.command, look)) if fires else b""
 
     # Adapter and cable
 
@@ -378,15 +480,15 @@ class ArmEmulator:
         data, broken = self.faults.cut(data)
         if not data and not broken:
             return
+        now = self._clock.now()
+        late_s = self.faults.amount_now(Fault.SLOW_ADAPTER)
+        self._sent_until_s = max(self._sent_until_s, now + late_s)
 
         def arrive() -> None:
             connection.send(data)
             if broken:
                 connection.hang_up()
 
-        now = self._clock.now()
-        late_s = self.faults.amount_now(Fault.SLOW_ADAPTER)
-        self._sent_until_s = max(self._sent_until_s, now + late_s)
         if self._sent_until_s > now:
             connection.after(self._sent_until_s - now, arrive)
         else:

@@ -1,11 +1,8 @@
-"""Errors of the arm's driver under ``instruments.errors``, and a guess at which other device
-answered.
-
-Raise the most exact one, catch the one that you can act on.
-"""
+"""Errors of the arm's driver, and a guess at which other device answered the sign-on."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
@@ -13,15 +10,11 @@ from instruments.microscribe.protocol import BEGIN, SYNC
 
 
 class NoMicroScribeError(ProtocolError):
-    """Another device, or a loop-back plug, answers the sign-on. Damaged answers of an arm are a
-    ProtocolError.
-    """
+    """Another device, or a loop-back plug, answers the sign-on."""
 
 
 class UnusableArmError(ProtocolError):
-    """An arm whose positions can't be computed, or no arm but an interface box; asking again
-    doesn't help.
-    """
+    """An arm whose positions can't be computed, or an interface box; asking again doesn't help."""
 
 
 class AnotherArmError(DeviceError):
@@ -44,30 +37,15 @@ class ArmMovesError(LimitError):
     """The packets of a reading are further apart than a still tip's."""
 
 
-# what a refusal or a short answer has; longer ones are not what IMMC gets
-_FRAME_BYTES = range(5, 17)
+_FRAME_BYTES = range(5, 17)  # of a refusal or a short answer
 
 
 def _modbus(seen: bytes) -> bool:
-    """Whether it ends in a Modbus RTU frame: its last two bytes are a CRC-16 (serial line guide,
-    6.2.2).
-    """
+    """Whether it ends in a Modbus RTU frame, whose last two bytes are a CRC-16."""
+    from pymodbus.framer import FramerRTU  # slow to import
+
     frames = (seen[-length:] for length in _FRAME_BYTES if length <= len(seen))
-    return any(_crc16(frame[:-2]) == int.from_bytes(frame[-2:], "little") for frame in frames)
-
-
-def _crc16(data: bytes) -> int:
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
-    return crc
-
-
-def _text(seen: bytes) -> bool:
-    """Whether it is text, and enough of it to be no accident of a wrong baud rate."""
-    return len(seen) >= 4 and all(byte in range(0x20, 0x7F) or byte in b"\r\n\t" for byte in seen)
+    return any(FramerRTU.compute_CRC(f[:-2]) == int.from_bytes(f[-2:], "big") for f in frames)
 
 
 _NEIGHBOURS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
@@ -84,19 +62,18 @@ _NEIGHBOURS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
         "It talks like a motion controller: is this the stage's port? Give the arm's",
     ),
     (_modbus, "It answers in Modbus frames: is this the bath's port? Give the arm's"),
-    (_text, "It talks in plain text: which device is on this port? Give the arm's"),
+    (
+        # enough text to be no accident of a wrong baud rate
+        lambda seen: re.fullmatch(rb"[\x20-\x7e\r\n\t]{4,}", seen) is not None,
+        "It talks in plain text: which device is on this port? Give the arm's",
+    ),
 )
-_NOISE = (
+NOISE_HINT = (
     "No known device talks so: is the baud rate right, and is it the arm's port? Else switch the"
     " arm off and on, and sign on again"
 )
 
 
-def known(seen: bytes) -> bool:
-    """Whether the bytes look like a known other device: then no other baud rate is tried."""
-    return any(fits(seen) for fits, _ in _NEIGHBOURS)
-
-
-def what_to_try(seen: bytes) -> str:
-    """A sentence for a person whose sign-on was answered with ``seen``, not empty."""
-    return next((hint for fits, hint in _NEIGHBOURS if fits(seen)), _NOISE)
+def guess(seen: bytes) -> str | None:
+    """Which known other device answered the sign-on with ``seen``, and what to do; else None."""
+    return next((hint for fits, hint in _NEIGHBOURS if fits(seen)), None)

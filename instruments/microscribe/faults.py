@@ -1,8 +1,4 @@
-"""Faults of an emulated arm, its cable and its adapter, by name.
-
-Where a packet is hit follows from the seed and the number of answers hit before, so a run can be
-repeated.
-"""
+"""Faults of an emulated arm, its cable and its adapter, by name; repeatable with the same seed."""
 
 from __future__ import annotations
 
@@ -40,13 +36,11 @@ class Fault(StrEnum):
     DISCONNECT = "disconnect"
 
 
-# What some faults have an amount of, and how much unless told.
+# what some faults have an amount of, and its default
 AMOUNTS: dict[Fault, float] = {
-    # the rate of a session that somebody left: matters where the host's rate can be known, on a pty
-    Fault.WRONG_BAUD: 9600,
+    Fault.WRONG_BAUD: 9600,  # of a session that was left open, where the host's rate is known
     Fault.LATE_ECHO: 3,  # the IMMC that is echoed first
-    # counts that each joint stood off its peg when the arm was switched on, at most
-    Fault.NEVER_HOMED: 1000,
+    Fault.NEVER_HOMED: 1000,  # counts that a joint stood off its peg at power-up, at most
     Fault.PEDAL_BOUNCE: 0.02,  # seconds that a contact takes to settle
     Fault.SLOW_ADAPTER: 0.016,  # seconds that each answer is held back
     Fault.DISCONNECT: 0,  # bytes for the host that still pass
@@ -74,10 +68,8 @@ class Faults:
         amount: float | None = None,
         after: int = 0,
     ) -> None:
-        """Let a fault strike ``times`` times, after sparing the first ``after`` chances.
-
-        ``amount`` is as `AMOUNTS` explains. Raises ValueError for an unknown name or a useless
-        amount.
+        """Let a fault strike ``times`` times, after sparing the first ``after`` chances; ``amount``
+        in the unit of `AMOUNTS`. Raises ValueError for an unknown name or a useless amount.
         """
         known = named(fault)
         check_amount(known, amount)
@@ -98,13 +90,13 @@ class Faults:
 
     def strikes(self, fault: Fault) -> bool:
         """Whether the fault happens now; one of its times is used up."""
-        left = self._left.get(fault, 0)
-        if left > 0 and self._spared[fault] > 0:
+        if self._left.get(fault, 0) <= 0:
+            return False
+        if self._spared[fault] > 0:
             self._spared[fault] -= 1
             return False
-        if left > 0:
-            self._left[fault] = left - 1
-        return left > 0
+        self._left[fault] -= 1
+        return True
 
     def amount(self, fault: Fault) -> float:
         """How much of it, in the unit of `AMOUNTS`."""
@@ -115,9 +107,7 @@ class Faults:
         return self._amounts[fault] if self.strikes(fault) else 0.0
 
     def damage(self, answer: bytes) -> bytes:
-        """One answer as the host gets it; the place is chance, and the first byte is only ever
-        lost.
-        """
+        """One answer as the host gets it; the place is chance, the first byte is only ever lost."""
         if not self._left or not answer:
             return answer
         chance = self._chance()
@@ -146,9 +136,9 @@ class Faults:
 
     def cut(self, data: bytes) -> tuple[bytes, bool]:
         """As much of ``data`` as passes, and whether the cable breaks behind it."""
-        passes = self._amounts[Fault.DISCONNECT]
         if not self.on(Fault.DISCONNECT) or not data:
             return data, False
+        passes = self._amounts[Fault.DISCONNECT]
         if len(data) <= passes:
             self._amounts[Fault.DISCONNECT] = passes - len(data)
             return data, False
@@ -169,11 +159,9 @@ class Faults:
 def check_amount(fault: Fault, amount: float | None) -> None:
     """Raise ValueError unless ``fault`` may have that amount."""
     if amount is not None and (fault not in AMOUNTS or amount < 0):
-        with_amount = ", ".join(f"{one} ({usual:g})" for one, usual in AMOUNTS.items())
-        raise ValueError(
-            f"the fault '{fault}' has no amount {amount:g}; an amount of 0 or more have:"
-            f" {with_amount}"
-        )
+        known = ", ".join(f"{one} ({usual:g})" for one, usual in AMOUNTS.items())
+        what = f"the fault '{fault}' has no amount {amount:g}"
+        raise ValueError(f"{what}; an amount of 0 or more have: {known}")
 
 
 def named(fault: Fault | str) -> Fault:
@@ -181,6 +169,5 @@ def named(fault: Fault | str) -> Fault:
     try:
         return Fault(fault)
     except ValueError:
-        raise ValueError(
-            f"an arm has no fault {str(fault)!r}; it has: {', '.join(Fault)}"
-        ) from None
+        what = f"an arm has no fault {str(fault)!r}; it has: {', '.join(Fault)}"
+        raise ValueError(what) from None

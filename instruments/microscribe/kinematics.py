@@ -1,6 +1,5 @@
-"""Forward and inverse kinematics of the arm, vectorised over poses.
-
-Modified (Craig) Denavit-Hartenberg, as in the maker's SDK manual, chapter 4.
+"""Forward and inverse kinematics of the arm, vectorised over poses: modified (Craig)
+Denavit-Hartenberg, as in the maker's SDK manual, chapter 4.
 """
 
 from __future__ import annotations
@@ -16,10 +15,8 @@ Counts = npt.NDArray[np.int64]
 JOINTS = 6
 COUNT_MODULUS = 1 << 14  # counts go on past one turn, modulo this
 BETA_JOINT = 2  # the only joint with the extra angle
-# How far each joint turns from the home pose, (6, 2) rad. The maker states none. Ours: the base all
-# around, the upper arm from leaning back to lying forward, the elbow from folded to nearly
-# straight, so that it stays above the wrist and never bends the wrong way, and a wrist that goes
-# most of the way around.
+# how far each joint turns from the home pose, (6, 2) rad; the maker states none. The elbow goes
+# from folded to nearly straight, so that it stays above the wrist
 RANGES_RAD: Floats = np.radians(
     [(-180, 180), (-140, 30), (-25, 140), (-178, 178), (-150, 150), (-180, 180)]
 )
@@ -63,20 +60,17 @@ class ArmGeometry:
         return self.forward_angles(self.angles(counts))
 
     def forward_angles(self, angles_rad: Floats) -> tuple[Floats, Floats]:
-        """As ``forward``, for joint angles (n, 6) rad.
-
-        A joint is RotX(alpha) TransX(a) RotY(beta) RotZ(theta) TransZ(d), beta on one joint only.
-        From the tip inwards, a point and a direction are moved; no matrix is multiplied.
+        """As ``forward``, for joint angles (n, 6) rad. A joint is RotX(alpha) TransX(a) RotY(beta)
+        RotZ(theta) TransZ(d), beta on one joint only. A point and a direction are moved from the
+        tip inwards: faster than matrices.
         """
         n = len(angles_rad)
         tip: _Triple = (np.zeros(n), np.zeros(n), np.zeros(n))
         axis: _Triple = (np.zeros(n), np.zeros(n), np.ones(n))
         for joint in reversed(range(JOINTS)):
-            x, y, z = tip
-            tip = self._through(
-                joint, angles_rad[:, joint], (x, y, z + self.d_mm[joint]), self.a_mm[joint]
-            )
-            axis = self._through(joint, angles_rad[:, joint], axis, 0.0)
+            (x, y, z), theta = tip, angles_rad[:, joint]
+            tip = self._through(joint, theta, (x, y, z + self.d_mm[joint]), self.a_mm[joint])
+            axis = self._through(joint, theta, axis, 0.0)
         return np.stack(tip, axis=1), np.stack(axis, axis=1)
 
     def _through(self, joint: int, theta: Floats, v: _Triple, shift_mm: float) -> _Triple:
@@ -140,14 +134,19 @@ def inverse(
 ) -> Floats:
     """The counts (6,), not rounded, that hold the tip at ``point_mm`` (3,).
 
-    ``direction`` (3,) points from the tip up the stylus; None leaves it free. Where it is in line
-    with the forearm (a blind cone of about a degree), the nearest direction outside is taken, at
-    most 0.02 rad away. Joints stay within ``ranges_rad`` (6, 2) of the home pose ``start`` (6,),
-    and the pose nearest to it is taken. Damped least squares from many starts. Raises
-    OutOfReachError.
+    ``direction`` (3,) points from the tip up the stylus; None leaves it free. In line with the
+    forearm (a blind cone of about a degree) it may be off by 0.02 rad. Joints stay within
+    ``ranges_rad`` (6, 2) of the home pose ``start`` (6,); the pose nearest to it is taken. Damped
+    least squares from many starts. Raises OutOfReachError, ValueError for no direction.
     """
-    goal = np.asarray(point_mm, dtype=np.float64)
-    stylus = None if direction is None else _unit(direction)
+    goal, stylus = np.asarray(point_mm, dtype=np.float64), None
+    if direction is not None:
+        stylus = np.asarray(direction, dtype=np.float64)
+        length = float(np.linalg.norm(stylus))
+        if stylus.shape != (3,) or not np.isfinite(length) or length == 0.0:
+            what = "a stylus direction is three numbers, not all zero"
+            raise ValueError(f"{what}; got {direction!r}")
+        stylus = stylus / length
     home = geometry.angles(start)[0]
     angles = _starts(geometry, goal, stylus, home, ranges_rad)
     angles, misses_mm = _settle(geometry, angles, goal, stylus)
@@ -163,13 +162,10 @@ def inverse(
         if stylus is not None:
             where += f" with the stylus along {_shown(stylus)}"
         if (miss_mm := float(misses_mm.min())) < _TOLERANCE_MM:
-            raise OutOfReachError(
-                f"{where} needs a joint past its range. Hold the stylus another way"
-            )
-        raise OutOfReachError(
-            f"{where}; the nearest pose misses by {miss_mm:.1f} mm. Move the target nearer to the"
-            " arm"
-        )
+            what = f"{where} needs a joint past its range"
+            raise OutOfReachError(f"{what}. Hold the stylus another way")
+        what = f"{where}; the nearest pose misses by {miss_mm:.1f} mm"
+        raise OutOfReachError(f"{what}. Move the target nearer to the arm")
     nearest = turned[fits][np.argmin(np.linalg.norm(turned[fits], axis=1))]
     counts: Floats = _rows(start)[0] + np.where(
         geometry.active, nearest / (2.0 * np.pi) * geometry.turns, 0.0
@@ -181,14 +177,10 @@ def _starts(
     geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats, ranges_rad: Floats
 ) -> Floats:
     """Home and the best poses of a lattice over the joint ranges, each base turned to the goal."""
-    steps = [np.zeros(1)] + [
-        np.linspace(low, high, 9)[1:-1] * geometry.active[j]
-        for j, (low, high) in enumerate(ranges_rad[1:-1], 1)
-    ]
-    lattice = home + np.stack(np.meshgrid(*steps, np.zeros(1), indexing="ij"), axis=-1).reshape(
-        -1, JOINTS
-    )
-    poses: Floats = np.concatenate([home[None], lattice])
+    between = np.linspace(ranges_rad[:, 0], ranges_rad[:, 1], 9)[1:-1] * geometry.active
+    steps = [np.zeros(1), *between.T[1:-1], np.zeros(1)]
+    lattice = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, JOINTS)
+    poses: Floats = np.concatenate([home[None], home + lattice])
     tips, _ = geometry.forward_angles(poses)
     poses[:, 0] += np.arctan2(goal[1], goal[0]) - np.arctan2(tips[:, 1], tips[:, 0])
     misses_mm = np.linalg.norm(_misses(geometry, poses, goal, stylus), axis=1)
@@ -234,15 +226,6 @@ def _rows(counts: npt.ArrayLike) -> Floats:
     if rows.ndim != 2 or rows.shape[1] != JOINTS:
         raise ValueError(f"counts have shape {np.shape(counts)}, not (n, {JOINTS})")
     return rows
-
-
-def _unit(direction: npt.ArrayLike) -> Floats:
-    v = np.asarray(direction, dtype=np.float64)
-    length = float(np.linalg.norm(v))
-    if v.shape != (3,) or not np.isfinite(length) or length == 0.0:
-        raise ValueError(f"a stylus direction is three numbers, not all zero; got {direction!r}")
-    unit: Floats = v / length
-    return unit
 
 
 def _shown(v: Floats) -> str:

@@ -1,8 +1,7 @@
-"""The MicroScribe's bytes as values and values as bytes, and the session's states.
+"""The MicroScribe's data packets as values and bytes, and the session's states.
 
-Source: the maker's SDK manual, chapter 4. Data packets have a header with bit 7 set, then 7-bit
-bytes, no length and no checksum. Configuration replies (``configuration``) are the code, then 8-bit
-bytes.
+Source: the maker's SDK manual, chapter 4. A packet is a header with bit 7 set, then 7-bit bytes,
+without length or checksum.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ TICK_MODULUS = 1 << 14
 
 
 class WireError(ValueError):
-    """Bytes or an event that the protocol does not allow. The driver adds who spoke."""
+    """Bytes or an event that the protocol does not allow."""
 
 
 class Code(IntEnum):
@@ -115,21 +114,17 @@ def event_of(command: int) -> Event:
 
 
 def refuse_forbidden(data: bytes, state: State) -> None:
-    """Raise WireError where ``data`` starts an EEPROM write, or could where a byte of it is lost.
-
-    In a live session bit 7 is ignored, so the letters C, G, P, Q count too. If a command is lost,
-    its arguments are taken for commands, so none may configure: a stream every 66 ms (42) would
-    re-home the arm.
+    """Raise WireError where ``data`` starts an EEPROM write, for which bit 7 counts only outside a
+    session, or has an argument that would configure the arm if its command were lost.
     """
     live = state in LIVE
     for at, byte in enumerate(data):
         if (byte | MARK if live else byte) in FORBIDDEN:
-            what = "would start a write to the arm's EEPROM and is never sent"
-        elif live and at and byte & CONFIGURE:
-            what = "would configure the arm if the byte before it were lost on its way"
-        else:
-            continue
-        raise WireError(f"byte {byte:02X} {what}")
+            raise WireError(f"byte {byte:02X} would start a write to the arm's EEPROM")
+        if live and at and byte & CONFIGURE:
+            raise WireError(
+                f"byte {byte:02X} would configure the arm if the byte before it were lost"
+            )
 
 
 class Packet(NamedTuple):
@@ -159,21 +154,21 @@ def payload_length(command: int) -> int:
     return 1 + stamp + analogs + bool(analogs) + 2 * encoder_count(command)
 
 
-_LENGTHS = tuple(payload_length(command) for command in range(64))
+_LENGTHS = tuple(map(payload_length, range(64)))
 
 
 def encode_packet(packet: Packet) -> bytes:
-    """Header and payload. With eight analogs the last one's lowest bit has no room and is dropped.
-    Raises WireError when the packet doesn't fit its command.
+    """Header and payload; the eighth analog's lowest bit is dropped. Raises WireError when the
+    packet doesn't fit its command.
     """
-    command, ticks, analogs, counts = packet.command, packet.ticks, packet.analogs, packet.counts
+    command, buttons, counts, ticks, analogs = packet
     wanted = encoder_count(command), analog_count(command), bool(command & TIME_STAMP)
     if (len(counts), len(analogs), ticks is not None) != wanted:
         raise WireError(
             f"a packet for command {command:02X} has {wanted[0]} counts, {wanted[1]} analogs, time"
             f" stamp {wanted[2]}"
         )
-    data = [command | MARK, packet.buttons & 0x7F]
+    data = [command | MARK, buttons & 0x7F]
     if ticks is not None:
         data += ticks >> 7 & 0x7F, ticks & 0x7F
     if analogs:
@@ -185,11 +180,9 @@ def encode_packet(packet: Packet) -> bytes:
 
 
 class PacketDecoder:
-    """Finds packets in a stream cut anywhere; ``damaged`` counts those dropped.
-
-    Bit 7 inside a packet, or a byte without it behind one, is damage; the search goes on there.
-    ``withdrawn`` counts packets whose damage showed after they were given out. ``command`` names
-    the only packet accepted (None: any).
+    """Finds packets of ``command`` (None: any) in a stream cut anywhere. Bit 7 inside a packet, or
+    a byte without it behind one, is damage. ``damaged`` counts packets dropped, ``withdrawn`` those
+    among them that had been returned before.
     """
 
     def __init__(self, command: int | None = None) -> None:
@@ -218,11 +211,8 @@ class PacketDecoder:
         packets: list[Packet] = []
         while at < len(buffer):
             header = buffer[at]
-            if (
-                header & (MARK | CONFIGURE | UNUSED) != MARK
-                if self._wanted is None
-                else header != self._wanted
-            ):
+            is_packet = header & (MARK | CONFIGURE | UNUSED) == MARK
+            if not is_packet if self._wanted is None else header != self._wanted:
                 at = _next_marked(buffer, at)
                 continue
             end = at + 1 + _LENGTHS[header & 0x3F]
@@ -261,10 +251,8 @@ def _packet(command: int, payload: bytes) -> Packet:
 
 
 class ArmTime:
-    """Seconds since the first stamp by the arm's clock: 14-bit ticks that wrap after 18 s.
-
-    The host's clock only counts the wraps: right while delays of two stamps in a row differ by less
-    than 9 s.
+    """Seconds since the first stamp by the arm's clock: 14-bit ticks that wrap after 18 s. The
+    host's clock only counts the wraps: right while two delays in a row differ by less than 9 s.
     """
 
     def __init__(self) -> None:

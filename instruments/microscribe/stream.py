@@ -31,9 +31,7 @@ class PedalEvent:
 
 
 class Debouncer:
-    """A change counts once every packet for 20 ms has shown it. A pedal that is down in
-    the first packet is no event.
-    """
+    """A change counts after 20 ms of packets that show it; pedals down at first are no event."""
 
     def __init__(self) -> None:
         self._settled: int | None = None
@@ -43,25 +41,22 @@ class Debouncer:
         """The events that this packet settles; ``t_s`` is when it was made."""
         if self._settled is None:
             self._settled = buttons
-        return tuple(event for pedal in Pedal if (event := self._event(pedal, t_s, buttons)))
-
-    def _event(self, pedal: Pedal, t_s: float, buttons: int) -> PedalEvent | None:
-        if not (buttons ^ (self._settled or 0)) & pedal.value:
-            self._since.pop(pedal, None)
-            return None
-        since = self._since.setdefault(pedal, t_s)
-        if t_s - since < DEBOUNCE_S - 1e-9:
-            return None
-        del self._since[pedal]
-        self._settled = (self._settled or 0) ^ pedal.value
-        return PedalEvent(pedal, bool(buttons & pedal.value), since)
+        events = []
+        for pedal in Pedal:
+            if not (buttons ^ self._settled) & pedal.value:
+                self._since.pop(pedal, None)
+            elif t_s - (since := self._since.setdefault(pedal, t_s)) >= DEBOUNCE_S - 1e-9:
+                del self._since[pedal]
+                self._settled ^= pedal.value
+                events.append(PedalEvent(pedal, bool(buttons & pedal.value), since))
+        return tuple(events)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """One position in the arm's frame. ``tip_mm`` (3,) is the median tip, ``spread_mm`` the largest
-    distance of a packet's tip from it, ``axis`` (3,) the unit median direction from the tip up the
-    stylus, ``n`` the packets, ``counts`` the last packet's.
+    """One position in the arm's frame: median ``tip_mm`` (3,), ``spread_mm`` (largest distance of a
+    packet's tip from it), unit median ``axis`` (3,) from the tip up the stylus, ``n`` packets,
+    ``counts`` of the last one.
     """
 
     tip_mm: npt.NDArray[np.float64]

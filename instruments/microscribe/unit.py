@@ -1,7 +1,4 @@
-"""Which arm an emulator is: all that the arm says of itself, and its counts on the peg.
-
-One arm is one TOML file in the arm's own numbers; ``units`` has those that ship.
-"""
+"""Which arm an emulator is: a TOML file in the arm's own numbers; ``units`` has those that ship."""
 
 from __future__ import annotations
 
@@ -16,14 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from instruments.microscribe import configuration as conf
-from instruments.microscribe.configuration import (
-    Counts,
-    DeviceInfo,
-    Identity,
-    Maxima,
-    Parameters,
-    Word,
-)
+from instruments.microscribe.configuration import Counts, DeviceInfo, Identity, Maxima, Parameters
 from instruments.microscribe.protocol import Code
 
 SHIPPED = Path(__file__).with_name("units")
@@ -35,29 +25,24 @@ class UnitError(ValueError):
     def __init__(self, path: Path, located: Sequence[tuple[tuple[str | int, ...], str]]) -> None:
         self.path = path
         self.located = tuple(located)
-        told = [(".".join(map(str, keys)), message) for keys, message in located]
-        super().__init__(
-            f"{path}: "
-            + "; ".join(f"{key}: {message}" if key else message for key, message in told)
-        )
+        faults = (": ".join(filter(None, (".".join(map(str, at)), what))) for at, what in located)
+        super().__init__(f"{path}: {'; '.join(faults)}")
 
 
 @dataclass(frozen=True, slots=True)
 class ArmIdentity(DeviceInfo):
-    """All that one arm says of itself, and its counts on the peg."""
+    """One arm's own data, and its counts on the peg."""
 
     home: tuple[int, ...]
 
     def replies(self) -> dict[int, bytes]:
         """Reply by code. Extended parameters need "Beta" in the comment. Raises WireError."""
-        replies = {
-            int(code): conf.encode_name(code, name)
-            for code, name in zip(conf.NAMES, astuple(self.names), strict=True)
-        }
-        replies[Code.MAXIMA] = conf.encode_maxima(self.maxima)
-        replies[Code.PARAMETERS] = conf.encode_parameters(self.parameters)
+        names = zip(conf.NAMES, astuple(self.names), strict=True)
+        replies = {int(code): conf.encode_name(code, name) for code, name in names}
+        replies[Code.MAXIMA] = conf.encode(Code.MAXIMA, *astuple(self.maxima))
+        replies[Code.PARAMETERS] = conf.encode(Code.PARAMETERS, *astuple(self.parameters))
         if self.names.has_beta:
-            replies[Code.EXTENDED] = conf.encode_extended(self.beta)
+            replies[Code.EXTENDED] = conf.encode(Code.EXTENDED, self.beta)
         return replies
 
 
@@ -80,15 +65,14 @@ def shipped_unit(serial_number: str) -> ArmIdentity:
     path = SHIPPED / f"{serial_number}.toml"
     if not path.is_file():
         shipped = ", ".join(sorted(file.stem for file in SHIPPED.glob("*.toml")))
-        raise FileNotFoundError(
-            f"no arm ships under the serial number {serial_number}; there is {shipped}"
-        )
+        what = f"no arm ships under the serial number {serial_number}"
+        raise FileNotFoundError(f"{what}; there is {shipped}")
     return load_unit(path)
 
 
 @dataclass(frozen=True, slots=True)
 class _Parameters(Parameters):
-    beta: Word = 0
+    beta: conf.Word = 0
 
 
 class _Table(BaseModel):
@@ -113,17 +97,13 @@ class _File(_Table):
     @model_validator(mode="after")
     def _can_measure(self) -> _File:
         if self.parameters.beta and not self.names.has_beta:
-            raise ValueError(
-                f'parameters.beta has no meaning without "{conf.BETA_MARK}" in names.comment: such'
-                " an arm never tells it"
-            )
+            what = f'parameters.beta has no meaning without "{conf.BETA_MARK}" in names.comment'
+            raise ValueError(what)
         geometry = self.arm().geometry()
         slopes = geometry.jacobian(geometry.angles(self.peg.counts))[0, :3]
         if np.linalg.matrix_rank(slopes, tol=1e-3) < 3:
-            raise ValueError(
-                "with these parameters and encoders the tip can't be moved in three dimensions from"
-                " the peg"
-            )
+            what = "the tip can't be moved in three dimensions from the peg"
+            raise ValueError(f"with these parameters and encoders {what}")
         return self
 
 

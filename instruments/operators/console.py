@@ -1,8 +1,7 @@
 """A person at a terminal: reads instructions, answers with Enter, a word or a pedal.
 
-Where a touch is asked for, a pedal is as good as Enter. What a prompt's ``check`` raises, as an
-interlock's trip, ends the prompt at once. Lines are read without blocking; streams and clock are
-arguments.
+What a prompt's ``check`` raises, as an interlock's trip, ends the prompt at once, so lines are read
+without blocking.
 """
 
 from __future__ import annotations
@@ -14,49 +13,25 @@ import select
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Protocol, TextIO
+from typing import TextIO
 
 from instruments.clock import Clock
-from instruments.operators.operator import (
-    ABORT,
-    EXPLAIN,
-    NotUnderstoodError,
-    OperatorAbort,
-    OperatorEnough,
-    OperatorRepeat,
-    OperatorSkip,
-    Prompt,
-    understood,
-)
+from instruments.operators import operator as op
 from instruments.operators.prompted import PromptedOperator
 
 CTRL_C, CTRL_Z, BACKSPACE, FUNCTION_KEYS = "\x03", "\x1a", "\b", "\x00\xe0"
 CHUNK = 1024
 
 
-class Keyboard(Protocol):
-    """Where lines come from."""
-
-    def line(self) -> str | None:
-        """A line with its end, "" once nothing more can come, None while no whole line is there."""
-        ...
-
-    def typed_ahead(self) -> list[str]:
-        """Take the lines typed before the prompt; none from a pipe."""
-        ...
-
-
 class Reader:
-    """A stream without a keyboard behind it: reading it waits for as long as it takes."""
+    """A stream without a keyboard behind it, which is read with blocking."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     def line(self) -> str | None:
+        """A line with its end, "" once nothing more can come, None while no whole line is there."""
         return self._stream.readline()
-
-    def typed_ahead(self) -> list[str]:
-        return []
 
 
 class Descriptor:
@@ -64,7 +39,6 @@ class Descriptor:
 
     def __init__(self, stream: TextIO) -> None:
         self._number = stream.fileno()
-        self._terminal = stream.isatty()
         self._encoding = stream.encoding or "utf-8"
         self._bytes = b""
         self._ended = False
@@ -82,16 +56,10 @@ class Descriptor:
         line, end, self._bytes = self._bytes.partition(b"\n")
         return (line + end).decode(self._encoding, errors="replace")
 
-    def typed_ahead(self) -> list[str]:
-        lines: list[str] = []
-        while self._terminal and not self._ended and (line := self.line()):
-            lines.append(line)
-        return lines
-
 
 class Keys:
-    """A Windows console, key by key: the only way to read it without blocking until Enter.
-    ``pressed``, ``key`` and ``echo`` are kbhit, getwch and putwch of msvcrt.
+    """A Windows console, key by key, which alone doesn't block until Enter; ``pressed``, ``key``
+    and ``echo`` are kbhit, getwch and putwch of msvcrt.
     """
 
     def __init__(
@@ -113,25 +81,18 @@ class Keys:
                 raise KeyboardInterrupt
             if char == CTRL_Z and not self._typed:
                 return ""
-            self._edit(char)
+            if char in FUNCTION_KEYS:
+                self._key()  # which one, as a second character
+            elif char == BACKSPACE and self._typed:
+                self._typed = self._typed[:-1]
+                self._echo("\b \b")
+            elif char.isprintable():
+                self._typed += char
+                self._echo(char)
         return None
 
-    def typed_ahead(self) -> list[str]:
-        lines: list[str] = []
-        while line := self.line():
-            lines.append(line)
-        self._typed = ""
-        return lines
 
-    def _edit(self, char: str) -> None:
-        if char in FUNCTION_KEYS:
-            self._key()  # which one, as a second character
-        elif char == BACKSPACE and self._typed:
-            self._typed = self._typed[:-1]
-            self._echo("\b \b")
-        elif char.isprintable():
-            self._typed += char
-            self._echo(char)
+Keyboard = Reader | Descriptor | Keys
 
 
 def keyboard_of(stream: TextIO, echo: Callable[[str], object]) -> Keyboard:
@@ -148,21 +109,18 @@ def keyboard_of(stream: TextIO, echo: Callable[[str], object]) -> Keyboard:
     return Descriptor(stream)
 
 
-# how long the pedals are watched, or nothing is done, before keyboard and interlocks are looked at
-# again
-TURN_S = 0.05
+TURN_S = 0.05  # between two looks at keyboard and interlocks
 REMIND_S = 120.0
 GONE = "nobody is at the terminal any more"
-WISHES = (OperatorAbort, OperatorSkip, OperatorRepeat, OperatorEnough)
+WISHES = (op.OperatorAbort, op.OperatorSkip, op.OperatorRepeat, op.OperatorEnough)
 
 Pedal = Callable[[float], bool]
 
 
 class Console(PromptedOperator):
-    """Prompts on ``out``, answers from ``answers``, whose end is an abort.
-
-    ``watch`` is called for each touch and gives a function that waits for a pedal; only for a
-    terminal. ``screen`` is entered around each prompt and clears what else moves there.
+    """Prompts on ``out``, answers from ``answers``, whose end is an abort. ``watch`` is called for
+    each touch at a terminal and gives a function that waits for a pedal. ``screen`` is entered
+    around each prompt and clears what else moves there.
     """
 
     def __init__(
@@ -181,9 +139,7 @@ class Console(PromptedOperator):
         self._remind_s = remind_s
         self._terminal = answers.isatty()
         self._keyboard = keyboard_of(answers, self._write)
-        self._watch: Callable[[], Pedal] | None = None
-        if watch:
-            self.watch_pedals(watch)
+        self._watch = watch if self._terminal else None
 
     def watch_pedals(self, watch: Callable[[], Pedal]) -> None:
         """From now on a pedal is as good as Enter where a touch is asked for."""
@@ -194,45 +150,42 @@ class Console(PromptedOperator):
         with self._screen():
             self._write(text + "\n")
 
-    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
+    def answer(self, prompt: op.Prompt, check: Callable[[], None]) -> frozenset[int]:
         """As the base, and what the pedals raise."""
         with self._screen():
             # Enter pressed twice must not answer the next question, but no abort is lost
-            for line in self._keyboard.typed_ahead():
-                if line.strip().lower() in ABORT:
-                    raise OperatorAbort("the operator aborted the run")
+            while self._terminal and (line := self._keyboard.line()):
+                if line.strip().lower() in op.ABORT:
+                    raise op.OperatorAbort("the operator aborted the run")
             progress = f"[{prompt.progress}] " if prompt.progress else ""
             self._write(f"\n{progress}{prompt.text}\n")
             try:
                 return self._answer(prompt, check)
             except (Exception, KeyboardInterrupt) as why:
-                # ended without an answer: say why, unless that is what was answered
-                if not isinstance(why, WISHES):
-                    told = f"\nNo answer is needed any more: {str(why) or 'interrupted'}\n"
-                    with contextlib.suppress(OperatorAbort):
-                        self._write(told)
+                if not isinstance(why, WISHES):  # ended without an answer
+                    with contextlib.suppress(op.OperatorAbort):
+                        ended = str(why) or "interrupted"
+                        self._write(f"\nNo answer is needed any more: {ended}\n")
                 raise
 
-    def _answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
-        """Ask until the answer is understood."""
+    def _answer(self, prompt: op.Prompt, check: Callable[[], None]) -> frozenset[int]:
         while True:
             line = self._line(prompt.keys(pedal=self._watch is not None), check, pedal=prompt.pedal)
-            if line.strip() == EXPLAIN:
+            if line.strip() == op.EXPLAIN:
                 self._write(f"{prompt.explained()}\n")
                 continue
             try:
-                return understood(line, prompt)
-            except NotUnderstoodError as error:
+                return op.understood(line, prompt)
+            except op.NotUnderstoodError as error:
                 self._write(f"{error}\n")
-            except OperatorSkip as skip:
+            except op.OperatorSkip as skip:
                 why = "Why? (a few words for the record; Enter alone: don't skip): "
                 if reason := skip.reason or self._line(why, check).strip():
-                    raise OperatorSkip(reason) from None
+                    raise op.OperatorSkip(reason) from None
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
         """What is typed, or "\\n" for a pedal; asks again in other words from time to time."""
-        # before the question stands there: who reads it has waited from then on
-        asked_s = self._clock.now()
+        asked_s = self._clock.now()  # before the question stands there
         self._write(question)
         pressed = self._watch() if pedal and self._watch else None
         remind_s = asked_s + self._remind_s
@@ -247,11 +200,11 @@ class Console(PromptedOperator):
                 remind_s += self._remind_s
                 waited = f"Still waiting for you, since {self._clock.now() - asked_s:.0f} s"
                 self._write(f"\n{waited}; nothing is lost by taking longer.\n{question}")
-        if not self._terminal:  # nobody's Enter has ended the question's row
+        if not self._terminal:  # no Enter has ended the question's row
             self._write("\n")
         check()  # an answer that came too late is none
         if not line:
-            raise OperatorAbort(GONE)
+            raise op.OperatorAbort(GONE)
         return line
 
     def _write(self, text: str) -> None:
@@ -259,4 +212,4 @@ class Console(PromptedOperator):
             self._out.write(text)
             self._out.flush()
         except (OSError, ValueError) as error:  # ValueError: the stream has been closed
-            raise OperatorAbort(f"{GONE} ({error})") from error
+            raise op.OperatorAbort(f"{GONE} ({error})") from error

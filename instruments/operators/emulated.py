@@ -1,8 +1,5 @@
 """The emulated operator: places the emulated phantom, touches its teat ends with a hand's error,
-and holds calibration boards.
-
-It sees where the ends are and which of them the cameras see. It can make each mistake once, on
-request.
+and holds calibration boards. It makes each mistake once, on request.
 """
 
 from __future__ import annotations
@@ -13,20 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from instruments.operators.operator import (
-    DONE,
-    Answer,
-    Arrangement,
-    BoardAsked,
-    BoardTouch,
-    CheckPoint,
-    Homing,
-    OperatorEnough,
-    Release,
-    Request,
-    Touch,
-    no_check,
-)
+from instruments.operators import operator as op
 from instruments.teat_end import ball_centre_mm
 from instruments.world.boards import Board, poses
 from instruments.world.optics import CameraModel, Floats
@@ -49,11 +33,10 @@ Mistake = Literal["wrong teat", "forgotten teat", "forgotten move"]
 class EmulatedOperator:
     """A pair of hands in ``world``.
 
-    ``hand_error_mm``: standard deviation along each axis of where the tip is put;
-    ``placement_error_mm`` (x, y) and ``placement_error_rad`` (turn): of the plate. The divot at
-    ``check_point_mm`` takes the tip without error. ``tip_radius_mm``: of a ball tip. Each prompt
-    takes ``prompt_s``. ``mistakes``, at the first occasion: "wrong teat" touches the next teat,
-    "forgotten teat" stays on the one before, "forgotten move" leaves the plate.
+    Standard deviations: ``hand_error_mm`` of the tip along each axis (none in the divot at
+    ``check_point_mm``), ``placement_error_mm`` (x, y) and ``placement_error_rad`` of the plate.
+    Each prompt takes ``prompt_s``. ``mistakes``, at the first occasion: "wrong teat" touches the
+    next teat, "forgotten teat" stays on the one before, "forgotten move" leaves the plate.
     """
 
     def __init__(
@@ -77,54 +60,44 @@ class EmulatedOperator:
         self._to_make = list(mistakes)
         self._rng = np.random.default_rng([world.seed, *b"hand"])
         self._placing = np.random.default_rng([world.seed, *b"placing"])
-        self._stands: tuple[Arrangement, PlatePose] | None = None
+        self._stands: tuple[op.Arrangement, PlatePose] | None = None
         self._boards = BoardHands(world)
 
-    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+    def ask(self, request: op.Request, check: Callable[[], None] = op.no_check) -> op.Answer:
         """Raises ValueError for a check point or a board that isn't there, OperatorEnough."""
+        if isinstance(request, op.Task | op.NextTrial | op.Finish):
+            return op.DONE
+        if not isinstance(request, op.Release):
+            self._take_time(check)
         match request:
-            case Arrangement():
-                self._take_time(check)
+            case op.Arrangement():
                 return self._set_up(request)
-            case Touch(teat, of):
-                self._take_time(check)
+            case op.Touch(teat, of):
                 self._touch(teat, of)
-            case Homing():
-                self._take_time(check)
-                self._world.hold(None)
-            case CheckPoint(touch, of):
-                self._touch_check_point(touch, of, check)
-            case BoardAsked():
-                self._take_time(check)
-                self._world.hold(None)
-                self._world.show(self._boards.held(request))
-            case BoardTouch(corner):
-                self._take_time(check)
-                point, axis = self._boards.tip(corner, self._tip_radius_mm)
-                self._world.hold(point + self._rng.normal(0.0, self._hand_error_mm, 3), axis)
-            case Release():
-                self._world.hold(None)
+            case op.CheckPoint(touch, of):
+                if self._check_point_mm is None:
+                    what = "the emulated operator has no check point"
+                    raise ValueError(f"{what}; give it check_point_mm")
+                turn, out, up = 2.0 * np.pi * (touch - 1) / of, np.sin(SWING_RAD), np.cos(SWING_RAD)
+                lean = np.array([out * np.cos(turn), out * np.sin(turn), up])
+                self._world.hold(np.array(self._check_point_mm), lean)
+            case op.BoardTouch(corner):
+                self._hold(*self._boards.tip(corner, self._tip_radius_mm))
             case _:
-                pass  # it needs no encouragement
-        return DONE
+                self._world.hold(None)
+                if isinstance(request, op.BoardAsked):
+                    self._world.show(self._boards.held(request))
+        return op.DONE
 
-    def _touch_check_point(self, touch: int, of: int, check: Callable[[], None]) -> None:
-        if self._check_point_mm is None:
-            what = "the emulated operator knows of no check point; give it check_point_mm"
-            raise ValueError(what)
-        self._take_time(check)
-        turn, out, up = 2.0 * np.pi * (touch - 1) / of, np.sin(SWING_RAD), np.cos(SWING_RAD)
-        lean = np.array([out * np.cos(turn), out * np.sin(turn), up])
-        self._world.hold(np.array(self._check_point_mm), lean)
+    def _hold(self, tip_mm: Floats, axis: Floats) -> None:
+        self._world.hold(tip_mm + self._rng.normal(0.0, self._hand_error_mm, 3), axis)
 
-    def _set_up(self, arrangement: Arrangement) -> Answer:
+    def _set_up(self, wanted: op.Arrangement) -> op.Answer:
         self._world.show(None)
-        self._stands = self._placed(arrangement)
-        self._world.arrange(
-            arrangement.phantom.moved(self._stands[1]), arrangement.objects, arrangement.scene
-        )
+        self._stands = wanted, pose = self._placed(wanted)
+        self._world.arrange(wanted.phantom.moved(pose), wanted.objects, wanted.scene)
         seen = self._world.renderer.visible_ends(self._world.scene())
-        return Answer(tuple(bool(row.all()) for row in np.asarray(seen)))
+        return op.Answer(tuple(bool(row.all()) for row in np.asarray(seen)))
 
     def _touch(self, teat: int, of: int) -> None:
         if teat > 1 and self._makes("forgotten teat"):
@@ -133,9 +106,9 @@ class EmulatedOperator:
         phantom = self._world.phantom()
         # what the arm reads is the ball's centre
         tip = ball_centre_mm(phantom.ends_mm[at], phantom.axes[at], self._tip_radius_mm)
-        self._world.hold(tip + self._rng.normal(0.0, self._hand_error_mm, 3), STYLUS_AXIS)
+        self._hold(tip, STYLUS_AXIS)
 
-    def _placed(self, wanted: Arrangement) -> tuple[Arrangement, PlatePose]:
+    def _placed(self, wanted: op.Arrangement) -> tuple[op.Arrangement, PlatePose]:
         """What was done, and the plate's pose: kept where it stands as asked, else nearly it."""
         if self._stands is not None:
             before, stands = self._stands
@@ -145,9 +118,8 @@ class EmulatedOperator:
                 return replace(wanted, pose=before.pose), stands
         x_mm, y_mm, yaw_rad = (self._placing.normal(0.0, 1.0, 3) * self._placement).tolist()
         pose = wanted.pose
-        return wanted, PlatePose(
-            pose.x_mm + x_mm, pose.y_mm + y_mm, pose.z_mm, pose.yaw_rad + yaw_rad
-        )
+        x_mm, y_mm, yaw_rad = pose.x_mm + x_mm, pose.y_mm + y_mm, pose.yaw_rad + yaw_rad
+        return wanted, PlatePose(x_mm, y_mm, pose.z_mm, yaw_rad)
 
     def _makes(self, mistake: Mistake) -> bool:
         if mistake not in self._to_make:
@@ -172,16 +144,24 @@ class BoardHands:
         self._drawn: dict[object, tuple[Board, ...]] = {}
         self._board: Board | None = None
 
-    def held(self, asked: BoardAsked) -> Board:
+    def held(self, asked: op.BoardAsked) -> Board:
         """The board as it is held for ``asked``. Raises OperatorEnough after `SHOWN` views."""
-        board = self._fixed(asked) if asked.fixed else self._before_cameras(asked)
+        if not asked.fixed and asked.number > SHOWN:
+            raise op.OperatorEnough(f"the emulated operator has shown the board {SHOWN} times")
+        cameras = [c for c in self._world.renderer.cameras if c.name in asked.cameras]
+        key = asked.pattern, asked.cameras
+        if asked.fixed:
+            board = self._fixed(asked, cameras)
+        else:
+            if key not in self._drawn:
+                drawn = poses(asked.pattern, cameras, DEPTHS_MM, self._world.seed, SHOWN)
+                self._drawn[key] = drawn
+            board = self._drawn[key][asked.number - 1]
         self._board = replace(board, dark=HEATED_C) if asked.heated else board
         return self._board
 
     def tip(self, corner: int, tip_radius_mm: float) -> tuple[Floats, Floats]:
-        """Centre (3,) of the ball tip on a point of the board, and the stylus's axis. Raises
-        ValueError without a board.
-        """
+        """Centre (3,) of the ball tip on a point of the board, and the stylus's axis (3,)."""
         if self._board is None:
             raise ValueError("the emulated operator holds no board that could be touched")
         normal = self._board.normal
@@ -189,17 +169,9 @@ class BoardHands:
         axis = 0.5 * normal + np.array([0.0, 0.0, 1.0])
         return self._board.corners_mm[corner] + tip_radius_mm * normal, axis / np.linalg.norm(axis)
 
-    def _before_cameras(self, asked: BoardAsked) -> Board:
-        if asked.number > SHOWN:
-            raise OperatorEnough(f"the emulated operator has shown the board {SHOWN} times")
-        key, cameras = (asked.pattern, asked.cameras), self._cameras(asked)
-        if key not in self._drawn:
-            self._drawn[key] = poses(asked.pattern, cameras, DEPTHS_MM, self._world.seed, SHOWN)
-        return self._drawn[key][asked.number - 1]
-
-    def _fixed(self, asked: BoardAsked) -> Board:
+    def _fixed(self, asked: op.BoardAsked, cameras: Sequence[CameraModel]) -> Board:
         """Near the teat ends, within the arm's reach, tilted towards the middle of the cameras."""
-        cameras, turn = self._cameras(asked), (asked.number - 1) % len(FIXED_TURNS_RAD)
+        turn = (asked.number - 1) % len(FIXED_TURNS_RAD)
         middle = self._world.ends_mm().mean(axis=0) + np.array(FIXED_SHIFTS_MM[turn])
         away = middle - np.mean([camera.centre_mm for camera in cameras], axis=0)
         away = away / np.linalg.norm(away)
@@ -212,9 +184,6 @@ class BoardHands:
         width, height = asked.pattern.size_mm
         corner = middle - 0.5 * (width * across + height * along)
         return Board(_point(corner), _point(across), _point(along), asked.pattern)
-
-    def _cameras(self, asked: BoardAsked) -> list[CameraModel]:
-        return [camera for camera in self._world.renderer.cameras if camera.name in asked.cameras]
 
 
 def _point(vector: Floats) -> Point:

@@ -1,9 +1,6 @@
-"""What the bench asks of whoever places the phantom and touches the teat ends, and what answers
-mean.
-
-One method, `Operator.ask`, and four who answer it: a person at a terminal, a file of answers, the
-emulated hands, and those of another process. `ask` returns once what was asked is done, or raises
-what the operator wants instead.
+"""What the bench asks of an operator, who places the phantom and touches the teat ends, and what
+answers mean. `Operator.ask` is answered by a person at a terminal, a file of answers, emulated
+hands, and those of another process.
 """
 
 from __future__ import annotations
@@ -30,9 +27,7 @@ class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
 
 
 class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
-    """Repeat this trial from its set-up; ``reason`` may be empty. Answers an `Arrangement` and a
-    `Touch` only.
-    """
+    """Repeat this trial from its set-up. Answers an `Arrangement` and a `Touch` only."""
 
     def __init__(self, reason: str = "") -> None:
         self.reason = reason
@@ -53,7 +48,7 @@ class Homing:
 @dataclass(frozen=True, slots=True)
 class CheckPoint:
     """The tip is to be held in the check point's divot, for the ``touch``-th time (from 1) of
-    ``of``. The stylus leans differently each time, so that wrist and elbow swing.
+    ``of``, with the stylus leaning another way each time.
     """
 
     touch: int
@@ -62,13 +57,11 @@ class CheckPoint:
 
 @dataclass(frozen=True, slots=True)
 class Arrangement:
-    """How the phantom stands and what else is in the scene; ``instruction`` says it to a person.
-    The answer says which ends are visible.
+    """How the phantom stands and what else is in the scene. The answer: which ends are visible.
 
-    ``phantom``: teats on their plate; ``objects``: keyword tables of other things; ``pose``: of the
-    plate relative to its reference, zero where a stage moves it; ``unattended``: nothing was
-    touched since the last set-up, so an unchanged arrangement isn't asked for; ``scene``: a
-    situation's light, background and things.
+    ``objects``: keyword tables of other things; ``pose``: of the plate relative to its reference,
+    zero where a stage moves it; ``unattended``: an unchanged arrangement isn't asked for again;
+    ``scene``: a situation's light, background and things.
     """
 
     situation: str
@@ -87,9 +80,8 @@ class Arrangement:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """The tip is to be held still on the end of teat ``teat`` (from 1) of ``of``.
-
-    Touch ``number`` of ``numbers`` of that end; ``again`` says why it is repeated.
+    """The tip is to be held still on the end of teat ``teat`` (from 1) of ``of``, for the
+    ``number``-th time of ``numbers``; ``again`` says why it is repeated.
     """
 
     teat: int
@@ -101,11 +93,9 @@ class Touch:
 
 @dataclass(frozen=True, slots=True)
 class BoardAsked:
-    """A calibration board for the ``number``-th time (from 1); ``instruction`` is for a person.
-
-    ``pattern``: what is printed; ``cameras``: those that shall see all of it; ``heated``: its dark
-    parts are to be warmer; ``fixed``: it stays, for the arm to touch. The phantom is out of the
-    way.
+    """A calibration board for the ``number``-th time (from 1), without the phantom. ``cameras``:
+    those that shall see all of it; ``heated``: its dark parts are to be warmer; ``fixed``: it
+    stays, for the arm to touch.
     """
 
     pattern: Pattern
@@ -119,7 +109,7 @@ class BoardAsked:
 @dataclass(frozen=True, slots=True)
 class BoardTouch:
     """The tip is to be held on point ``corner`` (from 0, of the pattern's `corners_mm`) of the
-    fixed board. ``instruction`` names it, ``again`` says why it is repeated.
+    fixed board; ``again`` says why it is repeated.
     """
 
     corner: int
@@ -161,8 +151,8 @@ Request = Awaited | Notice
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """To an `Arrangement`: ``visible[i]`` is False for a teat end that some camera can't see. Empty
-    for all others.
+    """``visible[i]`` is False for a teat end that some camera can't see; empty but for an
+    `Arrangement`.
     """
 
     visible: tuple[bool, ...] = ()
@@ -179,12 +169,10 @@ class Operator(Protocol):
     """Asked in this order: homing, check point, set-up and touches of each trial, check point."""
 
     def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
-        """Return once ``request`` is done. ``check`` is called repeatedly while it waits; what it
-        raises ends the wait; a `Notice` waits for nothing and checks nothing.
-
-        Raises OperatorAbort, OperatorSkip, OperatorRepeat, OperatorEnough, InstrumentError.
+        """Return once ``request`` is done. ``check`` is called while it waits, and ends the wait by
+        what it raises; a `Notice` checks nothing. Raises OperatorAbort, OperatorSkip,
+        OperatorRepeat, OperatorEnough, InstrumentError.
         """
-        ...
 
 
 Kind = Literal["homing", "check point", "set up", "touch", "board", "corner", "task"]
@@ -237,10 +225,8 @@ class NotUnderstoodError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """``text``: what to do; ``progress``: how far the run is; ``pedal``: as good as Enter.
-
-    ``hidden_to``: numbers of hidden teat ends, 1 to that many, may be answered; ``enough``: that
-    word may be.
+    """``text``: what to do; ``progress``: how far the run is; ``pedal``: as good as Enter. What may
+    be answered: numbers of hidden teat ends, 1 to ``hidden_to``, and ``enough``.
     """
 
     kind: Kind
@@ -261,27 +247,22 @@ class Prompt:
         if self.hidden_to:
             go = "Enter when it stands; if teat ends are hidden from a camera, their numbers first"
             go += f" (1 to {self.hidden_to})"
-        keys = ["s REASON = skip this trial", "r = repeat it from its set-up"]
-        keys = [*(keys if self.in_trial else ()), ABORT_KEY]
-        if self.enough:
-            keys.insert(-1, "e = enough, go on with what there is")
-        return f"{go} ({', '.join(keys)}): "
+        trial = "s REASON = skip this trial, r = repeat it from its set-up, " * self.in_trial
+        enough = "e = enough, go on with what there is, " * self.enough
+        return f"{go} ({trial}{enough}{ABORT_KEY}): "
 
     def explained(self) -> str:
         """Why it is asked, and what each answer does."""
-        lines = [EXPLAINED[self.kind]]
-        if self.in_trial:
-            lines += [
-                "Skip: the trial gets no result, and the report lists it with your reason.",
-                "Repeat: its pictures and touches are dropped.",
-            ]
-        if self.enough:
-            lines.append("Enough: it is calibrated from what was shown so far.")
-        lines += [
-            "Abort: the bath goes to standby, the stage stops. What was finished is kept.",
-            "There is no hurry; nothing is lost by taking long.",
-        ]
-        return "\n".join(lines)
+        trial = (
+            "Skip: the trial gets no result, and the report lists it with your reason.\n"
+            "Repeat: its pictures and touches are dropped.\n"
+        )
+        enough = "Enough: it is calibrated from what was shown so far.\n"
+        return (
+            f"{EXPLAINED[self.kind]}\n{trial * self.in_trial}{enough * self.enough}"
+            "Abort: the bath goes to standby, the stage stops. What was finished is kept.\n"
+            "There is no hurry; nothing is lost by taking long."
+        )
 
 
 def understood(answer: str, prompt: Prompt) -> frozenset[int]:
@@ -289,30 +270,28 @@ def understood(answer: str, prompt: Prompt) -> frozenset[int]:
     OperatorRepeat, OperatorEnough, OperatorSkip (reason may be empty), NotUnderstoodError.
     """
     words = answer.replace(",", " ").lower().split()
-    first = words[0] if words else ""
-    if first in ABORT and len(words) == 1:
+    first, *more = words or GO
+    reason = " ".join(answer.split()[1:])
+    if first in ABORT and not more:
         raise OperatorAbort("the operator aborted the run")
     if prompt.in_trial and first in REPEAT:
-        raise OperatorRepeat(" ".join(answer.split()[1:]))
-    if prompt.enough and first in ENOUGH and len(words) == 1:
+        raise OperatorRepeat(reason)
+    if prompt.enough and first in ENOUGH and not more:
         raise OperatorEnough("the operator has shown enough")
     if prompt.in_trial and first in SKIP:
-        raise OperatorSkip(" ".join(answer.split()[1:]))
-    if not words or (first in GO and len(words) == 1):
+        raise OperatorSkip(reason)
+    if first in GO and not more:
         return frozenset()
-    numbers = words[1:] if first == "hidden" and len(words) > 1 else words
-    if prompt.hidden_to and all(
-        word.isdecimal() and 1 <= int(word) <= prompt.hidden_to for word in numbers
-    ):
-        return frozenset(int(word) for word in numbers)
+    numbers = more if first == "hidden" and more else words
+    if all(word.isdecimal() and 1 <= int(word) <= prompt.hidden_to for word in numbers):
+        return frozenset(map(int, numbers))
     raise NotUnderstoodError(f"Not understood: {answer.strip()!r}.")
 
 
 def time_left(seconds: float) -> str:
-    """A length of time as one says it: "about 12 min left"."""
+    """A length of time in words: "about 12 min left"."""
     if seconds < 60.0:
         return "less than a minute left"
-    minutes = round(seconds / 60.0)
-    if minutes < 100:
+    if (minutes := round(seconds / 60.0)) < 100:
         return f"about {minutes} min left"
     return f"about {round(seconds / 3600.0, 1):g} h left"

@@ -1,36 +1,22 @@
-"""An operator who is asked in words, with the run's progress; the terminal and the file of answers
-are two of them.
+"""Operators who are asked in words, with the run's progress; one answers from a list.
+
+Answers of the list go in order, each to the first prompt that it fits; other prompts get
+``otherwise`` by kind. A prompt without either and answers left over are errors.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import get_args
 
-from instruments.operators.operator import (
-    DONE,
-    Answer,
-    Arrangement,
-    Awaited,
-    BoardAsked,
-    BoardTouch,
-    CheckPoint,
-    Finish,
-    Homing,
-    NextTrial,
-    Operator,
-    OperatorRepeat,
-    OperatorSkip,
-    Prompt,
-    Release,
-    Request,
-    Task,
-    Touch,
-    no_check,
-    time_left,
-)
+from instruments.errors import ProtocolError
+from instruments.operators import operator as op
 
+# in an answer that names hidden ends; how many there are is known only when it is given
+MOST_TEATS = 99
+KINDS: tuple[op.Kind, ...] = tuple(kind for kind in get_args(op.Kind) if kind != "task")
 LEANS = (
     "upright",
     "leaning to the left",
@@ -41,43 +27,41 @@ LEANS = (
 
 
 class PromptedOperator(ABC):
-    """``hands``, if given, do what was agreed: emulated ones, that follow each "go on"."""
+    """``hands``, if given, do what each "go on" agreed to: emulated ones."""
 
-    hands: Operator | None = None
-    _trial: NextTrial | None = None
-    _stands: tuple[Arrangement, frozenset[int]] | None = None
+    hands: op.Operator | None = None
+    _trial: op.NextTrial | None = None
+    _stands: tuple[op.Arrangement, frozenset[int]] | None = None
 
     @abstractmethod
-    def answer(self, prompt: Prompt, check: Callable[[], None]) -> frozenset[int]:
-        """The numbers of hidden teat ends in the answer; ``check`` is called while it waits. Raises
-        OperatorAbort, OperatorSkip, OperatorRepeat, what ``check`` raises, and ProtocolError.
-        """
+    def answer(self, prompt: op.Prompt, check: Callable[[], None]) -> frozenset[int]:
+        """The numbers of hidden teat ends in the answer. Raises as `Operator.ask`."""
 
     @abstractmethod
     def say(self, text: str) -> None:
         """Show ``text``."""
 
-    def finish(self) -> None:  # noqa: B027 - a person's answers are never left over
+    def finish(self) -> None:  # noqa: B027 - not abstract: a person's answers are never left over
         """Nothing more will be asked. Raises ProtocolError where answers are left over."""
 
-    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+    def ask(self, request: op.Request, check: Callable[[], None] = op.no_check) -> op.Answer:
         hidden: frozenset[int] = frozenset()
-        if isinstance(request, Finish):
+        if isinstance(request, op.Finish):
             self.finish()
-        elif isinstance(request, NextTrial):
+        elif isinstance(request, op.NextTrial):
             self._trial = request
-        elif isinstance(request, Release):
+        elif isinstance(request, op.Release):
             self.say("Readings taken; the arm may be put away.")
-        elif isinstance(request, Arrangement):
+        elif isinstance(request, op.Arrangement):
             hidden = self._set_up(request, check)
         else:
             self._asked(request, check)
-        seen = DONE if self.hands is None else self.hands.ask(request, check)
-        if not isinstance(request, Arrangement) or (seen.visible and not hidden):
+        seen = op.DONE if self.hands is None else self.hands.ask(request, check)
+        if not isinstance(request, op.Arrangement) or (seen.visible and not hidden):
             return seen
-        return Answer(tuple(teat not in hidden for teat in range(1, request.teats + 1)))
+        return op.Answer(tuple(teat not in hidden for teat in range(1, request.teats + 1)))
 
-    def _set_up(self, request: Arrangement, check: Callable[[], None]) -> frozenset[int]:
+    def _set_up(self, request: op.Arrangement, check: Callable[[], None]) -> frozenset[int]:
         attended = replace(request, unattended=False)
         if request.unattended and self._stands and self._stands[0] == attended:
             hidden = self._stands[1]
@@ -86,54 +70,163 @@ class PromptedOperator(ABC):
         self._stands = attended, hidden
         return hidden
 
-    def _asked(self, request: Awaited, check: Callable[[], None]) -> frozenset[int]:
-        if isinstance(request, Touch | BoardTouch) and request.again:
+    def _asked(self, request: op.Awaited, check: Callable[[], None]) -> frozenset[int]:
+        if isinstance(request, op.Touch | op.BoardTouch) and request.again:
             self.say(request.again)
         try:
             return self.answer(self.prompt(request), check)
-        except (OperatorSkip, OperatorRepeat):
+        except (op.OperatorSkip, op.OperatorRepeat):
             if self.hands:
-                self.hands.ask(Release())
+                self.hands.ask(op.Release())
             raise
 
-    def prompt(self, request: Awaited) -> Prompt:
+    def prompt(self, request: op.Awaited) -> op.Prompt:
         """``request`` in words."""
         match request:
-            case Homing(instruction):
-                return Prompt("homing", instruction)
-            case CheckPoint(touch, of):
+            case op.Homing(instruction):
+                return op.Prompt("homing", instruction)
+            case op.CheckPoint(touch, of):
                 text = "Arm check: put the tip into the divot of the check point, the stylus"
                 text += f" {LEANS[(touch - 1) % len(LEANS)]}, and hold it still."
-                return Prompt("check point", text, progress=f"touch {touch} of {of}", pedal=True)
-            case Arrangement():
+                return op.Prompt("check point", text, progress=f"touch {touch} of {of}", pedal=True)
+            case op.Arrangement():
                 scene = f"Situation {request.situation}, layout {request.phantom.name}:"
                 text, hidden_to = f"{scene}\n{request.instruction}", request.teats
-                return Prompt("set up", text, progress=self._progress(), hidden_to=hidden_to)
-            case Touch():
-                return self._touch(request)
-            case BoardAsked():
+                return op.Prompt("set up", text, progress=self._progress(), hidden_to=hidden_to)
+            case op.Touch(teat, of):
+                teats = self._stands[0].phantom.teats if self._stands else ()
+                name = teats[teat - 1].name if teat <= len(teats) else ""
+                which = f"{teat} ({name})" if name else teat
+                do = "Once more: touch" if request.again else "Touch"
+                text = f"{do} the end of teat {which} of {of} with the tip and hold it still."
+                repeated = f"touch {request.number} of {request.numbers}"
+                each = [repeated] if request.numbers > 1 else []
+                progress = self._progress(f"teat {teat} of {of}", *each)
+                return op.Prompt("touch", text, progress=progress, pedal=True)
+            case op.BoardAsked():
                 at = f"{'position' if request.fixed else 'view'} {request.number}"
                 text, enough = request.instruction, not request.fixed
-                return Prompt("board", text, progress=at, pedal=True, enough=enough)
-            case BoardTouch():
-                return Prompt("corner", request.instruction, pedal=True)
-            case Task(text, pedal):
-                return Prompt("task", text, pedal=pedal)
-
-    def _touch(self, request: Touch) -> Prompt:
-        teats = self._stands[0].phantom.teats if self._stands else ()
-        teat, of = request.teat, request.of
-        name = teats[teat - 1].name if teat <= len(teats) else ""
-        which = f"{teat} ({name})" if name else teat
-        do = "Once more: touch" if request.again else "Touch"
-        text = f"{do} the end of teat {which} of {of} with the tip and hold it still."
-        each = [f"touch {request.number} of {request.numbers}"] if request.numbers > 1 else []
-        progress = self._progress(f"teat {teat} of {of}", *each)
-        return Prompt("touch", text, progress=progress, pedal=True)
+                return op.Prompt("board", text, progress=at, pedal=True, enough=enough)
+            case op.BoardTouch():
+                return op.Prompt("corner", request.instruction, pedal=True)
+            case op.Task(text, pedal):
+                return op.Prompt("task", text, pedal=pedal)
 
     def _progress(self, *further: str) -> str:
         if self._trial is None:
             return ", ".join(further)
         said = ", ".join([f"trial {self._trial.number} of {self._trial.of}", *further])
         left_s = self._trial.left_s
-        return said if left_s is None else f"{said}; {time_left(left_s)}"
+        return said if left_s is None else f"{said}; {op.time_left(left_s)}"
+
+
+@dataclass(frozen=True, slots=True)
+class ScriptedAnswer:
+    """``answer`` as typed, ``times`` times to prompts of kind ``to`` that contain ``says``.
+    ``where``: its place in the file. Raises ValueError for an answer that no such prompt
+    understands.
+    """
+
+    to: op.Kind
+    answer: str
+    says: str = ""
+    times: int = 1
+    where: str = ""
+
+    def __post_init__(self) -> None:
+        check_answer(self.to, self.answer)
+        if self.times < 1:
+            raise ValueError(f"an answer is given at least once, not {self.times} times")
+
+    def fits(self, prompt: op.Prompt) -> bool:
+        """Whether it answers this prompt."""
+        text = f"{prompt.progress} {prompt.text}".lower()
+        return prompt.kind == self.to and self.says.lower() in text
+
+    def __str__(self) -> str:
+        says = f" that says {self.says!r}" if self.says else ""
+        where = f" ({self.where})" if self.where else ""
+        return f"{self.answer!r} to a prompt of the kind {self.to!r}{says}{where}"
+
+
+def check_answer(to: op.Kind, answer: str) -> None:
+    """Raises ValueError for an answer that a prompt of the kind ``to`` can't be given."""
+    prompt = op.Prompt(to, "", hidden_to=MOST_TEATS if to == "set up" else 0, enough=to == "board")
+    try:
+        op.understood(answer, prompt)
+    except op.NotUnderstoodError as error:
+        hidden = ', "hidden 2 4"' if to == "set up" else ""
+        trial = f', "skip REASON", "repeat"{hidden}' if prompt.in_trial else ""
+        enough = ', "enough"' if prompt.enough else ""
+        there = f'to a prompt of the kind "{to}" there are "go"{trial}{enough}, "abort"'
+        raise ValueError(f"{str(error).rstrip('.')}; {there}") from error
+    except op.OperatorSkip as skip:
+        if not skip.reason:
+            raise ValueError('"skip" needs a reason: "skip the teat came off"') from skip
+    except (op.OperatorAbort, op.OperatorRepeat, op.OperatorEnough):
+        return
+
+
+class ScriptedAnswers(PromptedOperator):
+    """Answers from a list. ``source`` is for errors, ``show`` gets prompts and answers."""
+
+    def __init__(
+        self,
+        answers: Sequence[ScriptedAnswer],
+        otherwise: Mapping[op.Kind, str],
+        source: str,
+        *,
+        show: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._answers = [one for one in answers for _ in range(one.times)]
+        self._otherwise = dict(otherwise)
+        self._source = source
+        self._show = show
+        self._given = 0
+        for kind, answer in otherwise.items():
+            check_answer(kind, answer)
+
+    def say(self, text: str) -> None:
+        self._show(text)
+
+    def answer(self, prompt: op.Prompt, check: Callable[[], None]) -> frozenset[int]:
+        check()
+        answer = self._next(prompt)
+        self._show(f"{_words(prompt)} > {answer}")
+        try:
+            return op.understood(answer, prompt)
+        except op.NotUnderstoodError as error:
+            what, hint = (
+                f"{error} There are {prompt.hidden_to} teats here",
+                f"Correct {self._source}.",
+            )
+            asked = f"{prompt.kind}: {_words(prompt)}"
+            raise ProtocolError("operator", what, asked=asked, hint=hint) from error
+
+    def finish(self) -> None:
+        if left := self._answers[self._given :]:
+            what = (
+                f"the run has ended and {len(left)} answers of {self._source} were never asked for"
+            )
+            hint = "Take them out, or correct the prompts that they are for."
+            raise ProtocolError("operator", f"{what}; the first is {left[0]}", hint=hint)
+
+    def _next(self, prompt: op.Prompt) -> str:
+        following = next(iter(self._answers[self._given :]), None)
+        if following and following.fits(prompt):
+            self._given += 1
+            return following.answer
+        if prompt.kind in self._otherwise:
+            return self._otherwise[prompt.kind]
+        what, asked = (
+            f"{self._source} has no answer to this prompt",
+            f"{prompt.kind}: {_words(prompt)}",
+        )
+        seen = str(following) if following else "no further answer"
+        add = f'Add an answer to = "{prompt.kind}" before it'
+        hint = f'{add}, or one for all such prompts under "otherwise".'
+        raise ProtocolError("operator", what, asked=asked, seen=seen, hint=hint)
+
+
+def _words(prompt: op.Prompt) -> str:
+    return f"[{prompt.progress}] {prompt.text}" if prompt.progress else prompt.text

@@ -1,7 +1,6 @@
-"""The emulated operator of another process ('teatbench emulate').
-
-A line of JSON asks, ``{"do": "touch", "with": {"teat": 2, "of": 4}}``; a line answers: ``{"done":
-{"visible": []}}``, ``{"enough": "..."}`` or ``{"refused": "..."}``.
+"""The emulated operator of another process ('teatbench emulate'), asked in lines of JSON:
+``{"do": "touch", "with": {"teat": 2, "of": 4}}``. A line answers: ``{"done": {"visible": []}}``,
+``{"enough": "..."}`` or ``{"refused": "..."}``.
 """
 
 from __future__ import annotations
@@ -17,32 +16,18 @@ from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError
 from instruments.link import Link
 from instruments.listener import Connection
-from instruments.operators.operator import (
-    DONE,
-    Answer,
-    Arrangement,
-    BoardAsked,
-    BoardTouch,
-    CheckPoint,
-    Homing,
-    Operator,
-    OperatorEnough,
-    Release,
-    Request,
-    Touch,
-    no_check,
-)
+from instruments.operators import operator as op
 
 LOOK_S = 0.2  # between two looks at the interlocks while the answer is waited for
 PATIENCE_S = 120.0
-ASKED: dict[str, type[Request]] = {
-    "confirm_homing": Homing,
-    "touch_check_point": CheckPoint,
-    "set_up": Arrangement,
-    "touch": Touch,
-    "hold_board": BoardAsked,
-    "touch_board": BoardTouch,
-    "release": Release,
+ASKED: dict[str, type[op.Request]] = {
+    "confirm_homing": op.Homing,
+    "touch_check_point": op.CheckPoint,
+    "set_up": op.Arrangement,
+    "touch": op.Touch,
+    "hold_board": op.BoardAsked,
+    "touch_board": op.BoardTouch,
+    "release": op.Release,
 }
 NAMES = {request: name for name, request in ASKED.items()}
 
@@ -50,7 +35,7 @@ NAMES = {request: name for name, request in ASKED.items()}
 class OperatorPort:
     """A `Device` behind which ``operator`` does what a `RemoteOperator` asks for."""
 
-    def __init__(self, operator: Operator) -> None:
+    def __init__(self, operator: op.Operator) -> None:
         self._operator = operator
         self._begun: dict[Connection, bytes] = {}
 
@@ -72,7 +57,7 @@ class OperatorPort:
                 return {"refused": f"not one of {', '.join(ASKED)}: {asked['do']!r}"}
             request = TypeAdapter(ASKED[asked["do"]]).validate_python(asked["with"])
             return {"done": self._operator.ask(request)}
-        except OperatorEnough as enough:
+        except op.OperatorEnough as enough:
             return {"enough": str(enough)}
         except (ValueError, TypeError, LookupError, ArithmeticError) as error:
             return {"refused": f"{type(error).__name__}: {error}"}
@@ -89,10 +74,10 @@ class RemoteOperator:
         """Close the link."""
         self._link.close()
 
-    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+    def ask(self, request: op.Request, check: Callable[[], None] = op.no_check) -> op.Answer:
         do = NAMES.get(type(request))
         if do is None:
-            return DONE  # it needs no encouragement
+            return op.DONE  # it needs no encouragement
         clock = self._link.clock
         began_s, line = clock.now(), b""
         check()
@@ -105,7 +90,7 @@ class RemoteOperator:
                 raise LinkError(self._link.who, "no answer", asked=do, seconds=waited_s, hint=hint)
         answer = json.loads(line)
         if "enough" in answer:
-            raise OperatorEnough(answer["enough"])
+            raise op.OperatorEnough(answer["enough"])
         if "done" not in answer:
             raise DeviceError(self._link.who, str(answer.get("refused", answer)), asked=do)
-        return TypeAdapter(Answer).validate_python(answer["done"])
+        return TypeAdapter(op.Answer).validate_python(answer["done"])

@@ -123,7 +123,7 @@ def test_what_is_not_understood_is_refused_and_ends_nothing(port: Listener, line
 def test_a_refusal_and_a_lost_operator_are_faults(twin: EmulatedRig) -> None:
     port = listening(EmulatedOperator(twin.world, hand_error_mm=0.1), twin)
     with closing(RealClock()) as clock, closing(RemoteOperator(port.url, clock)) as operator:
-        with pytest.raises(DeviceError, match="knows of no check point"):
+        with pytest.raises(DeviceError, match="has no check point"):
             operator.ask(CheckPoint(1, 5))
         port.close()
         with pytest.raises(LinkError, match="operator at socket"):

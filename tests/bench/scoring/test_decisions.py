@@ -42,7 +42,7 @@ from bench.scoring.guard_band import (
 )
 from bench.scoring.rates import Rate, guarded_n, shown_falsely
 from bench.truth.uncertainty import end_u_mm, reading_u_mm
-from instruments.microscribe.mechanics import KinematicError, workspace
+from instruments.microscribe.emulator import KinematicError, workspace
 from instruments.microscribe.unit import shipped_unit
 
 MET, NOT_MET, INCONCLUSIVE, NOT_MEASURED = Verdict

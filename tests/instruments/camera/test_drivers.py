@@ -10,12 +10,15 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from instruments.camera.cameras import Camera, CameraSet
 from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.frame import Conversion, Radiometry, RawFrame
+from instruments.camera.genicam import DRIFT, DeviceTime
 from instruments.camera.opencv import OpenCvCamera, fourcc_name, is_live
-from instruments.camera.settings import Settings
+from instruments.camera.settings import Settings, apply, same
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 from tests.instruments.camera.small_world import SmallWorld
@@ -26,6 +29,7 @@ def test_emulated_cameras_see_the_world_as_it_is() -> None:
     world = SmallWorld()
     cameras = EmulatedCameras(world)
     warm = cameras.capture()
+    assert np.array_equal(warm.left, EmulatedCameras(SmallWorld()).capture().left), "repeatable"
     world.state = replace(world.state, teat_temps_c=(21.0,) * 4, hose_temp_c=21.0)
     world.clock.sleep(12.5)
     cold = cameras.capture()
@@ -36,14 +40,6 @@ def test_emulated_cameras_see_the_world_as_it_is() -> None:
     assert cold.exposed_s["thermal"] == 12.5
     assert warm.identity["left"] == "emulated 1360 x 1024"
     cameras.close()
-
-
-def test_emulated_frames_are_fresh_and_repeatable() -> None:
-    one, two = EmulatedCameras(SmallWorld()), EmulatedCameras(SmallWorld())
-    first, second = one.capture(), one.capture()
-    assert not np.array_equal(first.left, second.left)
-    assert np.array_equal(first.left, two.capture().left)
-    assert np.array_equal(second.right, two.capture().right)
 
 
 def video(path: Path, level: int, frames: int = 3) -> str:
@@ -125,22 +121,9 @@ def test_what_a_file_cannot_be_set_to_is_an_error_unless_tried(tmp_path: Path) -
     taken.close()
 
 
-@pytest.mark.parametrize(
-    ("source", "live"),
-    [
-        (0, True),
-        ("/dev/video0", True),
-        ("http://h/a.mjpg", True),
-        ("rtsp://h/a", True),
-        ("C:\\a.avi", False),
-        ("a.avi", False),
-    ],
-)
-def test_which_sources_are_live(source: int | str, live: bool) -> None:
-    assert is_live(source) is live
-
-
-def test_names_of_pixel_formats() -> None:
+def test_which_sources_are_live_and_names_of_pixel_formats() -> None:
+    live: set[int | str] = {0, "/dev/video0", "http://h/a.mjpg", "rtsp://h/a", "C:\\a.avi", "a.avi"}
+    assert {source for source in live if not is_live(source)} == {"C:\\a.avi", "a.avi"}
     assert fourcc_name(float(cv2.VideoWriter.fourcc(*"MJPG"))) == "MJPG"
     assert fourcc_name(0.0) == fourcc_name(-1.0) == "none"
 
@@ -166,13 +149,14 @@ def of(**cameras: Camera) -> dict[str, Any]:
     return {name: lambda camera=camera: camera for name, camera in cameras.items()}
 
 
+def radiometric(counts: int) -> CameraSet:
+    thermal = Still(np.full((3, 4), counts, np.uint16), 16)
+    declared = {"thermal": Conversion(radiometry=Radiometry(0.04))}
+    return CameraSet(of(left=Still(), right=Still(), thermal=thermal), declared)
+
+
 def test_a_radiometric_camera_gives_temperatures_and_no_picture() -> None:
-    thermal = Still(np.full((3, 4), 7600, np.uint16), 16)
-    cameras = CameraSet(
-        of(left=Still(), right=Still(), thermal=thermal),
-        {"thermal": Conversion(radiometry=Radiometry(0.04))},
-    )
-    frames = cameras.capture()
+    frames = radiometric(7600).capture()
     assert frames.thermal is None
     assert frames.thermal_k is not None
     assert frames.thermal_k == pytest.approx(np.full((3, 4), 304.0))
@@ -180,12 +164,81 @@ def test_a_radiometric_camera_gives_temperatures_and_no_picture() -> None:
 
 
 def test_what_is_declared_wrongly_is_said() -> None:
-    thermal = Still(np.full((3, 4), 60000, np.uint16), 16)
-    cameras = CameraSet(
-        of(left=Still(), right=Still(), thermal=thermal),
-        {"thermal": Conversion(radiometry=Radiometry(0.04))},
-    )
     with pytest.raises(ProtocolError, match="kelvin_per_count or kelvin_at_zero is wrong"):
-        cameras.capture()
+        radiometric(60000).capture()
     with pytest.raises(ValueError, match="left, right and perhaps thermal, got left"):
         CameraSet(of(left=Still()), {})
+
+
+# Settings that did not take, and device time on the bench's clock
+
+
+TAKEN: list[tuple[object, object]] = [(8000.0, 8010.5), (0.0, 0.0), (10.0, "10"), (3, 3.0)]
+TAKEN += [(True, "true"), (True, "1"), (False, "0"), ("Mono8", "mono8 "), ((640, 480), (640, 480))]
+OTHER: list[tuple[object, object]] = [(8000.0, 9000.0), (10.0, "fast"), (True, "false")]
+OTHER += [("Mono8", "Mono16"), ((640, 480), (640, 512))]
+
+
+def test_what_counts_as_taken() -> None:
+    assert [pair for pair in TAKEN if not same(*pair)] == []
+    assert [pair for pair in OTHER if same(*pair)] == []
+
+
+def camera(**seen: object) -> dict[str, Any]:
+    """A camera that takes no setting: it has these."""
+    return {name: (lambda _: None, lambda value=value: value) for name, value in seen.items()}
+
+
+ASKED: dict[str, Any] = {"exposure": 8000.0, "resolution": (1360, 1024), "gain": 3.0, "fps": 10.0}
+
+
+def test_all_that_did_not_take_comes_at_once_but_for_tries() -> None:
+    has = camera(exposure=100.0, resolution=(640, 480), gain=0.0, fps=10.0)
+    wrong = r"exposure asked 8000, is 100; resolution asked 1360 x 1024, is 640 x 480\. Ask"
+    with pytest.raises(DeviceError, match=wrong):
+        apply("left camera", Settings(**ASKED, tries=frozenset({"gain"})), has)
+    notes = apply("left camera", Settings(**ASKED, tries=frozenset({"all"})), has)
+    assert notes[2] == "gain asked 3, is 0"
+
+
+def test_what_a_camera_refuses_to_take_or_to_tell_is_a_fault_too() -> None:
+    def refuse(_: object = None) -> None:
+        raise DeviceError("left camera", "not writable")
+
+    ways: dict[str, Any] = {"gain": (refuse, refuse), "fps": (lambda _: None, refuse)}
+    asked = Settings(gain=3.0, fps=10.0, tries=frozenset({"gain", "fps"}))
+    notes = apply("left camera", asked, ways, (DeviceError,))
+    assert notes == ("gain was refused: not writable", "fps can't be read back: not writable")
+
+
+def test_the_least_delay_is_the_offset() -> None:
+    time = DeviceTime()
+    # the first: nothing better is known than its arrival
+    assert time.bench_s(1000.0, 10.5) == pytest.approx(10.5)
+    # came faster: 0.3 s of the first were delay
+    assert time.bench_s(1001.0, 11.2) == pytest.approx(11.2)
+    # came late, was exposed in time
+    assert time.bench_s(1002.0, 13.0) == pytest.approx(12.2, abs=1e-3)
+
+
+def test_a_camera_without_stamps_or_started_anew() -> None:
+    time = DeviceTime()
+    assert time.bench_s(0.0, 5.0) == 5.0
+    time.bench_s(1000.0, 6.0)
+    assert time.bench_s(3.0, 9.0) == 9.0, "its clock began again: the old offset must not be used"
+    assert time.bench_s(4.0, 11.0) == pytest.approx(10.0, abs=1e-3)
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.1, 300.0), st.floats(0.0, 0.5)), min_size=1, max_size=30),
+    st.floats(-5e-5, 5e-5),
+)
+def test_never_after_its_arrival_and_never_worse_than_the_delays(
+    frames: list[tuple[float, float]], drift: float
+) -> None:
+    time, true_s = DeviceTime(), 100.0
+    for i, (apart_s, delay_s) in enumerate(frames):
+        true_s += apart_s
+        told_s = time.bench_s(5000.0 + true_s * (1.0 + drift), true_s + delay_s)
+        assert told_s <= true_s + delay_s
+        assert told_s >= true_s - 2.0 * DRIFT * 900.0 - 1e-6, i

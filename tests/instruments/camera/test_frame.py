@@ -9,21 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from instruments.camera.frame import Conversion, FrameSet, Radiometry, RawFrame, grey8
+from instruments.camera.frame import Channel, Conversion, FrameSet, Radiometry, RawFrame, grey8
 
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
 
-def test_a_frame_set_holds_its_images() -> None:
+def test_a_frame_set_holds_its_images_and_kelvin_where_it_is_radiometric() -> None:
     kelvin = np.full((2, 3), 30515, dtype=np.uint16)
-    frames = FrameSet(GREY, GREY, GREY, kelvin, {"left": 1.5}, {"left": "a camera"})
+    frames = FrameSet(GREY, GREY, GREY, kelvin)
     assert frames.thermal_k is not None
     assert frames.thermal_k == pytest.approx(np.full((2, 3), 305.15))
-    assert frames.thermal_k.dtype == np.float64
-    assert frames.exposed_s["left"] == 1.5
-
-
-def test_without_radiometry_there_are_no_kelvin() -> None:
     assert FrameSet(GREY, GREY).thermal_k is None
 
 
@@ -45,25 +40,24 @@ def test_anything_else_is_refused(kwargs: dict[str, Any], message: str) -> None:
         FrameSet(**{"left": GREY, "right": GREY, **kwargs})
 
 
-def test_grey_stays_grey() -> None:
-    assert np.array_equal(grey8(GREY), GREY)
-    assert np.array_equal(grey8(GREY[:, :, None]), GREY)
+BGR = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255]]], dtype=np.uint8)
 
 
-def test_colour_becomes_grey_by_the_weights_of_bt_601() -> None:
-    bgr = np.zeros((1, 3, 3), dtype=np.uint8)
-    bgr[0, 0], bgr[0, 1], bgr[0, 2] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
-    assert grey8(bgr).tolist() == [[29, 150, 76]]
-    alpha = np.dstack([bgr, np.full((1, 3), 255, np.uint8)])
-    assert grey8(alpha).tolist() == [[29, 150, 76]]
-
-
-def test_sixteen_bits_are_scaled_and_clipped() -> None:
-    raw = np.array([[0, 257, 65535]], dtype=np.uint16)
-    assert grey8(raw).tolist() == [[0, 1, 255]]
-    assert grey8(np.array([[0, 2048, 4095, 5000]], dtype=np.uint16), full_scale=4095).tolist() == [
-        [0, 128, 255, 255]
-    ]
+@pytest.mark.parametrize(
+    ("raw", "full_scale", "grey"),
+    [
+        (GREY, 65535, GREY.tolist()),
+        (GREY[:, :, None], 65535, GREY.tolist()),
+        (BGR, 65535, [[29, 150, 76]]),  # the weights of BT.601
+        (np.dstack([BGR, np.full((1, 3), 255, np.uint8)]), 65535, [[29, 150, 76]]),
+        (np.array([[0, 257, 65535]], np.uint16), 65535, [[0, 1, 255]]),
+        (np.array([[0, 2048, 4095, 5000]], np.uint16), 4095, [[0, 128, 255, 255]]),
+    ],
+)
+def test_any_image_becomes_8_bit_grey(
+    raw: np.ndarray[Any, Any], full_scale: int, grey: list[list[int]]
+) -> None:
+    assert grey8(raw, full_scale=full_scale).tolist() == grey
 
 
 @pytest.mark.parametrize(
@@ -118,13 +112,10 @@ def test_more_than_eight_bits_are_scaled_by_the_format_or_by_the_declared_white(
     assert Conversion(white=white).picture(raw)[0, 0] == grey
 
 
-@pytest.mark.parametrize(
-    ("channel", "grey"), [("luma", 29 + 0), ("blue", 255), ("green", 0), ("red", 0)]
-)
-def test_colour_to_grey(channel: str, grey: int) -> None:
-    blue = np.zeros((2, 2, 3), np.uint8)
-    blue[:, :, 0] = 255
-    assert Conversion(grey=channel).picture(RawFrame(blue, 0.0))[0, 0] == grey  # type: ignore[arg-type]
+def test_colour_to_grey() -> None:
+    channels: dict[Channel, int] = {"luma": 29, "blue": 255, "green": 0, "red": 0}
+    for channel, grey in channels.items():
+        assert Conversion(grey=channel).picture(RawFrame(BGR, 0.0))[0, 0] == grey
 
 
 def test_counts_become_hundredths_of_a_kelvin_and_stay_upright() -> None:

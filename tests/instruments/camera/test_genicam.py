@@ -96,9 +96,24 @@ def test_over_gige_vision_everything_that_is_asked_for_is_read_back(clock: RealC
 
 
 @pytest.mark.slow
-def test_one_of_this_machine_is_found_by_its_name_too(clock: RealClock) -> None:
-    with gige_camera() as serial, opened(f"Aravis-Fake-{serial}", clock) as camera:
-        assert whole(camera).pixels.shape == (512, 512)
+def test_one_of_this_machine_by_name_open_already_and_without_its_trigger(clock: RealClock) -> None:
+    with gige_camera() as serial:
+        with opened(f"Aravis-Fake-{serial}", clock) as camera:
+            already = r"right camera .*: it is open already, here or .* Is it twice"
+            with pytest.raises(LinkError, match=already):
+                GenicamCamera("right", ADDRESS, clock)
+            assert whole(camera).pixels.shape == (512, 512), "the first one goes on"
+        asked = Settings(trigger="hardware", trigger_source="Line0")
+        camera = GenicamCamera("thermal", ADDRESS, clock, asked, patience_s=0.3)
+        camera.begin()
+        never = r"no frame came .*after 0\.3 s\)\. Did its trigger come\?"
+        with pytest.raises(FrameError, match=never) as error:
+            camera.take()
+        assert (error.value.fault, error.value.camera) == (FrameFault.DROPPED, "thermal")
+        camera.close()
+        camera.close()
+        with pytest.raises(LinkError, match="is closed"):
+            camera.begin()
 
 
 @pytest.mark.slow
@@ -113,16 +128,6 @@ def test_lost_packets_are_told_and_the_next_frame_is_whole(clock: RealClock) -> 
             if min(seen["lost packets"], seen["whole"]) >= 3:
                 break
     assert min(seen["lost packets"], seen["whole"]) >= 3
-
-
-@pytest.mark.slow
-def test_one_that_is_open_already_is_told_as_such(clock: RealClock) -> None:
-    with gige_camera(), opened(ADDRESS, clock) as camera:
-        with pytest.raises(
-            LinkError, match=r"right camera .*: it is open already, here or .* Is it twice"
-        ):
-            GenicamCamera("right", ADDRESS, clock)
-        assert whole(camera).pixels.shape == (512, 512), "the first one goes on"
 
 
 @pytest.mark.slow
@@ -151,23 +156,6 @@ def outcome(camera: GenicamCamera) -> str:
     except LinkError as error:
         return str(error)
     return "whole"
-
-
-@pytest.mark.slow
-def test_a_hardware_trigger_that_never_comes(clock: RealClock) -> None:
-    with gige_camera():
-        asked = Settings(trigger="hardware", trigger_source="Line0")
-        camera = GenicamCamera("thermal", ADDRESS, clock, asked, patience_s=0.3)
-        camera.begin()
-        with pytest.raises(
-            FrameError, match=r"no frame came .*after 0\.3 s\)\. Did its trigger come\?"
-        ) as error:
-            camera.take()
-        assert (error.value.fault, error.value.camera) == (FrameFault.DROPPED, "thermal")
-        camera.close()
-        camera.close()
-        with pytest.raises(LinkError, match="is closed"):
-            camera.begin()
 
 
 def test_settings_that_do_not_take(aravis: Any, clock: RealClock) -> None:

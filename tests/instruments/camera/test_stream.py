@@ -15,14 +15,11 @@ import numpy as np
 import pytest
 
 from instruments.camera.cameras import CameraSet
-from instruments.camera.emulator import CameraFaults
 from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.opencv import OpenCvCamera
-from instruments.camera.settings import Settings
-from instruments.camera.stream import StreamServer, part
+from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock, VirtualClock
-from instruments.errors import DeviceError, LinkError
-from tests.instruments.camera.small_world import SmallWorld
+from instruments.errors import LinkError
 
 SIZES = {"left": (96, 128), "right": (96, 128), "thermal": (48, 64)}
 
@@ -73,7 +70,7 @@ def cameras_of(server: StreamServer, clock: RealClock) -> CameraSet:
 
 
 @pytest.mark.slow
-def test_the_driver_gets_all_three_of_the_same_moment(
+def test_the_driver_gets_fresh_frames_of_the_same_moment(
     served: StreamServer, clock: RealClock
 ) -> None:
     with closing(cameras_of(served, clock)) as cameras:
@@ -87,15 +84,9 @@ def test_the_driver_gets_all_three_of_the_same_moment(
         assert frames.thermal is not None
         assert frames.left.mean() == pytest.approx(frames.right.mean(), abs=1.5)
         assert frames.left.mean() == pytest.approx(frames.thermal.mean(), abs=1.5)
-
-
-@pytest.mark.slow
-def test_a_frame_is_fresh_however_long_nobody_asked(served: StreamServer, clock: RealClock) -> None:
-    with closing(cameras_of(served, clock)) as cameras:
-        for _ in range(2):
-            clock.sleep(0.6)  # a dozen frames go by
-            asked_s = clock.now()
-            assert min(cameras.capture().exposed_s.values()) > asked_s
+        clock.sleep(0.6)  # a dozen frames go by
+        asked_s = clock.now()
+        assert min(cameras.capture().exposed_s.values()) > asked_s, "fresh"
 
 
 @pytest.mark.slow
@@ -156,11 +147,6 @@ def test_a_size_that_changes_within_a_stream_is_told_until_it_is_the_old_one(
         assert outcomes_until("(96, 128, 3)") <= {"(96, 128, 3)", told}
 
 
-def test_settings_of_a_stream_do_not_take(served: StreamServer, clock: RealClock) -> None:
-    with pytest.raises(DeviceError, match="resolution asked 640 x 480, is 128 x 96"):
-        OpenCvCamera("left", served.urls["left"], clock, Settings(resolution=(640, 480)))
-
-
 def test_what_is_sent(served: StreamServer) -> None:
     host, port = served.urls["left"].removeprefix("http://").split("/")[0].split(":")
     connection = http.client.HTTPConnection(host, int(port), timeout=60)
@@ -180,38 +166,6 @@ def test_what_is_sent(served: StreamServer) -> None:
     connection.close()
 
 
-def test_one_part_of_the_stream() -> None:
-    assert (
-        part(b"JPEG", 1.5)
-        == b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: 4\r\nX-Exposed-Seconds:"
-        b" 1.500000\r\n\r\nJPEG\r\n"
-    )
-
-
 def test_no_stream_under_virtual_time() -> None:
     with pytest.raises(ValueError, match="in real time"):
         StreamServer(Counting(RealClock()), VirtualClock())
-
-
-@pytest.mark.slow
-def test_the_scene_itself_over_the_wire(clock: RealClock) -> None:
-    """What the renderer draws, through JPEG, HTTP and FFmpeg; then left and right exchanged by a
-    fault of the emulator's.
-    """
-    from instruments.camera.emulator import EmulatedCameras
-
-    emulated = EmulatedCameras(SmallWorld(clock=clock))
-    seen = emulated.capture()
-    with (
-        closing(StreamServer(emulated, clock, fps=4.0)) as server,
-        closing(cameras_of(server, clock)) as cameras,
-    ):
-        frames = cameras.capture()
-        assert np.abs(frames.left.astype(int) - seen.left).mean() < 2.5
-        assert frames.thermal is not None
-        assert seen.thermal is not None
-        assert np.abs(frames.thermal.astype(int) - seen.thermal).mean() < 2.5
-        faults: CameraFaults = emulated.faults
-        faults.inject("swapped")
-        cameras.capture()  # one may have been on its way
-        assert np.abs(cameras.capture().left.astype(int) - seen.right).mean() < 2.5

@@ -22,6 +22,22 @@ from instruments.microscribe.protocol import Packet, PacketDecoder
 from instruments.microscribe.unit import ArmIdentity, shipped_unit
 
 UNIT = shipped_unit("40937")
+# replies of the sheet by code
+REPLIES = {
+    0xC8: b"\xc8MicroScribe3D\0",
+    0xC9: b"\xc9MSCR\0",
+    0xCA: b"\xcaDX\0",
+    0xCB: b"\xcb40937\0",
+    0xCC: b"\xccStandard+Beta\0",
+    0xCD: b"\xcdFormat DH0.5\0",
+    0xCE: b"\xceHCI 2.0\0",
+    0xC6: bytes.fromhex("C6 03 3FFF 00 00 00 00 00 00 00 00 00 3FFF 3FFF 1FFF 0FFF 0FFF 0000"),
+    0xC0: bytes.fromhex(
+        "C0 24 0000 3FF5 FFF9 3FE5 C002 C00C 0000 03C0 2810 0215 FE6F 018F 206C FC92 FFFD 241C 0140"
+        " EB66"
+    ),
+    0xD3: bytes.fromhex("D3 02 0003"),
+}
 AT_REST = "83 00 6C 4F 30 5E 35 54 20 02 18 79 41 60"
 POINT = np.array([-180.0, 240.0, 130.0])
 UP = np.array([0.0, 0.0, 1.0])

@@ -9,22 +9,16 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import threading
 
 import numpy as np
 from hypothesis import event, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError, LinkError
-from instruments.link import Link
-from instruments.listener import Listener
-from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.faults import Fault
 from instruments.microscribe.kinematics import Floats
-from tests.instruments.microscribe.rigs import UNIT, UP, Ear
+from tests.instruments.microscribe.rigs import UNIT, Rig
 
 PEG = UNIT.geometry().forward(UNIT.home)[0][0]
 POINTS = [None, np.array([-180.0, 240.0, 130.0]), np.array([-120.0, 200.0, 140.0])]
@@ -59,24 +53,12 @@ class ArmInAnyOrder(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.point: Floats | None = None
         self.well_homed = True
         self.may_have_lost_c5 = False
-        self.clock = VirtualClock()
-        self.arm = ArmEmulator(self, self.clock, seed=3, accuracy_mm=0.0)
-        self.ear = Ear(self.arm)
-        self.lock = threading.RLock()
-        self.listener: Listener | None = Listener(self.ear, self.clock, lock=self.lock, name="arm")
-        self.port = self.listener.port
-        self.driver = self.plugged_in()
-
-    def arm_target(self) -> tuple[Floats, Floats] | None:
-        return None if self.point is None else (self.point, UP)
-
-    def plugged_in(self) -> MicroScribe:
-        return MicroScribe(
-            Link(f"socket://127.0.0.1:{self.port}", self.clock, who="arm"), self.clock
-        )
+        self.rig = Rig(accuracy_mm=0.0)
+        self.arm, self.hand = self.rig.arm, self.rig.hand
+        self.plugged_in = True
+        self.driver = self.rig.driver()
 
     @property
     def powered(self) -> bool:
@@ -86,7 +68,7 @@ class ArmInAnyOrder(RuleBasedStateMachine):
 
     @rule(point=st.sampled_from(POINTS))
     def hold(self, point: Floats | None) -> None:
-        self.point = point
+        self.hand.point = point
 
     @rule(fault=st.sampled_from(PASSING), times=st.integers(1, 5))
     def trouble(self, fault: Fault, times: int) -> None:
@@ -118,7 +100,7 @@ class ArmInAnyOrder(RuleBasedStateMachine):
     def power_on(self) -> None:
         if not self.powered:
             self.arm.faults.clear(Fault.POWER_LOSS)
-            self.well_homed = self.point is None and not self.arm.faults.on(Fault.NEVER_HOMED)
+            self.well_homed = self.hand.point is None and not self.arm.faults.on(Fault.NEVER_HOMED)
 
     @precondition(lambda self: self.powered)
     @rule()
@@ -134,24 +116,22 @@ class ArmInAnyOrder(RuleBasedStateMachine):
 
     @rule()
     def unplug(self) -> None:
-        if self.listener:
-            self.listener.close()
-            self.listener = None
+        self.rig.unplug()
+        self.plugged_in = False
 
     @rule()
     def plug_in(self) -> None:
-        if self.listener is None:
-            self.listener = Listener(
-                self.ear, self.clock, lock=self.lock, name="arm", port=self.port
-            )
+        if not self.plugged_in:
+            self.rig.plug_in(self.rig.listener.port)
+            self.plugged_in = True
 
     # The host
 
-    @precondition(lambda self: self.listener is not None)
+    @precondition(lambda self: self.plugged_in)
     @rule()
     def start_anew(self) -> None:
         self.driver.close()
-        self.driver = self.plugged_in()
+        self.driver = self.rig.driver()
 
     @rule()
     def sign_on(self) -> None:
@@ -171,7 +151,7 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         with contextlib.suppress(InstrumentError):
             self.driver.confirm_homed()
 
-    @precondition(lambda self: self.point is None)
+    @precondition(lambda self: self.hand.point is None)
     @rule()
     def home(self) -> None:
         with contextlib.suppress(InstrumentError):
@@ -190,25 +170,21 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         else:
             assert homed
             assert self.powered
-            assert (
-                np.linalg.norm(reading.tip_mm - (PEG if self.point is None else self.point))
-                < NOISE_MM
-            )
+            there = PEG if self.hand.point is None else self.hand.point
+            assert np.linalg.norm(reading.tip_mm - there) < NOISE_MM
             event("read")
 
     @rule(point=st.sampled_from(POINTS))
     def work(self, point: Floats | None) -> None:
-        """What an operator does all day: touch and read; and what it
-        takes, if the arm asks for it.
-        """
+        """Touch and read, and before it what the arm asks for."""
         if not self.driver.live:
             self.recover()
         if not self.driver.homed and not self.well_homed:
-            self.point = None
+            self.hand.point = None
             self.home()
         if not self.driver.homed and self.well_homed:
             self.confirm_homed()
-        self.point = point
+        self.hand.point = point
         self.read()
 
     @rule(point=st.sampled_from(POINTS[1:]), fault=st.sampled_from([*PASSING, *ONCE]))
@@ -234,8 +210,8 @@ class ArmInAnyOrder(RuleBasedStateMachine):
     @rule(at=st.integers(0, 150))
     def work_while_the_cable_breaks(self, at: int) -> None:
         self.break_cable(at)
-        self.work(self.point)
-        self.work(self.point)
+        self.work(self.hand.point)
+        self.work(self.hand.point)
 
     @rule()
     def stream(self) -> None:
@@ -254,7 +230,7 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         self.power_on()
         for fault in Fault:
             self.arm.faults.clear(fault)
-        self.point = None
+        self.hand.point = None
         if asks_driver_to_recover:
             self.driver.recover()
         else:
@@ -272,16 +248,14 @@ class ArmInAnyOrder(RuleBasedStateMachine):
 
     @invariant()
     def no_byte_that_writes(self) -> None:
-        assert not WRITES & set(self.ear.heard)
-        assert self.ear.heard.count(b"IMMC") == self.ear.heard.count(b"\xc5IMMC")
-        # An end that was lost on its way leaves the letters behind it to a session that somebody
-        # left alive: no host can help it.
+        heard = self.rig.ear.heard
+        assert not WRITES & set(heard)
+        assert heard.count(b"IMMC") == heard.count(b"\xc5IMMC")
+        # an end that was lost leaves the letters behind it to an old session: no host can help it
         assert self.arm.eeprom_attempts == 0 or self.may_have_lost_c5
 
     def teardown(self) -> None:
-        self.driver.close()
-        if self.listener:
-            self.listener.close()
+        self.rig.close()
 
 
 TestArmInAnyOrder = ArmInAnyOrder.TestCase

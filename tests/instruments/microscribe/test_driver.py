@@ -1,15 +1,19 @@
-"""Readings: right when the arm is still and homed, refused when it isn't; power that goes and cables
-that are pulled, noticed and brought back without a position that could be wrong.
+"""Readings: right when the arm is still and homed, refused when it isn't; lost power and cables;
+streams and pedals.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from instruments.errors import LimitError, LinkError, ProtocolError
+from instruments.listener import Connection
 from instruments.microscribe.emulator import ArmEmulator
 from instruments.microscribe.errors import (
     AnotherArmError,
@@ -19,9 +23,9 @@ from instruments.microscribe.errors import (
     SilentArmError,
     UnusableArmError,
 )
-from instruments.microscribe.faults import Fault
 from instruments.microscribe.protocol import State
-from tests.instruments.microscribe.rigs import POINT, UNIT, UP, Rig, renamed
+from instruments.microscribe.stream import Debouncer, Pedal, PedalEvent
+from tests.instruments.microscribe.rigs import POINT, UNIT, UP, Ear, Rig, renamed
 
 
 def test_at_rest_the_recorded_counts_and_the_position_of_the_sheet(rig: Rig) -> None:
@@ -72,23 +76,6 @@ def test_a_byte_that_comes_twice_gives_no_wrong_packet(rig: Rig, place: int, apa
     assert driver.poll().counts == right
 
 
-def test_one_wrong_packet_among_eight_does_not_move_a_reading(rig: Rig) -> None:
-    driver = rig.signed_on()
-    right = driver.read()
-    answers = 0
-
-    def spoil(data: bytes) -> list[bytes]:
-        nonlocal answers
-        answers += 1
-        return [data[:5] + bytes([data[5] ^ 0x06]) + data[6:]] if answers == 3 else [data]
-
-    rig.ear.spoil = spoil
-    reading = driver.read()
-    assert 0.1 < reading.spread_mm < 1.0
-    np.testing.assert_allclose(reading.tip_mm, right.tip_mm, atol=1e-9)
-    np.testing.assert_allclose(reading.axis, right.axis, atol=1e-9)
-
-
 def test_no_position_before_homing_is_confirmed_in_each_session(rig: Rig) -> None:
     driver = rig.driver()
     driver.sign_on()
@@ -104,21 +91,6 @@ def test_no_position_before_homing_is_confirmed_in_each_session(rig: Rig) -> Non
     assert not driver.homed
     with pytest.raises(NotHomedError, match="the session was opened anew"):
         driver.read()
-
-
-def test_home_reloads_the_counts_on_the_peg(make: Callable[..., Rig]) -> None:
-    rig = make(accuracy_mm=0.0)
-    rig.hand.point = POINT
-    rig.arm.power_cycle()
-    rig.hand.point = None
-    driver = rig.driver()
-    driver.sign_on()
-    assert driver.poll().counts != UNIT.home
-    driver.home()
-    assert driver.homed
-    assert driver.poll().counts == UNIT.home
-    rig.hand.point = POINT
-    assert np.linalg.norm(driver.read(32).tip_mm - POINT) < 0.3
 
 
 def test_homing_that_is_not_confirmed_by_the_arm_does_not_count(rig: Rig) -> None:
@@ -145,16 +117,6 @@ def test_a_reading_is_refused_while_the_arm_moves_and_of_nothing(rig: Rig) -> No
         driver.position([])
 
 
-@pytest.mark.parametrize("fault", [Fault.BIT_7, Fault.LOST_BYTE, Fault.GARBAGE, Fault.SILENT])
-def test_a_damaged_packet_is_asked_for_again(rig: Rig, fault: Fault) -> None:
-    driver = rig.signed_on()
-    for _ in range(20):
-        rig.arm.faults.inject(fault, 1)
-        assert driver.poll().counts == UNIT.home
-    # a lost header leaves no packet to call damaged
-    assert driver.damaged >= (15 if fault in (Fault.BIT_7, Fault.LOST_BYTE) else 0)
-
-
 def test_packets_that_are_always_damaged_are_refused(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.arm.faults.inject("bit 7 in payload")
@@ -162,21 +124,6 @@ def test_packets_that_are_always_damaged_are_refused(rig: Rig) -> None:
         driver.poll()
     rig.arm.faults.clear("bit 7 in payload")
     driver.read()
-
-
-def test_a_flipped_bit_shows_as_motion(rig: Rig) -> None:
-    driver = rig.signed_on()
-    refused = 0
-    for _ in range(30):
-        rig.arm.faults.inject("flipped bit", 1)
-        try:
-            tip = driver.read().tip_mm
-        except LimitError:
-            refused += 1
-        # a low bit, a joint that is none, or the buttons: no further off than the spread allows
-        else:
-            assert np.hypot(*tip[:2]) == pytest.approx(75, abs=1)
-    assert refused > 5
 
 
 def test_a_late_answer_is_not_taken_for_the_next_one(rig: Rig) -> None:
@@ -250,9 +197,7 @@ def test_a_cable_that_is_pulled_is_noticed_and_back_within_two_seconds(rig: Rig)
     driver.recover(60.0)
     assert 0.0 <= rig.clock.now() - back < 2.0
     assert rig.arm.state is State.SESSION
-    with pytest.raises(
-        NotHomedError, match="the link broke, and nobody can tell whether the arm kept its power"
-    ):
+    with pytest.raises(NotHomedError, match="the link broke, and the arm may have lost its power"):
         driver.read()
     driver.confirm_homed()
     driver.read()
@@ -298,13 +243,171 @@ def test_what_is_refused_for_good_is_not_tried_again(rig: Rig) -> None:
     assert rig.clock.now() - start < 2.0
 
 
-def test_safe_ends_the_session_once(rig: Rig) -> None:
+# Streams
+
+START = bytes.fromhex("CF 0000 23") + bytes(21)
+FASTEST_HZ = 720.0  # of the sheet, with stamps
+
+
+def test_a_stream_is_asked_for_and_ended_as_the_sheet_says(rig: Rig) -> None:
     driver = rig.signed_on()
-    assert not driver.moves
-    driver.safe()
-    heard = rig.ear.heard
-    driver.safe()
-    assert rig.ear.heard == heard
-    assert heard.endswith(b"\xc5")
-    with pytest.raises(NoSessionError, match="no session"):
-        driver.poll()
+    rig.ear.heard = b""
+    with driver.stream() as samples:
+        got = list(itertools.islice(samples, 50))
+        states = [rig.arm.state]
+        ended = rig.clock.now()
+    assert rig.ear.heard == START + b"\x00"
+    assert len(START) == 25
+    assert rig.clock.now() - ended == pytest.approx(0.05)
+    assert [*states, rig.arm.state] == [State.STREAMING, State.SESSION]
+    assert {sample.counts for sample in got} == {UNIT.home}
+    gaps_s = [b.t_s - a.t_s for a, b in itertools.pairwise(got)]
+    assert sum(gaps_s) / len(gaps_s) == pytest.approx(1 / FASTEST_HZ, rel=0.02)
+    assert got[0].t_s == 0.0
+
+
+def test_the_same_session_goes_on_behind_a_stream(rig: Rig) -> None:
+    driver = rig.signed_on()
+    with driver.stream() as samples:
+        next(samples)
+    rig.hand.point = POINT
+    assert driver.homed
+    asked = rig.clock.now()
+    # nothing that the stream left is taken for the answer
+    assert driver.poll().counts != UNIT.home
+    assert rig.clock.now() == asked
+
+
+def test_without_a_stamp_samples_take_the_hosts_time(rig: Rig) -> None:
+    driver = rig.signed_on()
+    with driver.stream(stamped=False) as samples:
+        sample = next(samples)
+        assert sample.t_s == rig.clock.now()
+        assert driver.position([sample]).tip_mm[2] == pytest.approx(212.2005, abs=1e-3)
+
+
+@pytest.mark.parametrize("lost", range(25))
+def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig, lost: int) -> None:
+    driver = rig.signed_on()
+    rig.hand.point = POINT  # off the peg: homing would show
+    before = driver.poll().counts
+    rig.ear.lose = {lost}
+    with driver.stream() as samples:
+        got = list(itertools.islice(samples, 30))
+    assert all(
+        abs(a - b) < 20
+        for sample in got
+        for a, b in zip(sample.counts[:5], before[:5], strict=True)
+    )
+    assert rig.arm.eeprom_attempts == 0
+    driver.read()
+
+
+def test_questions_within_a_stream_are_refused(rig: Rig) -> None:
+    driver = rig.signed_on()
+    with driver.stream() as samples:
+        for ask in (driver.poll, driver.read, driver.home, lambda: driver.stream().__enter__()):
+            with pytest.raises(LimitError, match=r"a stream runs .*End the stream first"):
+                ask()
+        next(samples)
+    with pytest.raises(NoSessionError, match="the stream has ended"):
+        next(samples)
+
+
+def test_a_stream_that_something_ended_is_started_again(rig: Rig) -> None:
+    driver = rig.signed_on()
+    with driver.stream() as samples:
+        next(samples)
+        with rig.lock:
+            rig.arm.receive(rig.ear.hosts[-1], b"\x00")  # as noise on the cable would
+        assert len(list(itertools.islice(samples, 20))) == 20
+    assert rig.ear.heard.count(START) == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "message"), [(SilentArmError, "fallen silent"), (LinkError, "the link broke")]
+)
+def test_power_or_cable_lost_within_a_stream(
+    rig: Rig, error: type[Exception], message: str
+) -> None:
+    driver = rig.signed_on()
+    with pytest.raises(error, match=message), driver.stream() as samples:  # noqa: PT012
+        next(samples)
+        if error is SilentArmError:
+            rig.arm.power_cycle()
+        else:
+            rig.ear.hosts[-1].hang_up()
+        list(itertools.islice(samples, 100))
+    assert not driver.homed
+    driver.recover()
+    assert driver.poll().counts == UNIT.home
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "message"),
+    [
+        (b"", SilentArmError, "answers polls, but no stream"),
+        (b"\x81\x02", ProtocolError, r"answered otherwise .asked CF, got 81 02"),
+    ],
+)
+def test_an_arm_that_does_not_stream_is_told_apart_from_one_that_is_gone(
+    rig: Rig, answer: bytes, error: type[Exception], message: str
+) -> None:
+    class Deaf(Ear):
+        """Keeps stream requests from the arm, and answers them with ``answer``."""
+
+        def receive(self, connection: Connection, data: bytes) -> None:
+            if data[0] == 0xCF:
+                connection.send(answer)
+            else:
+                super().receive(connection, data)
+
+    driver = rig.signed_on()
+    rig.ear.device = Deaf(rig.arm)
+    with pytest.raises(error, match=message), driver.stream():
+        pass
+    driver.read()
+
+
+# Pedals
+
+
+@pytest.mark.parametrize(
+    ("levels", "events"),
+    [
+        (
+            [(0, 0), (10, 1), (20, 1), (29, 1), (30, 1), (100, 0), (119, 0), (121, 0)],
+            [PedalEvent(Pedal.RIGHT, True, 0.01), PedalEvent(Pedal.RIGHT, False, 0.1)],
+        ),
+        ([(0, 0), (10, 1), (15, 0), (20, 1), (35, 1)], []),
+        ([(0, 0), (10, 1), (15, 0), (20, 1), (40, 1)], [PedalEvent(Pedal.RIGHT, True, 0.02)]),
+        ([(0, 0), (100, 2), (200, 0), (300, 0)], []),
+        ([(0, 0), (100, 2), (200, 2)], [PedalEvent(Pedal.LEFT, True, 0.1)]),
+        ([(0, 1), (50, 1), (100, 0), (150, 0)], [PedalEvent(Pedal.RIGHT, False, 0.1)]),
+        (
+            [(0, 0), (10, 1), (20, 3), (31, 3), (40, 3)],
+            [PedalEvent(Pedal.RIGHT, True, 0.01), PedalEvent(Pedal.LEFT, True, 0.02)],
+        ),
+        ([(0, 0), (10, 0x7C), (100, 0x7C)], []),
+    ],
+)
+def test_events_of_milliseconds_and_buttons(
+    levels: list[tuple[int, int]], events: list[PedalEvent]
+) -> None:
+    debouncer = Debouncer()
+    seen = [event for t_ms, buttons in levels for event in debouncer.feed(t_ms / 1000, buttons)]
+    assert seen == events
+
+
+@given(st.lists(st.tuples(st.integers(1, 50), st.integers(0, 3)), max_size=80))
+def test_events_alternate_and_agree_with_what_is_down(steps: list[tuple[int, int]]) -> None:
+    debouncer, now_ms = Debouncer(), 0
+    events: dict[Pedal, list[bool]] = {pedal: [] for pedal in Pedal}
+    debouncer.feed(0.0, 0)
+    for step_ms, buttons in steps:
+        now_ms += step_ms
+        for event in debouncer.feed(now_ms / 1000, buttons):
+            assert now_ms / 1000 - event.t_s >= 0.02 - 1e-6
+            events[event.pedal].append(event.pressed)
+        for pressed in events.values():
+            assert pressed == [at % 2 == 0 for at in range(len(pressed))]

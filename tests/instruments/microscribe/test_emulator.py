@@ -1,8 +1,10 @@
-"""The emulated arm, byte for byte, and what its mechanics put in."""
+"""The emulated arm: byte for byte, its mechanics, its faults by name, and arms from files."""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,14 +12,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from instruments.clock import RealClock, VirtualClock
+from instruments.errors import LinkError
 from instruments.link import Link
 from instruments.listener import Listener
 from instruments.microscribe.configuration import StreamRequest
-from instruments.microscribe.emulator import ArmEmulator, Look, Trigger
+from instruments.microscribe.emulator import (
+    ArmEmulator,
+    KinematicError,
+    Look,
+    Mechanics,
+    Stream,
+    workspace,
+)
+from instruments.microscribe.faults import Faults
 from instruments.microscribe.kinematics import OutOfReachError
-from instruments.microscribe.mechanics import KinematicError, Mechanics, workspace
 from instruments.microscribe.protocol import PacketDecoder, State
-from tests.instruments.microscribe.rigs import AT_REST, POINT, UNIT, UP, Hand, Host
+from instruments.microscribe.unit import SHIPPED, UnitError, load_unit, shipped_unit
+from tests.instruments.microscribe.rigs import AT_REST, POINT, REPLIES, UNIT, UP, Hand, Host, Rig
 
 ARM = UNIT.geometry()
 HOME_RAD = ARM.angles(UNIT.home)[0]
@@ -32,22 +43,7 @@ HOME_RAD = ARM.angles(UNIT.home)[0]
         ("02", "82 00 6C 4F 30 5E 35 54 20 02 18 79 41 60 00 00"),
         ("00", "80 00"),
         ("07", "87 00 00 00 00 6C 4F 30 5E 35 54 20 02 18 79 41 60"),
-        ("C8", "C8 4D 69 63 72 6F 53 63 72 69 62 65 33 44 00"),
-        ("C9", "C9 4D 53 43 52 00"),
-        ("CA", "CA 44 58 00"),
-        ("CB", "CB 34 30 39 33 37 00"),
-        ("CC", "CC 53 74 61 6E 64 61 72 64 2B 42 65 74 61 00"),
-        ("CD", "CD 46 6F 72 6D 61 74 20 44 48 30 2E 35 00"),
-        ("CE", "CE 48 43 49 20 32 2E 30 00"),
-        ("C6", "C6 03 3F FF 00 00 00 00 00 00 00 00 00 3F FF 3F FF 1F FF 0F FF 0F FF 00 00"),
-        (
-            "C0",
-            (
-                "C0 24 00 00 3F F5 FF F9 3F E5 C0 02 C0 0C 00 00 03 C0 28 10 02 15 FE 6F 01 8F 20"
-                " 6C FC 92 FF FD 24 1C 01 40 EB 66"
-            ),
-        ),
-        ("D3", "D3 02 00 03"),
+        *((f"{code:02X}", reply.hex(" ").upper()) for code, reply in REPLIES.items()),
         ("C2", "C2"),
         ("C4 10", "C4"),
         ("C4 55", ""),
@@ -66,15 +62,6 @@ def test_golden_answers_whole_and_byte_by_byte(host: Host, asked: str, answer: s
         assert " ".join(piece for piece in pieces if piece) == answer
 
 
-def test_outside_a_session_it_hears_its_words_only(fresh: Host) -> None:
-    assert fresh.ask("03 C9 42 45 47 49 4E") == ""
-    assert fresh.ask("49 4D 4D") == ""
-    assert fresh.ask("43") == "49 4D 4D 43"
-    assert fresh.ask("03") == ""
-    assert fresh.ask("C5 42 45 47 49 4E") == ""
-    assert fresh.arm.state is State.FINDING_BAUD
-
-
 def test_a_time_stamp_counts_ticks_of_the_clock(host: Host) -> None:
     host.clock.sleep(10.0 - host.clock.now())
     ticks = PacketDecoder().feed(bytes.fromhex(host.ask("23")))[0].ticks
@@ -85,71 +72,34 @@ def test_a_time_stamp_counts_ticks_of_the_clock(host: Host) -> None:
     assert later < 9001 + 200  # wrapped at about 18 s
 
 
-def test_pedals(host: Host) -> None:
-    host.arm.buttons = 0x06
-    assert host.ask("00") == "80 02"
-
-
-@pytest.mark.parametrize("asked", ["C2", "42"])
-def test_homing_off_the_peg_ruins_every_later_position(host: Host, asked: str) -> None:
+@pytest.mark.parametrize(
+    ("words", "answer", "after", "eeprom_attempts"),
+    [
+        ("BEGIN", "C2 C5", State.FINDING_BAUD, 0),
+        (
+            "IMMC",
+            "C9 4D 53 43 52 00" + " CD 46 6F 72 6D 61 74 20 44 48 30 2E 35 00" * 2,
+            State.SESSION,
+            1,
+        ),
+        ("B", "C2", State.SESSION, 0),
+    ],
+)
+def test_words_in_a_live_session_are_commands_and_homing_off_the_peg_ruins_positions(
+    host: Host, words: str, answer: str, after: State, eeprom_attempts: int
+) -> None:
     host.hand.point = POINT
-    before = host.counts()
-    assert before != UNIT.home
-    assert host.ask(asked) == "C2"
-    # the hand trembles
-    assert np.abs(np.subtract(host.counts()[:5], UNIT.home[:5])).max() <= 3
-    host.hand.point = None
     assert host.counts() != UNIT.home
-
-
-def test_begin_in_a_live_session_homes_and_ends_it(host: Host) -> None:
-    host.hand.point = POINT
-    assert host.ask("42 45 47 49 4E") == "C2 C5"
-    assert host.arm.state is State.FINDING_BAUD
-
-
-def test_immc_in_a_live_session_asks_for_names_and_starts_an_eeprom_write(host: Host) -> None:
-    names = "C9 4D 53 43 52 00", *["CD 46 6F 72 6D 61 74 20 44 48 30 2E 35 00"] * 2
-    assert host.ask("49 4D 4D 43") == " ".join(names)
-    assert host.arm.eeprom_attempts == 1
+    assert host.ask(words.encode().hex()) == answer
+    assert (host.arm.state, host.arm.eeprom_attempts) == (after, eeprom_attempts)
+    if words == "B":  # the hand trembles
+        assert np.abs(np.subtract(host.counts()[:5], UNIT.home[:5])).max() <= 3
 
 
 def test_the_letter_o_swallows_24_bytes(host: Host) -> None:
     assert host.ask("4F " + "03 " * 24) == "CF"  # a stream by differences, and nothing differs
     assert host.ask("03") == AT_REST
     assert host.ask("4F 00 00 02 " + "01 " * 23 + "03") == f"CF {AT_REST}"  # 26 with seven encoders
-
-
-def test_a_stream_at_a_fixed_rate_until_any_command(host: Host) -> None:
-    got = host.ask("CF 00 0A 03" + "00" * 21, 0.105)
-    assert got == "CF" + f" {AT_REST}" * 10
-    states = [host.arm.state]
-    assert host.ask("D2 07", 0.001).startswith("D2 07")
-    states.append(host.arm.state)
-    host.ask("00", 0.001)
-    assert [*states, host.arm.state] == [State.STREAMING, State.STREAMING, State.SESSION]
-    assert host.ask("C9", 0.5) == "C9 4D 53 43 52 00"
-
-
-def test_power_cycling_off_the_peg_gives_plausible_wrong_counts(host: Host) -> None:
-    host.hand.point = POINT
-    host.arm.power_cycle()
-    assert host.ask("03") == ""
-    host.session()
-    assert np.abs(np.subtract(host.counts()[:5], UNIT.home[:5])).max() <= 3
-
-
-def test_without_power_there_is_silence(host: Host) -> None:
-    host.arm.power_off()
-    assert host.ask("C5 49 4D 4D 43") == ""
-    host.arm.power_on()
-    host.session()
-    assert host.ask("03") == AT_REST
-
-
-def test_a_session_outlives_its_host(host: Host) -> None:
-    host.plug_in_again()
-    assert host.ask("03") == AT_REST
 
 
 @settings(max_examples=30, deadline=None)
@@ -206,16 +156,6 @@ def test_differences_send_when_a_joint_has_moved_so_far_and_not_else(host: Host)
     assert host.arm.state is State.STREAMING
 
 
-def test_differences_respect_the_delay(host: Host) -> None:
-    host.hand.point = POINT
-    host.ask(stream(100, deltas=(1,) * 6))
-    seen = 0
-    for step in range(1, 101):
-        host.hand.point = POINT + np.array([0.0, 0.5 * step, 0.0])
-        seen += len(host.packets("", 0.01))
-    assert seen == pytest.approx(10, abs=1)
-
-
 def test_a_pedal_of_the_mask_sends_when_it_changes(host: Host) -> None:
     assert host.ask(stream(0, mask=0x01)) == "CF"
     seen = []
@@ -227,23 +167,17 @@ def test_a_pedal_of_the_mask_sends_when_it_changes(host: Host) -> None:
 
 def test_a_slow_drift_is_measured_from_the_last_packet() -> None:
     drift = [Look(0, (count % 16384,)) for count in range(16380, 16414)]
-    trigger = Trigger(StreamRequest(0, 3, encoder_deltas=(5, 0, 0, 0, 0, 0)), drift[0])
-    fired = [look.counts[0] for look in drift[1:] if trigger.fires(look)]
+    running = Stream(StreamRequest(0, 3, encoder_deltas=(5, 0, 0, 0, 0, 0)), drift[0])
+    fired = [look.counts[0] for look in drift[1:] if running.fires(look)]
     assert fired == [1, 6, 11, 16, 21, 26], "counts go round at 16384"
 
 
 def test_the_marker_comes_back_in_its_place_and_any_command_ends_a_stream(host: Host) -> None:
-    host.ask(stream(10), 0.025)
+    assert host.ask(stream(10), 0.025) == f"CF {AT_REST} {AT_REST}"
     assert host.ask("D2 55", 0.025) == f"D2 55 {AT_REST} {AT_REST}"
     host.ask("C9", 0.0)
     assert host.arm.state is State.SESSION
     assert host.ask("", 1.0) == ""
-
-
-def test_a_second_stream_replaces_the_first(host: Host) -> None:
-    host.ask(stream(1))
-    host.link.drain(0.0)
-    assert len(host.packets(stream(100), 1.05)) == 10
 
 
 def test_a_stream_goes_on_for_the_next_host(host: Host) -> None:
@@ -299,26 +233,23 @@ def test_a_perfect_arm_stands_where_the_hand_holds_it_and_follows(grip: Hand) ->
         assert arm.counts(1) == np.rint(pose.counts).tolist()
         assert np.linalg.norm(ARM.forward(arm.counts(2))[0] - point) < 0.4
     grip.point = None
-    assert arm.counts(3) == list(UNIT.home)
+    assert arm.counts(3) == UNIT.home
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_mean_error_over_the_workspace_is_what_was_asked_for(seed: int) -> None:
+def test_the_error_is_a_smooth_function_of_the_pose_of_the_size_asked_for(
+    grip: Hand, seed: int
+) -> None:
     error = KinematicError(ARM, HOME_RAD, seed=seed, accuracy_mm=0.23)
     poses = workspace(ARM, HOME_RAD, np.random.default_rng(99))
+    here, near = error.at(poses), error.at(poses + 0.005)  # about 3 mm at the tip
     # a shift of all would be another frame
-    assert np.linalg.norm(error.at(poses).mean(axis=0)) < 0.02
-    sizes = np.linalg.norm(error.at(poses), axis=1)
+    assert np.linalg.norm(here.mean(axis=0)) < 0.02
+    sizes = np.linalg.norm(here, axis=1)
     assert sizes.mean() == pytest.approx(0.23, rel=0.04)
     assert sizes.max() < 1.0
-
-
-def test_the_error_is_a_smooth_function_of_the_pose_and_not_the_packets(grip: Hand) -> None:
-    error = KinematicError(ARM, HOME_RAD, seed=1, accuracy_mm=0.23)
-    poses = workspace(ARM, HOME_RAD, np.random.default_rng(4))
-    here, near = error.at(poses), error.at(poses + 0.005)  # about 3 mm at the tip
     assert np.linalg.norm(here - near, axis=1).max() < 0.01
-    arm = mechanics(grip, accuracy_mm=0.23)
+    arm = mechanics(grip, seed=seed, accuracy_mm=0.23)
     assert arm.counts(1) == arm.counts(500)
     tip = ARM.forward(arm.solve(POINT, UP).counts)[0][0]
     expected = error.at(ARM.angles(mechanics(grip).solve(POINT, UP).counts))[0]
@@ -343,3 +274,275 @@ def test_what_the_arm_cannot_reach_is_told_beforehand(fresh: Host) -> None:
     fresh.arm.check_reach(POINT, UP)
     with pytest.raises(OutOfReachError, match="out of reach"):
         fresh.arm.check_reach(POINT * 5, UP)
+
+
+# Faults
+
+REST = bytes.fromhex(AT_REST)
+
+
+@pytest.mark.parametrize(
+    ("fault", "hit"),
+    [
+        ("bit 7 in payload", lambda got: sum(byte >> 7 for byte in got) == 2 and len(got) == 14),
+        ("lost byte", lambda got: len(got) == 13),
+        (
+            "flipped bit",
+            lambda got: sum((a ^ b).bit_count() for a, b in zip(got, REST, strict=True)) == 1,
+        ),
+        ("garbage between packets", lambda got: got[5:] == REST),
+        ("silent", lambda got: not got),
+    ],
+)
+def test_a_bad_cable(host: Host, fault: str, hit: Callable[[bytes], bool]) -> None:
+    host.arm.faults.inject(fault, 2)
+    assert [hit(bytes.fromhex(host.ask("03"))) for _ in range(2)] == [True, True]
+    assert host.ask("03") == AT_REST
+
+
+def test_a_fault_may_spare_the_first_answers(host: Host) -> None:
+    host.arm.faults.inject("bit 7 in payload", 2, after=3)
+    whole = [host.ask("03") == AT_REST for _ in range(7)]
+    assert whole == [True] * 3 + [False] * 2 + [True] * 2
+
+
+def test_an_old_session_hears_letters_as_commands(fresh: Host) -> None:
+    fresh.arm.faults.inject("old session alive", 1)
+    fresh.plug_in_again()
+    assert fresh.ask("03") == AT_REST
+    fresh.hand.point = POINT
+    assert fresh.ask("42 45 47 49 4E") == "C2 C5"
+    fresh.session()
+    assert np.abs(np.subtract(fresh.counts()[:5], UNIT.home[:5])).max() <= 3, "re-homed off the peg"
+
+
+@pytest.mark.parametrize("letter", ["43", "47", "C3", "C7", "D0", "D1", "50", "51"])
+def test_letters_that_start_an_eeprom_write_are_noticed(host: Host, letter: str) -> None:
+    assert host.ask(letter) == ""
+    assert host.arm.eeprom_attempts == 1
+    assert host.ask("03") == AT_REST
+
+
+def test_an_echo_only_after_repeats(fresh: Host) -> None:
+    fresh.arm.faults.inject("echo after repeats", amount=4)
+    assert [fresh.ask("C5 49 4D 4D 43") for _ in range(3)] == [""] * 3
+    fresh.session()
+    assert fresh.ask("C5") == "C5"
+    assert fresh.ask("49 4D 4D 43" * 3) == "", "again so many in the next sign-on"
+    fresh.arm.faults.clear("echo after repeats")
+    assert fresh.ask("C5 49 4D 4D 43") == "49 4D 4D 43"
+
+
+def test_power_goes_and_comes_back(host: Host) -> None:
+    host.arm.faults.inject("power loss")
+    assert host.ask("03") == ""
+    assert host.ask("C5 49 4D 4D 43") == ""
+    host.hand.point = POINT
+    host.arm.faults.clear("power loss")
+    assert host.ask("03") == "", "the session is gone"
+    host.session()
+    assert np.abs(np.subtract(host.counts()[:5], UNIT.home[:5])).max() <= 3, (
+        "home counts, wherever the stylus is"
+    )
+
+
+def test_an_arm_that_nobody_homed_gives_plausible_wrong_counts(host: Host) -> None:
+    host.arm.faults.inject("never homed")
+    off = np.abs(np.subtract(host.counts(), UNIT.home))
+    assert (off >= 500).all()
+    assert (off <= 1000).all()
+    host.arm.power_cycle()
+    host.session()
+    assert host.counts() != UNIT.home, "nor at the next power-up, while the fault is on"
+    host.arm.faults.clear("never homed")
+    assert host.ask("C2") == "C2"
+    assert host.counts() == UNIT.home, "homed on the peg"
+
+
+def test_a_pedal_bounces_for_a_while(host: Host) -> None:
+    host.arm.faults.inject("pedal bounce", 2)
+    for pressed in (1, 0):
+        host.arm.buttons = pressed
+        seen = []
+        for _ in range(20):
+            seen.append(host.packets("00", 0.0)[0].buttons)
+            host.clock.sleep(0.0009)
+        assert {*seen} == {0, 1}
+        host.clock.sleep(0.01)
+        assert {host.packets("00", 0.0)[0].buttons for _ in range(20)} == {pressed}
+    host.arm.buttons = 1
+    assert {host.packets("00", 0.0)[0].buttons for _ in range(20)} == {1}, "only twice"
+
+
+def test_a_slow_adapter_holds_every_answer_back_and_keeps_their_order(host: Host) -> None:
+    host.arm.faults.inject("slow adapter")
+    start = host.clock.now()
+    host.link.write(b"\x03\xc9")
+    assert host.link.read(20, 1.0).hex(" ").upper() == f"{AT_REST} C9 4D 53 43 52 00"
+    assert host.clock.now() - start == pytest.approx(0.016)
+    host.link.write(b"\xc9")
+    host.arm.faults.clear("slow adapter")
+    host.link.write(b"\xca")
+    assert host.link.read(10, 1.0) == b"\xc9MSCR\0\xcaDX\0"
+
+
+@pytest.mark.parametrize("passes", [0, 5, 14, 20])
+def test_the_cable_breaks_at_a_given_byte(host: Host, passes: int) -> None:
+    host.arm.faults.inject("disconnect", amount=passes)
+    got = b""
+    with pytest.raises(LinkError, match="hung up"):  # noqa: PT012 - until it breaks
+        for _ in range(3):
+            host.link.write(b"\x03")
+            got += host.link.read(min(14, passes - len(got)), 0.05)
+            host.link.drain(0.01)
+    assert got.hex(" ").upper() == (AT_REST + " " + AT_REST)[: passes * 3 - 1 if passes else 0]
+    host.plug_in_again()
+    assert host.ask("03") == AT_REST, "the arm kept its session, and the fault is over"
+
+
+def test_the_same_seed_gives_the_same_damage() -> None:
+    def garbled(seed: int) -> list[bytes]:
+        faults = Faults(seed)
+        faults.inject("flipped bit")
+        faults.inject("garbage between packets")
+        return [faults.damage(bytes(14)) for _ in range(5)]
+
+    assert garbled(1) == garbled(1) != garbled(2)
+
+
+def test_a_fault_that_is_none_is_refused() -> None:
+    with pytest.raises(ValueError, match="no fault 'sick'; it has: silent, flipped bit"):
+        Faults(0).inject("sick")
+
+
+@pytest.mark.parametrize(("fault", "amount"), [("silent", 3.0), ("slow adapter", -0.1)])
+def test_an_amount_that_cannot_be_is_refused(fault: str, amount: float) -> None:
+    with pytest.raises(
+        ValueError, match=rf"'{fault}' has no amount {amount:g}.*slow adapter \(0.016\)"
+    ):
+        Faults(0).inject(fault, amount=amount)
+
+
+# Arms by file
+
+# Made up: six encoders of other resolutions, longer links, and no "Beta".
+SIX = """
+[names]
+product = "MicroScribeX6"
+product_id = "MSCR"
+model = "LX"
+serial_number = "60001"
+comment = "Standard"
+format = "Format DH0.5"
+version = "HCI 2.1"
+
+[maxima]
+button_mask = 1
+timer = 0x3FFF
+analogs = [0, 0, 0, 0, 0, 0, 0, 0]
+analog_low_bits = 0
+encoders = [0x3FFF, 0x3FFF, 0x3FFF, 0x1FFF, 0x1FFF, 0x0FFF]
+
+[parameters]
+alpha = [0, 16384, 0, 16384, -16384, -16384]
+a = [0, 1200, 13000, 600, -400, 400]
+d = [9000, -900, 0, 11000, 300, -5500]
+
+[peg]
+counts = [0, 6238, 13736, 8196, 6386, 100]
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "arm.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_what_ships() -> None:
+    assert [path.stem for path in SHIPPED.glob("*.toml")] == ["40937"]
+    assert shipped_unit("40937") == UNIT
+    with pytest.raises(FileNotFoundError, match="under the serial number 1; there is 40937"):
+        shipped_unit("1")
+    with pytest.raises(
+        FileNotFoundError, match="no arm ships under the serial number 1; there is 40937"
+    ):
+        shipped_unit("1")
+
+
+def test_an_arm_of_six_encoders(tmp_path: Path) -> None:
+    host = Host(unit=load_unit(written(tmp_path, SIX)))
+    host.session()
+    assert host.ask("CB") == "CB 36 30 30 30 31 00"
+    assert host.ask("C6").endswith("3F FF 3F FF 3F FF 1F FF 1F FF 0F FF")
+    assert host.ask("D3") == "", "without Beta"
+    assert host.counts() == (0, 6238, 13736, 8196, 6386, 100)
+    host.arm.buttons = 3
+    assert host.ask("00") == "80 01", "one pedal"
+    host.close()
+
+
+def test_a_driver_reads_that_arm_where_the_hand_holds_it(
+    tmp_path: Path, make: Callable[..., Rig]
+) -> None:
+    rig = make(load_unit(written(tmp_path, SIX)), accuracy_mm=0.0)
+    driver = rig.signed_on()
+    for point in ((-200.0, 260.0, 150.0), (300.0, 100.0, 200.0)):
+        rig.hand.point = np.array(point)
+        reading = driver.read(16)
+        assert np.linalg.norm(reading.tip_mm - point) < 0.2
+        assert reading.axis @ UP > 0.9995
+
+
+def test_all_faults_of_a_file_at_once(tmp_path: Path) -> None:
+    text = SIX
+    for old, new in {
+        '"60001"': '"6000é"',
+        "button_mask = 1": "button_mask = 200",
+        "0x1FFF, 0x0FFF]": "0x1FFF, 0x4000]",
+        "d = [9000, -900, 0, 11000, 300, -5500]": "dd = 1",
+        "6386, 100]": "6386]",
+    }.items():
+        assert old in text
+        text = text.replace(old, new)
+    with pytest.raises(UnitError) as caught:
+        load_unit(written(tmp_path, text))
+    assert [keys for keys, _ in caught.value.located] == [
+        ("names", "serial_number"), ("maxima", "button_mask"), ("maxima", "encoders", 5),
+        ("parameters", "d"), ("parameters", "dd"), ("peg", "counts"),
+    ]  # fmt: skip
+    message = str(caught.value)
+    assert message.startswith(str(tmp_path / "arm.toml"))
+    for part in (
+        "names.serial_number: '6000é' is no name for an arm: ASCII",
+        "maxima.button_mask: input should be less than or equal to 127 (found 200)",
+        "parameters.d: field required;",
+        "parameters.dd: unknown key (found 1)",
+    ):
+        assert part in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[names]", "[names", "not TOML: "),
+        ("d = [9000", "beta = 3\nd = [9000", 'beta has no meaning without "Beta" in names.comment'),
+        (
+            "[0x3FFF, 0x3FFF, 0x3FFF, 0x1FFF, 0x1FFF, 0x0FFF]",
+            "[0x3FFF, 0x3FFF, 0, 0, 0, 0]",
+            "can't be moved in three dimensions",
+        ),
+        ("counts = [0,", 'counts = ["0",', "peg.counts.0: input should be a valid integer"),
+    ],
+)
+def test_a_file_that_describes_no_arm(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in SIX
+    with pytest.raises(UnitError, match=r"arm\.toml: ") as caught:
+        load_unit(written(tmp_path, SIX.replace(old, new)))
+    assert message in str(caught.value)
+
+
+def test_an_arm_below_its_table_cannot_be_emulated(tmp_path: Path) -> None:
+    text = SIX.replace("d = [9000", "d = [-32768")
+    with pytest.raises(ValueError, match="never comes above the table"):
+        ArmEmulator(Hand(VirtualClock()), VirtualClock(), unit=load_unit(written(tmp_path, text)))

@@ -22,26 +22,10 @@ SHEET = [
 ]
 
 
-@pytest.mark.parametrize(("counts", "tip", "axis"), SHEET)
-def test_check_values_of_the_sheet(
-    counts: tuple[int, ...], tip: tuple[float, ...], axis: tuple[float, ...]
-) -> None:
-    tips, axes = ARM.forward(counts)
-    np.testing.assert_allclose(tips, [tip], atol=1e-4)
-    np.testing.assert_allclose(axes, [axis], atol=1e-5)
-
-
-def test_many_poses_at_once_are_the_same_poses() -> None:
+def test_check_values_of_the_sheet() -> None:
     tips, axes = ARM.forward([counts for counts, _, _ in SHEET])
-    np.testing.assert_allclose(tips, [tip for _, tip, _ in SHEET], atol=1e-3)
+    np.testing.assert_allclose(tips, [tip for _, tip, _ in SHEET], atol=1e-4)
     np.testing.assert_allclose(axes, [axis for _, _, axis in SHEET], atol=1e-5)
-
-
-def test_the_home_pose_stands_where_the_sheet_says() -> None:
-    tip, axis = ARM.forward(HOME)
-    assert np.hypot(tip[0, 0], tip[0, 1]) == pytest.approx(75, abs=0.5)
-    assert tip[0, 2] == pytest.approx(212, abs=0.5)
-    assert axis[0, 2] > 0.999
 
 
 def test_counts_past_one_turn_are_the_same_pose_and_the_sixth_joint_is_none() -> None:
@@ -56,17 +40,6 @@ def test_rounding_alone_moves_the_tip_by_what_the_sheet_says() -> None:
     moved = np.linalg.norm(ARM.forward(np.rint(counts))[0] - ARM.forward(counts)[0], axis=1)
     assert np.sqrt(np.mean(moved**2)) == pytest.approx(0.105, abs=0.003)
     assert moved.max() < 0.4
-
-
-def test_frames_end_where_forward_says() -> None:
-    angles = ARM.angles([counts for counts, _, _ in SHEET])
-    rotations, origins = ARM.frames(angles)
-    tips, axes = ARM.forward_angles(angles)
-    np.testing.assert_allclose(origins[:, -1], tips, atol=1e-9)
-    np.testing.assert_allclose(rotations[:, -1, :, 2], axes, atol=1e-12)
-    np.testing.assert_allclose(
-        rotations @ rotations.transpose(0, 1, 3, 2), np.tile(np.eye(3), (3, 6, 1, 1)), atol=1e-12
-    )
 
 
 def test_the_jacobian_is_the_slope() -> None:
@@ -136,11 +109,6 @@ def test_in_line_with_the_forearm_the_direction_gives_way_and_the_tip_does_not()
 def test_without_a_direction_any_pose_at_the_point_will_do() -> None:
     point = (-180.0, 240.0, 130.0)
     np.testing.assert_allclose(ARM.forward(inverse(ARM, point, start=HOME))[0], [point], atol=1e-6)
-
-
-def test_home_is_found_at_home() -> None:
-    tips, axes = ARM.forward(HOME)
-    np.testing.assert_allclose(inverse(ARM, tips[0], axes[0], start=HOME), HOME, atol=1e-6)
 
 
 def test_what_is_too_far_is_out_of_reach_and_says_by_how_much() -> None:

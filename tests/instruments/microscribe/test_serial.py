@@ -28,8 +28,6 @@ from tests.instruments.microscribe.rigs import POINT, UNIT, UP, Hand
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them"
 )
-POLL_S = 15 * 10 / 115200
-STREAMED_S = 14 * 10 / 115200
 
 
 class Bench:
@@ -47,10 +45,9 @@ class Bench:
         self.drivers: list[MicroScribe] = []
         self.plug_in()
 
-    def plug_in(self, *, baud: int = 115200, latency_s: float = 0.0) -> None:
-        self.unplug()
+    def plug_in(self) -> None:
         self.listener = PtyListener(
-            self.arm, self.clock, lock=self.lock, name="arm", baud=baud, latency_s=latency_s
+            self.arm, self.clock, lock=self.lock, name="arm", baud=115200, latency_s=0.0
         )
         self.name.symlink_to(self.listener.url)
 
@@ -60,8 +57,8 @@ class Bench:
             self.listener.close()
         self.listener = None
 
-    def signed_on(self, baud: int = 115200) -> MicroScribe:
-        link = Link(str(self.name), self.clock, who="arm", baud=baud)
+    def signed_on(self) -> MicroScribe:
+        link = Link(str(self.name), self.clock, who="arm", baud=115200)
         self.drivers.append(MicroScribe(link, self.clock))
         self.drivers[-1].sign_on()
         return self.drivers[-1]
@@ -97,51 +94,16 @@ def test_a_touch_over_a_real_port(bench: Bench) -> None:
     start = time.monotonic()
     for _ in range(100):
         driver.poll()
-    assert time.monotonic() - start >= 100 * POLL_S, "no faster than the wire"
+    assert time.monotonic() - start >= 100 * 15 * 10 / 115200, "no faster than the wire"
 
     with driver.stream(stamped=False) as samples:
         next(samples)
         start = time.monotonic()
         assert len(list(itertools.islice(samples, 200))) == 200
         took_s = time.monotonic() - start
-    assert took_s >= 150 * STREAMED_S, "what had come before the first look is there at once"
+    assert took_s >= 150 * 14 * 10 / 115200, "what had come before the first look is there at once"
     assert driver.poll().counts != UNIT.home
     assert driver.damaged == 0
-
-
-@pytest.mark.slow
-def test_the_slowest_line_behind_the_slowest_adapter(bench: Bench) -> None:
-    bench.plug_in(baud=9600, latency_s=0.016)
-    driver = bench.signed_on(9600)
-    assert driver.baud == 9600
-    driver.confirm_homed()
-    assert driver.read().n == 8
-    with driver.stream(stamped=False) as samples:
-        assert {sample.counts for sample in itertools.islice(samples, 30)} == {UNIT.home}
-    assert driver.poll().counts == UNIT.home
-    assert driver.damaged == 0
-
-
-def test_an_adapter_of_one_millisecond_polls_as_the_sheet_says_at_best(bench: Bench) -> None:
-    bench.plug_in(latency_s=0.001)
-    driver = bench.signed_on()
-    start = time.monotonic()
-    for _ in range(100):
-        driver.poll()
-    rate_hz = 100 / (time.monotonic() - start)
-    assert 20.0 < rate_hz <= 434.4, "a loaded machine is slower, the wire never faster"
-
-
-@pytest.mark.slow
-def test_a_session_that_was_left_at_another_rate_is_found_on_a_serial_port(bench: Bench) -> None:
-    bench.arm.faults.inject(Fault.WRONG_BAUD, 1, amount=38400)
-    driver = bench.signed_on()
-    assert driver.baud == 38400
-    assert driver.poll().counts == UNIT.home
-    with pytest.raises(NotHomedError, match="another baud rate"):
-        driver.confirm_homed()
-    driver.close()  # the end of the session is received: the arm finds its rate anew
-    assert bench.arm.state is State.FINDING_BAUD
 
 
 def test_the_arm_changes_its_rate_with_the_host_and_takes_no_other(bench: Bench) -> None:
@@ -172,33 +134,15 @@ def test_unplugged_and_plugged_in_again(bench: Bench) -> None:
         driver.read()
     with pytest.raises(LinkError, match=r"can't be opened.*Serial ports on this machine"):
         driver.recover(0.5)
-    back = bench.clock.now() + 1.0
-    plugging = threading.Timer(1.0, bench.plug_in)
+    back = bench.clock.now() + 0.3
+    plugging = threading.Timer(0.3, bench.plug_in)
     plugging.start()
     driver.recover(10.0)
     plugging.join()
     assert bench.clock.now() - back < 2.0
     assert driver.poll().counts == UNIT.home
-    with pytest.raises(NotHomedError, match="nobody can tell whether the arm kept its power"):
+    with pytest.raises(NotHomedError, match="the arm may have lost its power"):
         driver.read()
-
-
-def test_a_cable_that_breaks_within_a_packet_comes_back_elsewhere(bench: Bench) -> None:
-    driver = bench.signed_on()
-    assert bench.listener is not None
-    before = bench.listener.url
-    with bench.lock:
-        bench.arm.faults.inject("disconnect", amount=20)
-    with pytest.raises(LinkError):  # noqa: PT012 - once so many bytes have passed
-        for _ in range(100):
-            driver.poll()
-    driver.close()
-    deadline = time.monotonic() + 60.0
-    while bench.listener.url == before and time.monotonic() < deadline:
-        time.sleep(0.005)
-    bench.name.unlink()
-    bench.name.symlink_to(bench.listener.url)
-    assert bench.signed_on().poll().counts == UNIT.home
 
 
 def test_a_port_that_another_program_has_open(bench: Bench) -> None:
@@ -207,12 +151,6 @@ def test_a_port_that_another_program_has_open(bench: Bench) -> None:
         LinkError, match=r"can't be opened.*Another program has the port open: close it.*fuser"
     ):
         Link(str(bench.name), bench.clock, who="arm")
-
-
-def test_a_port_that_is_not_there(bench: Bench) -> None:
-    there = r"Is the adapter plugged in, and the port's name right\? Serial ports on this machine"
-    with pytest.raises(LinkError, match=there):
-        Link(str(bench.name.with_name("ttyUSB9")), bench.clock, who="arm")
 
 
 def test_a_port_that_one_may_not_use(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

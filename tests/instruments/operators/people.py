@@ -7,14 +7,15 @@ from __future__ import annotations
 import io
 import tomllib
 from collections.abc import Callable
+from typing import Any
 
 from bench.rig.loading import RIGS
 from bench.script.phantom import shipped_phantom
 from instruments.clock import VirtualClock
 from instruments.operators.console import Console
-from instruments.operators.emulated import EmulatedOperator, Mistake
+from instruments.operators.emulated import EmulatedOperator
 from instruments.operators.operator import Arrangement, Operator
-from instruments.operators.script import KINDS, ScriptedAnswers
+from instruments.operators.prompted import KINDS, ScriptedAnswers
 from instruments.world.optics import cameras_from_calibration
 from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer
@@ -36,24 +37,9 @@ def world(seed: int = 3) -> World:
     return World(VirtualClock(), seed, Renderer(cameras, seed))
 
 
-def hands(
-    of: World,
-    *,
-    hand_error_mm: float = 0.0,
-    placement_error_mm: float = 0.0,
-    placement_error_rad: float = 0.0,
-    prompt_s: float = 0.0,
-    mistakes: tuple[Mistake, ...] = (),
-) -> EmulatedOperator:
-    return EmulatedOperator(
-        of,
-        hand_error_mm=hand_error_mm,
-        placement_error_mm=placement_error_mm,
-        placement_error_rad=placement_error_rad,
-        prompt_s=prompt_s,
-        check_point_mm=CHECK_POINT_MM,
-        mistakes=mistakes,
-    )
+def hands(of: World, *, hand_error_mm: float = 0.0, **options: Any) -> EmulatedOperator:
+    at = CHECK_POINT_MM
+    return EmulatedOperator(of, hand_error_mm=hand_error_mm, check_point_mm=at, **options)
 
 
 def person(answers: str, out: io.StringIO | None = None) -> Console:

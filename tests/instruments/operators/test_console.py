@@ -11,28 +11,20 @@ from dataclasses import replace
 import pytest
 
 from instruments.clock import VirtualClock
+from instruments.operators import operator as op
 from instruments.operators.console import Console
-from instruments.operators.operator import (
-    Awaited,
-    CheckPoint,
-    Homing,
-    NextTrial,
-    OperatorAbort,
-    OperatorRepeat,
-    OperatorSkip,
-    Task,
-    Touch,
-    time_left,
-)
-from instruments.world.phantom import Teat
+from instruments.world.boards import Pattern
 from tests.instruments.operators.people import arrangement, person
 
 ASKED = arrangement("overlapping")
-PROMPTS: dict[str, Awaited] = {
-    "homing": Homing("x"),
-    "check point": CheckPoint(1, 5),
+PROMPTS: dict[str, op.Awaited] = {
+    "homing": op.Homing("x"),
+    "check point": op.CheckPoint(1, 5),
     "set up": ASKED,
-    "touch": Touch(1, 4),
+    "touch": op.Touch(1, 4),
+    "board": op.BoardAsked(Pattern(), "Hold the board. Missing: left: tilt the board.", 3),
+    "fixed board": op.BoardAsked(Pattern(), "Fix the board.", 1, fixed=True),
+    "corner": op.BoardTouch(0, "Touch point 1."),
 }
 IN_TRIALS = ("set up", "touch")
 
@@ -44,9 +36,9 @@ def asked(answers: str) -> tuple[Console, io.StringIO]:
 
 def test_it_says_what_to_do_and_waits_for_enter() -> None:
     who, out = asked("\n\n\n")
-    who.ask(Homing("Put the stylus on its peg."))
+    who.ask(op.Homing("Put the stylus on its peg."))
     assert who.ask(ASKED).visible == (True,) * 4
-    who.ask(Touch(3, 4))
+    who.ask(op.Touch(3, 4))
     peg = "Put the stylus on its peg."
     for words in (peg, "layout overlapping", ASKED.instruction, "teat 3 of 4"):
         assert words in out.getvalue()
@@ -54,27 +46,23 @@ def test_it_says_what_to_do_and_waits_for_enter() -> None:
 
 def test_it_says_how_far_the_run_is() -> None:
     who, out = asked("\n" * 5)
-    who.ask(NextTrial(3, 18, 754.0))
+    who.ask(op.NextTrial(3, 18, 754.0))
     who.ask(ASKED)
-    who.ask(Touch(2, 4, number=1, numbers=3))
-    who.ask(CheckPoint(4, 5))
+    who.ask(op.Touch(2, 4, number=1, numbers=3))
+    who.ask(op.CheckPoint(4, 5))
     said = out.getvalue()
     assert "[trial 3 of 18; about 13 min left] Situation ideal" in said
     touch = "[trial 3 of 18, teat 2 of 4, touch 1 of 3; about 13 min left]"
     assert f"{touch} Touch the end of teat 2 (RR) of 4" in said
     assert "[touch 4 of 5] Arm check" in said
 
-    who.ask(NextTrial(1, 18, None))
+    who.ask(op.NextTrial(1, 18, None))
     who.ask(ASKED)
     unknown = out.getvalue().removeprefix(said)
     assert "[trial 1 of 18] " in unknown
     assert "left" not in unknown
-
-
-def test_the_time_left_in_words() -> None:
-    assert time_left(0.0) == time_left(59.0) == "less than a minute left"
-    assert time_left(754.0) == "about 13 min left"
-    assert time_left(9000.0) == "about 2.5 h left"
+    assert op.time_left(0.0) == op.time_left(59.0) == "less than a minute left"
+    assert op.time_left(9000.0) == "about 2.5 h left"
 
 
 def test_teats_are_told_by_their_names_where_they_have_some() -> None:
@@ -83,18 +71,36 @@ def test_teats_are_told_by_their_names_where_they_have_some() -> None:
         replace(teat, name=name)
         for teat, name in zip(ASKED.phantom.teats, ("LF", "RF", "LR", "RR"), strict=True)
     )
-    assert isinstance(named[0], Teat)
     who.ask(replace(ASKED, phantom=replace(ASKED.phantom, teats=named)))
-    who.ask(Touch(3, 4))
+    who.ask(op.Touch(3, 4))
     assert "Touch the end of teat 3 (LR) of 4" in out.getvalue()
 
 
-def test_a_touch_that_is_asked_for_again_says_why() -> None:
+@pytest.mark.parametrize(
+    ("request_", "text"),
+    [
+        (op.Touch(2, 4, again="Not there."), "Once more: touch the end of teat 2 of 4"),
+        (op.BoardTouch(0, "Touch point 1.", again="Not there."), "Touch point 1."),
+    ],
+)
+def test_a_touch_that_is_asked_for_again_says_why(
+    request_: op.Touch | op.BoardTouch, text: str
+) -> None:
     who, out = asked("\n")
-    who.ask(Touch(2, 4, again="That was nearer to teat 3."))
-    said = out.getvalue()
-    again = "Once more: touch the end of teat 2 of 4"
-    assert said.index("That was nearer to teat 3.") < said.index(again)
+    who.ask(request_)
+    assert out.getvalue().index("Not there.") < out.getvalue().index(text)
+
+
+def test_boards_may_be_enough_but_for_one_that_is_to_be_touched() -> None:
+    who, out = asked("Enough\n")
+    with pytest.raises(op.OperatorEnough, match="has shown enough"):
+        who.ask(PROMPTS["board"])
+    assert "[view 3] Hold the board. Missing: left: tilt the board." in out.getvalue()
+    assert "e = enough, go on with what there is" in out.getvalue()
+    who, out = asked("enough\n\n")
+    who.ask(PROMPTS["fixed board"])
+    assert "Not understood: 'enough'." in out.getvalue()
+    assert "[position 1] Fix the board." in out.getvalue()
 
 
 def test_hidden_teats_are_told_by_number() -> None:
@@ -113,7 +119,7 @@ def test_nonsense_is_asked_again(wrong: str) -> None:
 def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
     who, out = asked(answer)
     why = "aborted the run" if answer else "nobody is at the terminal any more"
-    with pytest.raises(OperatorAbort, match=why):
+    with pytest.raises(op.OperatorAbort, match=why):
         who.ask(PROMPTS[prompt])
     assert "a = abort the run" in out.getvalue()
 
@@ -122,42 +128,31 @@ def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
 def test_a_question_mark_explains_the_prompt_and_it_is_asked_again(prompt: str) -> None:
     who, out = asked("?\n\n")
     who.ask(PROMPTS[prompt])
-    first, explained, again = (
-        out.getvalue().split("\n", 3)[1],
-        *out.getvalue().rsplit(": \n", 2)[1:],
-    )
-    assert first
+    explained = out.getvalue().rsplit(": \n", 2)[1]
     assert ("Skip: " in explained) is (prompt in IN_TRIALS)
     assert "Abort: " in explained
-    assert again == ""
     assert out.getvalue().count("? = explain") == 2
 
 
 @pytest.mark.parametrize("prompt", PROMPTS)
 def test_only_a_trial_can_be_skipped_or_repeated(prompt: str) -> None:
     who, out = asked("s the teat came off\na\n")
-    with pytest.raises(OperatorSkip if prompt in IN_TRIALS else OperatorAbort) as wish:
+    with pytest.raises(op.OperatorSkip if prompt in IN_TRIALS else op.OperatorAbort) as wish:
         who.ask(PROMPTS[prompt])
     assert ("s REASON" in out.getvalue()) is (prompt in IN_TRIALS)
-    if isinstance(wish.value, OperatorSkip):
+    if isinstance(wish.value, op.OperatorSkip):
         assert wish.value.reason == "the teat came off"
     who, out = asked("r\na\n")
-    with pytest.raises(OperatorRepeat if prompt in IN_TRIALS else OperatorAbort):
+    with pytest.raises(op.OperatorRepeat if prompt in IN_TRIALS else op.OperatorAbort):
         who.ask(PROMPTS[prompt])
 
 
-def test_a_skip_without_a_reason_is_asked_for_one() -> None:
-    who, out = asked("s\n the hose leaks \n")
-    with pytest.raises(OperatorSkip) as skip:
-        who.ask(Touch(1, 4))
+def test_a_skip_without_a_reason_is_asked_for_one_and_without_it_there_is_none() -> None:
+    who, out = asked("skip\n\ns\n the hose leaks \n")
+    with pytest.raises(op.OperatorSkip) as skip:
+        who.ask(op.Touch(1, 4))
     assert skip.value.reason == "the hose leaks"
-    assert "Why?" in out.getvalue()
-
-
-def test_no_reason_no_skip() -> None:
-    who, out = asked("skip\n\n\n")
-    who.ask(Touch(1, 4))
-    assert out.getvalue().count("Enter to go on") == 2
+    assert out.getvalue().count("Why?") == out.getvalue().count("Enter to go on") == 2
 
 
 def test_a_trip_is_told_and_ends_the_prompt() -> None:
@@ -167,7 +162,7 @@ def test_a_trip_is_told_and_ends_the_prompt() -> None:
         raise RuntimeError("interlock over-temperature: 39 degC")
 
     with pytest.raises(RuntimeError):
-        who.ask(Touch(1, 4), tripped)
+        who.ask(op.Touch(1, 4), tripped)
     assert "No answer is needed any more: interlock over-temperature: 39 degC" in out.getvalue()
 
 
@@ -180,29 +175,20 @@ def test_without_a_terminal_nobody_asks_the_pedals() -> None:
     out = io.StringIO()
     who = Console(io.StringIO("\n" * 6 + "a\n"), out, VirtualClock(), watch=never)
     for touch in range(1, 7):
-        who.ask(CheckPoint(touch, 6))
+        who.ask(op.CheckPoint(touch, 6))
     assert "pedal" not in out.getvalue()
     leans = re.findall(r"the stylus ([a-z ]+),", out.getvalue())
     assert len(set(leans[:5])) == 5
     assert leans[5] == leans[0]
-    with pytest.raises(OperatorAbort):
-        who.ask(CheckPoint(1, 6))
-
-
-def test_an_answer_that_nobody_typed_ends_the_row_of_its_question() -> None:
-    """On a terminal Enter does that; what is shown next would stand, and be cleared, in the
-    question's row.
-    """
-    who, out = asked("\n")
-    who.ask(Touch(1, 4))
-    assert out.getvalue().endswith("a = abort the run): \n")
+    with pytest.raises(op.OperatorAbort):
+        who.ask(op.CheckPoint(1, 6))
 
 
 def test_a_closed_output_is_a_terminal_that_has_gone() -> None:
     out = io.StringIO()
     out.close()
-    with pytest.raises(OperatorAbort, match="nobody is at the terminal"):
-        person("\n", out).ask(Touch(1, 4))
+    with pytest.raises(op.OperatorAbort, match="nobody is at the terminal"):
+        person("\n", out).ask(op.Touch(1, 4))
 
 
 def test_the_screen_is_cleared_for_each_prompt_and_given_back() -> None:
@@ -214,5 +200,5 @@ def test_the_screen_is_cleared_for_each_prompt_and_given_back() -> None:
         yield
         course.append("back")
 
-    Console(io.StringIO("\n"), io.StringIO(), VirtualClock(), screen=screen).ask(Task("x"))
+    Console(io.StringIO("\n"), io.StringIO(), VirtualClock(), screen=screen).ask(op.Task("x"))
     assert course == ["aside", "back"]

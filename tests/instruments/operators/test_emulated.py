@@ -4,13 +4,15 @@ once each when told.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from instruments.operators.emulated import EmulatedOperator, Mistake
-from instruments.operators.operator import CheckPoint, Touch
+from instruments.operators import operator as op
+from instruments.operators.emulated import SHOWN, BoardHands, EmulatedOperator, Mistake
+from instruments.world.boards import Pattern
 from instruments.world.phantom import PIVOT_MM, PlatePose
 from instruments.world.world import World
 from tests.instruments.operators.people import arrangement, hands, world
@@ -28,14 +30,11 @@ def turn_and_shift(of: World) -> tuple[float, float, float]:
     """How the phantom of table 5.1 stands against its layout, told from its ends alone: shift of
     the pivot in mm, turn in rad.
     """
-    wanted, found = arrangement().phantom.ends_mm[:, :2] - PIVOT_MM, of.ends_mm()[:, :2] - PIVOT_MM
-    a, b = wanted - wanted.mean(axis=0), found - found.mean(axis=0)
-    yaw = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)))
-    turned = wanted.mean(axis=0) @ np.array(
-        [[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]
-    )
-    x, y = found.mean(axis=0) - turned
-    return float(x), float(y), yaw
+    pivot = np.array([*PIVOT_MM, 0.0])
+    wanted, found = arrangement().phantom.ends_mm - pivot, of.ends_mm() - pivot
+    turn, _ = Rotation.align_vectors(found - found.mean(axis=0), wanted - wanted.mean(axis=0))
+    x, y, _ = found.mean(axis=0) - turn.apply(wanted.mean(axis=0))
+    return float(x), float(y), float(turn.as_rotvec()[2])
 
 
 @pytest.mark.slow
@@ -70,31 +69,13 @@ def test_what_stands_as_asked_is_not_touched_again() -> None:
     assert (here.ends_mm() != before).any()
 
 
-def test_without_errors_the_pose_is_the_one_asked_for() -> None:
-    here = world()
-    pose = PlatePose(10.0, -5.0, 3.0, 0.1)
-    hands(here).ask(arrangement(pose=pose))
-    assert here.ends_mm() == pytest.approx(arrangement().phantom.moved(pose).ends_mm, abs=1e-9)
-
-
-@pytest.mark.slow
-def test_chance_is_the_seed_s() -> None:
-    def ends(seed: int) -> np.ndarray:
-        here = world(seed)
-        hands(here, placement_error_mm=ERROR_MM).ask(arrangement())
-        return here.ends_mm()
-
-    assert (ends(1) == ends(1)).all()
-    assert (ends(1) != ends(2)).any()
-
-
 def test_touches_scatter_by_the_hand_s_error() -> None:
     here = world()
     who = hands(here, hand_error_mm=0.3)
     who.ask(arrangement())
     touched = []
     for _ in range(400):
-        who.ask(Touch(2, 4))
+        who.ask(op.Touch(2, 4))
         touched.append(tip(here) - here.ends_mm()[1])
     assert np.std(touched, axis=0) == pytest.approx([0.3] * 3, rel=0.12)
     assert np.mean(touched, axis=0) == pytest.approx(np.zeros(3), abs=0.06)
@@ -104,7 +85,7 @@ def touched_teats(who: EmulatedOperator, here: World, teats: list[int]) -> list[
     """Which teat the tip is at after each touch that is asked for."""
     at = []
     for teat in teats:
-        who.ask(Touch(teat, 4))
+        who.ask(op.Touch(teat, 4))
         at.append(int(np.linalg.norm(here.ends_mm() - tip(here), axis=1).argmin()) + 1)
     return at
 
@@ -150,31 +131,65 @@ def test_a_prompt_takes_its_time_and_the_interlocks_are_looked_at_meanwhile() ->
             raise RuntimeError("tripped")
 
     with pytest.raises(RuntimeError, match="tripped"):
-        who.ask(Touch(1, 4), tripped)
+        who.ask(op.Touch(1, 4), tripped)
     assert here.clock.now() == pytest.approx(10.5)
     assert here.arm_target() is None, "the hand had not got there yet"
 
 
 def test_who_knows_no_check_point_says_so() -> None:
     with pytest.raises(ValueError, match="give it check_point_mm"):
-        EmulatedOperator(world(), hand_error_mm=0.1).ask(CheckPoint(1, 5))
+        EmulatedOperator(world(), hand_error_mm=0.1).ask(op.CheckPoint(1, 5))
 
 
-SHIFTS, TURNS = st.floats(-50.0, 50.0), st.floats(-3.0, 3.0)
+# Calibration boards
+
+PATTERN = Pattern("chessboard", 10, 7, 40.0, 20.0)
+HELD = op.BoardAsked(PATTERN, "Hold the board.", 3)
+FIXED = op.BoardAsked(PATTERN, "Fix the board.", 1, fixed=True)
 
 
-@given(st.tuples(SHIFTS, SHIFTS, TURNS), st.tuples(SHIFTS, SHIFTS, TURNS))
-def test_what_was_put_on_a_stage_moves_with_it(
-    put: tuple[float, float, float], stage: tuple[float, float, float]
-) -> None:
-    """The ends after both motions are those after the first, turned about the turntable's axis and
-    shifted by the second.
-    """
-    phantom = arrangement().phantom
-    (x, y, yaw), pivot = stage, np.array([*PIVOT_MM, 0.0])
-    first, second = PlatePose(put[0], put[1], 2.0, put[2]), PlatePose(x, y, 3.0, yaw)
-    turn = np.array(
-        [[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]]
-    )
-    wanted = (phantom.moved(first).ends_mm - pivot) @ turn.T + pivot + [x, y, 3.0]
-    assert phantom.moved(first.carried(second)).ends_mm == pytest.approx(wanted, abs=1e-6)
+@pytest.mark.slow
+def test_hands_hold_the_board_where_both_cameras_see_all_of_it_another_way_each_time() -> None:
+    here = world()
+    hands = BoardHands(here)
+    boards = [hands.held(replace(HELD, number=n, heated=n == 3)) for n in (1, 2, 3)]
+    assert (boards[2].dark, boards[2].light) == (40.0, "ambient")
+    assert len({board.corner_mm for board in boards}) == 3
+    for board in boards:
+        for camera in here.renderer.cameras[:2]:
+            pixels = camera.project(board.corners_mm)
+            assert ((pixels > 0) & (pixels < (camera.width_px - 1, camera.height_px - 1))).all()
+
+
+def test_hands_have_had_enough_after_a_while() -> None:
+    with pytest.raises(op.OperatorEnough, match=f"has shown the board {SHOWN} times"):
+        hands(world()).ask(replace(HELD, number=SHOWN + 1))
+
+
+@pytest.mark.slow
+def test_hands_take_the_phantom_away_meanwhile_and_put_it_back() -> None:
+    here = world()
+    who = hands(here)
+    who.ask(HELD)
+    assert len(here.scene().boards) == 1
+    assert here.scene().phantom.teats == ()
+    here.show(None)
+    assert here.scene().boards == ()
+    assert len(here.scene().phantom.teats) == 4
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_hands_rest_the_ball_on_the_face_that_the_cameras_see(number: int) -> None:
+    here = world()
+    tips = BoardHands(here)
+    board = tips.held(replace(FIXED, number=number))
+    centre, axis = tips.tip(13, 1.5)
+    off = centre - board.corners_mm[13]
+    assert np.linalg.norm(off) == pytest.approx(1.5)
+    assert off @ (here.renderer.cameras[0].centre_mm - board.corners_mm[13]) > 0
+    assert axis @ off > 0, "the stylus comes from that side too"
+
+
+def test_hands_touch_nothing_where_no_board_is() -> None:
+    with pytest.raises(ValueError, match="holds no board"):
+        hands(world()).ask(op.BoardTouch(0, "Touch it."))

@@ -9,20 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from instruments.operators.operator import (
-    Answer,
-    Awaited,
-    BoardAsked,
-    BoardTouch,
-    CheckPoint,
-    Finish,
-    Homing,
-    NextTrial,
-    Operator,
-    Release,
-    Request,
-    Touch,
-)
+from instruments.operators import operator as op
 from instruments.world.boards import Pattern
 from tests.instruments.operators.people import ANSWERERS, arrangement
 
@@ -37,53 +24,53 @@ def tripped() -> None:
     raise TrippedError("over-temperature")
 
 
-FIXED = BoardAsked(Pattern(), "Fix the board where both cameras see it.", 1, fixed=True)
-HELD = BoardAsked(Pattern(), "Hold the board where both cameras see it.", 1)
-PEG = Homing("Put the stylus on its peg.")
-CORNER = BoardTouch(4, "Touch the middle point.")
-ASKED: tuple[Awaited, ...] = (
+FIXED = op.BoardAsked(Pattern(), "Fix the board where both cameras see it.", 1, fixed=True)
+HELD = op.BoardAsked(Pattern(), "Hold the board where both cameras see it.", 1)
+PEG = op.Homing("Put the stylus on its peg.")
+CORNER = op.BoardTouch(4, "Touch the middle point.")
+ASKED: tuple[op.Awaited, ...] = (
     PEG,
-    CheckPoint(1, 5),
+    op.CheckPoint(1, 5),
     arrangement(),
-    Touch(2, 4),
-    Touch(2, 4, number=2, numbers=3, again="That was nearer to teat 3."),
+    op.Touch(2, 4),
+    op.Touch(2, 4, number=2, numbers=3, again="That was nearer to teat 3."),
     HELD,
     FIXED,
     CORNER,
     replace(CORNER, again="That was another point."),
 )
-EACH_TRIAL: tuple[Request, ...] = (
+EACH_TRIAL: tuple[op.Request, ...] = (
     arrangement(),
-    *(Touch(teat, 4, number, 3) for teat in (1, 2, 3, 4) for number in (1, 2, 3)),
-    Release(),
+    *(op.Touch(teat, 4, number, 3) for teat in (1, 2, 3, 4) for number in (1, 2, 3)),
+    op.Release(),
 )
-RUN: tuple[Request, ...] = (
+RUN: tuple[op.Request, ...] = (
     PEG,
-    *(CheckPoint(touch, 5) for touch in range(1, 6)),
-    Release(),
-    *(NextTrial(1, 2, None), *EACH_TRIAL, NextTrial(2, 2, 60.0), *EACH_TRIAL),
-    Finish(),
+    *(op.CheckPoint(touch, 5) for touch in range(1, 6)),
+    op.Release(),
+    *(op.NextTrial(1, 2, None), *EACH_TRIAL, op.NextTrial(2, 2, 60.0), *EACH_TRIAL),
+    op.Finish(),
 )
-EACH_POSITION: tuple[Request, ...] = (
-    *(BoardTouch(at, "Touch it.") for at in (0, 4, 53)),
-    Release(),
+EACH_POSITION: tuple[op.Request, ...] = (
+    *(op.BoardTouch(at, "Touch it.") for at in (0, 4, 53)),
+    op.Release(),
 )
-CALIBRATION: tuple[Request, ...] = (
+CALIBRATION: tuple[op.Request, ...] = (
     *(replace(HELD, number=number) for number in (1, 2, 3)),
     PEG,
     *(FIXED, *EACH_POSITION, replace(FIXED, number=2), *EACH_POSITION),
-    Finish(),
+    op.Finish(),
 )
 
 
 @pytest.fixture(params=ANSWERERS)
-def who(request: pytest.FixtureRequest) -> Operator:
-    made: Callable[[], Operator] = ANSWERERS[request.param]
+def who(request: pytest.FixtureRequest) -> op.Operator:
+    made: Callable[[], op.Operator] = ANSWERERS[request.param]
     return made()
 
 
 @pytest.mark.parametrize("requests", [RUN, CALIBRATION], ids=["run", "calibration"])
-def test_goes_through_it_all(who: Operator, requests: tuple[Request, ...]) -> None:
+def test_goes_through_it_all(who: op.Operator, requests: tuple[op.Request, ...]) -> None:
     for request in requests:
         seen = who.ask(request).visible
         assert [type(one) for one in seen] == [bool] * (4 if request == arrangement() else 0)
@@ -91,16 +78,16 @@ def test_goes_through_it_all(who: Operator, requests: tuple[Request, ...]) -> No
 
 @pytest.mark.parametrize("asked", ASKED, ids=repr)
 def test_a_request_may_come_again_and_ends_with_what_the_check_raises(
-    who: Operator, asked: Awaited
+    who: op.Operator, asked: op.Awaited
 ) -> None:
     who.ask(arrangement())
     who.ask(FIXED)
     for _ in range(3):
-        assert isinstance(who.ask(asked), Answer)
+        assert isinstance(who.ask(asked), op.Answer)
     with pytest.raises(TrippedError, match="over-temperature"):
         who.ask(asked, tripped)
 
 
-def test_what_is_not_waited_for_checks_nothing(who: Operator) -> None:
-    for notice in (NextTrial(1, 2, None), Release(), Finish()):
+def test_what_is_not_waited_for_checks_nothing(who: op.Operator) -> None:
+    for notice in (op.NextTrial(1, 2, None), op.Release(), op.Finish()):
         who.ask(notice, tripped)

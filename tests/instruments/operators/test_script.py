@@ -9,23 +9,14 @@ from collections.abc import Mapping
 import pytest
 
 from instruments.errors import ProtocolError
-from instruments.operators.operator import (
-    CheckPoint,
-    Finish,
-    Homing,
-    Kind,
-    NextTrial,
-    OperatorAbort,
-    OperatorRepeat,
-    OperatorSkip,
-    Touch,
-)
-from instruments.operators.script import ScriptedAnswer, ScriptedAnswers
+from instruments.operators import operator as op
+from instruments.operators.prompted import ScriptedAnswer, ScriptedAnswers
+from instruments.world.boards import Pattern
 from tests.instruments.operators.people import arrangement
 
 
 def scripted(
-    *answers: ScriptedAnswer, otherwise: Mapping[Kind, str] | None = None
+    *answers: ScriptedAnswer, otherwise: Mapping[op.Kind, str] | None = None
 ) -> tuple[ScriptedAnswers, list[str]]:
     shown: list[str] = []
     return ScriptedAnswers(answers, otherwise or {}, "answers.toml", show=shown.append), shown
@@ -39,39 +30,42 @@ def test_answers_come_in_their_order() -> None:
         ScriptedAnswer("touch", "repeat"),
         ScriptedAnswer("touch", "s the teat came off"),
         ScriptedAnswer("touch", "abort"),
+        ScriptedAnswer("board", "enough", says="view 3"),
     )
-    who.ask(Homing("On its peg."))
-    who.ask(CheckPoint(1, 2))
-    who.ask(CheckPoint(2, 2))
+    who.ask(op.Homing("On its peg."))
+    who.ask(op.CheckPoint(1, 2))
+    who.ask(op.CheckPoint(2, 2))
     assert who.ask(arrangement()).visible == (True, False, True, False)
-    with pytest.raises(OperatorRepeat):
-        who.ask(Touch(1, 4))
-    with pytest.raises(OperatorSkip, match="the teat came off"):
-        who.ask(Touch(1, 4))
-    with pytest.raises(OperatorAbort):
-        who.ask(Touch(1, 4))
-    who.ask(Finish())
+    with pytest.raises(op.OperatorRepeat):
+        who.ask(op.Touch(1, 4))
+    with pytest.raises(op.OperatorSkip, match="the teat came off"):
+        who.ask(op.Touch(1, 4))
+    with pytest.raises(op.OperatorAbort):
+        who.ask(op.Touch(1, 4))
+    with pytest.raises(op.OperatorEnough):
+        who.ask(op.BoardAsked(Pattern(), "Hold it.", 3))
+    who.ask(op.Finish())
     assert shown[0] == "On its peg. > go"
-    assert len(shown) == 7
+    assert len(shown) == 8
 
 
 def test_an_answer_waits_for_the_prompt_that_it_is_for() -> None:
     skip = ScriptedAnswer("touch", "skip worn", says="trial 2 of 3, TEAT 3")
     who, _ = scripted(skip, otherwise={"touch": "go", "set up": "go"})
     for trial in (1, 2):
-        who.ask(NextTrial(trial, 3, None))
+        who.ask(op.NextTrial(trial, 3, None))
         who.ask(arrangement())
-        who.ask(Touch(1, 4))
+        who.ask(op.Touch(1, 4))
         if trial == 1:
-            who.ask(Touch(3, 4))
-    with pytest.raises(OperatorSkip, match="worn"):
-        who.ask(Touch(3, 4))
-    who.ask(Finish())
+            who.ask(op.Touch(3, 4))
+    with pytest.raises(op.OperatorSkip, match="worn"):
+        who.ask(op.Touch(3, 4))
+    who.ask(op.Finish())
 
 
 def test_an_unexpected_prompt_says_what_was_asked_and_what_is_next() -> None:
     who, _ = scripted(ScriptedAnswer("set up", "go", says="overlapping", where="line 7"))
-    who.ask(NextTrial(1, 6, None))
+    who.ask(op.NextTrial(1, 6, None))
     with pytest.raises(ProtocolError) as error:
         who.ask(arrangement())
     for words in (
@@ -83,20 +77,20 @@ def test_an_unexpected_prompt_says_what_was_asked_and_what_is_next() -> None:
         assert words in str(error.value)
     who, _ = scripted()
     with pytest.raises(ProtocolError, match="got no further answer"):
-        who.ask(Touch(1, 4))
+        who.ask(op.Touch(1, 4))
 
 
 def test_answers_that_nobody_asked_for_are_an_error_at_the_end() -> None:
     who, _ = scripted(
         ScriptedAnswer("homing", "go"), ScriptedAnswer("touch", "go", times=12, where="answer 2")
     )
-    who.ask(Homing("On its peg."))
-    who.ask(Touch(1, 4))
+    who.ask(op.Homing("On its peg."))
+    who.ask(op.Touch(1, 4))
     with pytest.raises(
         ProtocolError,
         match=r"11 answers of answers.toml were never asked for; the first is 'go' .*answer 2",
     ):
-        who.ask(Finish())
+        who.ask(op.Finish())
 
 
 def test_a_teat_that_is_not_there_can_not_be_hidden() -> None:
@@ -109,7 +103,7 @@ def test_a_teat_that_is_not_there_can_not_be_hidden() -> None:
     ("to", "answer", "words"),
     [
         ("touch", "skip", "needs a reason"),
-        ("touch", "2", 'Not understood: \'2\'; to a prompt of the kind "touch" there are "go", '),
+        ("corner", "enough", 'to a prompt of the kind "corner" there are "go", "abort"'),
         ("touch", "2", 'there are "go", "skip REASON", "repeat", "abort"'),
         ("homing", "skip it", 'there are "go", "abort"'),
         ("check point", "repeat", 'there are "go", "abort"'),
@@ -117,7 +111,7 @@ def test_a_teat_that_is_not_there_can_not_be_hidden() -> None:
     ],
 )
 def test_an_answer_that_fits_no_such_prompt_is_refused_at_once(
-    to: Kind, answer: str, words: str
+    to: op.Kind, answer: str, words: str
 ) -> None:
     with pytest.raises(ValueError, match=r".") as error:
         ScriptedAnswer(to, answer)
