@@ -19,17 +19,18 @@ from bench.config import ConfigError, did_you_mean, read_config
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, TrialRecord, read_run
 from bench.record.schema import RULES, SCRIPT
-from bench.results.latency import Latency, latency_of
 from bench.results.verdicts import (
     DetectorRequirement,
     Judgement,
+    Latency,
     decide_detector,
     held_back,
+    latency_of,
     truth_u_mm,
 )
 from bench.scoring.comparison import Compared, Gate, ScenePair, compare
 from bench.scoring.decisions import Verdict
-from bench.scoring.pool import Pool
+from bench.scoring.scene import Pool
 from bench.script.model import Rules, Script
 
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm

@@ -21,17 +21,18 @@ from bench.record.reader import RunRecord
 from bench.record.schema import SCRIPT
 from bench.scoring.errors import Bools, Floats
 from bench.scoring.precision import GageStudy, Precision, gage_study, precision
-from bench.scoring.regions import (
+from bench.scoring.spread import (
     BiasTest,
     Cell,
     Ellipsoid,
+    Trend,
     bias_ellipsoid,
     bias_test,
     error_map,
     pose_means,
     prediction_ellipsoid,
+    trends,
 )
-from bench.scoring.trends import Trend, trends
 from bench.script.model import Script, layouts_of, planned_of
 
 WITHIN = ("time_s", "bath_c")

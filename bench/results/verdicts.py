@@ -4,8 +4,9 @@ and the arm's against its checks and its dated verification.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -13,7 +14,6 @@ import numpy as np
 
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
-from bench.results.latency import Latency, latency_of
 from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
     Decision,
@@ -25,7 +25,8 @@ from bench.scoring.decisions import (
     decide_time,
     overall,
 )
-from bench.scoring.pool import Pool, pool
+from bench.scoring.errors import percentile
+from bench.scoring.scene import Pool, pool
 from bench.script.calibration_age import decide_calibration
 from bench.script.model import (
     ArmRequirement,
@@ -38,7 +39,8 @@ from bench.script.model import (
     SuccessRequirement,
     TimeRequirement,
 )
-from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
+from bench.truth.arm_tip import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
+from detector.protocol import Outcome
 
 VERIFICATION_FACT = "arm verification"
 
@@ -303,3 +305,112 @@ def _bath(rule: BathRequirement, run: RunRecord) -> Decision:
     held = sum(abs(temp - set_point_c) <= rule.band_k for temp in temps)
     what = f"bath within {rule.band_k:g} K of the set point at every capture"
     return decide_condition(rule.name, what, held=held, of=len(temps))
+
+
+LATENCY_RULE = (
+    "Answers and time-outs count; the first call of each process (cold) and its start-up stand"
+    " apart, failures have no time. Percentiles are observed values."
+)
+STARVED_BELOW = 0.7  # share of a processor
+LEAST_TIMED_S = 0.2  # in all: a system may count a process's time in steps of 16 ms
+_TIMED = (Outcome.ANSWERED.value, Outcome.TIMEOUT.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """seconds: what counts, in the order of the trials, and ``poses`` the pose of each. cold_s:
+    first calls. start_up_s: the longest start of a process, None for none.
+
+    unanswered: how often each outcome but an answer came about, of ``asked`` calls. cpu_s and
+    loads: as in `Answer`, for each of ``seconds``.
+    """
+
+    seconds: tuple[float, ...] = ()
+    cold_s: tuple[float, ...] = ()
+    start_up_s: float | None = None
+    unanswered: Mapping[str, int] = field(default_factory=dict)
+    poses: tuple[Hashable, ...] = ()
+    cpu_s: tuple[float | None, ...] = ()
+    loads: tuple[float | None, ...] = ()
+    asked: int = 0
+
+    @property
+    def silent(self) -> int:
+        """Calls without an answer, whatever came of them."""
+        return sum(self.unanswered.values())
+
+    @property
+    def failed(self) -> int:
+        """Calls without a time: crashes, unusable answers, and calls after it was switched off."""
+        return self.silent - self.unanswered.get(Outcome.TIMEOUT.value, 0)
+
+    @property
+    def median_s(self) -> float | None:
+        """None where nothing was timed."""
+        return percentile(self.seconds, 50) if self.seconds else None
+
+    @property
+    def p95_s(self) -> float | None:
+        """As the median."""
+        return percentile(self.seconds, 95) if self.seconds else None
+
+    @property
+    def p99_s(self) -> float | None:
+        """As the median."""
+        return percentile(self.seconds, 99) if self.seconds else None
+
+    @property
+    def starved(self) -> str:
+        """A warning where the machine gave the detector less than `STARVED_BELOW` of a processor.
+
+        In the bench's process by processor seconds over elapsed; of another process by the
+        machine's load.
+        """
+        timed = list(zip(self.cpu_s, self.seconds, self.loads, strict=True))
+        used = [(cpu_s, seconds) for cpu_s, seconds, _ in timed if cpu_s is not None]
+        loads = [load for cpu_s, _, load in timed if load is not None and cpu_s is None]
+        cpu_s, wall_s = (sum(column) for column in zip(*used, strict=True)) if used else (0.0, 0.0)
+        load = percentile(loads, 50) if loads else 0.0
+        if wall_s >= LEAST_TIMED_S and cpu_s < STARVED_BELOW * wall_s:
+            why = f"in {wall_s:.1f} s of detection it had a processor for {cpu_s:.1f} s; it waited"
+            why += " for one, or for something else"
+        elif load > 1.0 / STARVED_BELOW:
+            why = f"half of the time {load:.1f} or more processes wanted each processor"
+        else:
+            return ""
+        return (
+            f"THE MACHINE WAS TOO BUSY FOR THESE TIMES TO HOLD: {why}. On an idle machine they may"
+            " be shorter."
+        )
+
+
+def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> Latency:
+    """The times of one detector over the trials that count; of one situation where named."""
+    rows = [
+        (trial.pose, row)
+        for trial in run.counted
+        if situation in (None, trial.head["situation"])
+        for row in trial.detections
+        if row["detector"] == detector
+    ]
+    timed = [(pose, row) for pose, row in rows if row["outcome"] in _TIMED]
+    warm = [(pose, row) for pose, row in timed if not row["cold"]]
+    outcomes = Counter(row["outcome"] for _, row in rows)
+    del outcomes[Outcome.ANSWERED.value]
+    starts = [row["wall_start_up_s"] for _, row in rows if row["wall_start_up_s"] is not None]
+    return Latency(
+        seconds=tuple(row["wall_seconds"] for _, row in warm),
+        cold_s=tuple(row["wall_seconds"] for _, row in timed if row["cold"]),
+        start_up_s=max(starts, default=None),
+        unanswered=outcomes,
+        poses=tuple(pose for pose, _ in warm),
+        cpu_s=tuple(row["wall_cpu_s"] for _, row in warm),
+        loads=tuple(row["wall_load"] for _, row in warm),
+        asked=len(rows),
+    )
+
+
+def failures_told(latency: Latency) -> str:
+    """``3 timeout, 1 failure``; ``none``."""
+    counts = sorted(latency.unanswered.items())
+    return ", ".join(f"{count} {outcome}" for outcome, count in counts) or "none"

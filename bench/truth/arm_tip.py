@@ -4,17 +4,20 @@ becomes a point of the table.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.rig.arm_files import TableFrame
+from bench.rig.arm_files import LocationTest, TableFrame
 from bench.rig.model import Arm
+from instruments.clock import Clock
 from instruments.errors import LimitError
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.stream import Reading
+from instruments.operators.operator import CheckPoint, Release, Request
 
 
 class ReadableArm(Protocol):
@@ -66,3 +69,58 @@ class TipReader:
             if self._frame is None
             else self._frame.u_registration_mm(point_mm, self._settings.accuracy_mm)
         )
+
+
+BEFORE, AFTER = "before", "after"
+CHECK_FACT = "arm check {}"  # before, after
+
+
+def check_arm(
+    ask: Callable[[Request], object],
+    tip: TipReader,
+    arm: Arm,
+    clock: Clock,
+    check: Callable[[], None],
+) -> dict[str, Any]:
+    """Have the operator touch the rig's check point; gives back the fact to store. ``check`` is
+    called before each touch, and may raise.
+    """
+    touches = []
+    for touch in range(1, arm.check_touches + 1):
+        check()
+        ask(CheckPoint(touch, arm.check_touches))
+        seen = tip.read()
+        touches.append(
+            {
+                "t_s": clock.now(),
+                "tip_mm": seen.tip_mm.tolist(),
+                "axis": seen.axis.tolist(),
+                "spread_mm": float(seen.spread_mm),
+                "counts": [int(count) for count in seen.counts],
+            }
+        )
+    ask(Release())
+    return {"check_point_mm": arm.check_point_mm, "touches": touches}
+
+
+def location_of(fact: Mapping[str, Any], where: str) -> LocationTest:
+    """The touches of a stored check, world frame."""
+    touches = fact["touches"]
+    return LocationTest(
+        where, np.array([t["tip_mm"] for t in touches]), np.array([t["axis"] for t in touches])
+    )
+
+
+def shift_mm(fact: Mapping[str, Any]) -> float:
+    """How far the mean of the touches lies from where the rig says that the divot is."""
+    return float(np.linalg.norm(location_of(fact, "").centre_mm - np.array(fact["check_point_mm"])))
+
+
+def told(fact: Mapping[str, Any], when: str) -> str:
+    """The sentence for the events."""
+    test = location_of(fact, when)
+    return (
+        f"arm check {when} the trials: {test.n} touches within {test.largest_mm:.2f} mm of their"
+        f" mean, which is {shift_mm(fact):.2f} mm from the check point; the stylus swung by"
+        f" {test.swing_deg:.0f} degrees"
+    )

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from bench.results import sensitivity_limits
-from bench.results.sensitivity import shifts_mm
-from bench.results.sensitivity_limits import Outline, outline_of
+from bench.results import sensitivity
+from bench.results.sensitivity import Outline, outline_of, shifts_mm
 from bench.rig.loading import RIGS
 from bench.rig.scenes import warm
 from detector.calibration import Calibration, ParameterCovariance, load_calibration
@@ -59,7 +58,7 @@ def test_no_estimate_of_an_edge_scatters_less_than_its_information_says() -> Non
         np.full(rows, contrast),
         np.zeros(rows),
     )
-    information = sensitivity_limits.edge_information(outline, sigma_px, np.full(rows, noise))
+    information = sensitivity.edge_information(outline, sigma_px, np.full(rows, noise))
     assert estimated.std() == pytest.approx(information[0, 0] ** -0.5, rel=0.05)
     assert information[1, 1] == 0.0
 
@@ -74,12 +73,12 @@ def test_noise_is_that_of_the_sensors_own_frames() -> None:
         * np.sqrt(electrons + 60.0**2)
         * np.random.default_rng(2).standard_normal(200_000)
     )
-    assert sensitivity_limits.noise_dn(sensor, np.array([grey]), 1.0)[0] == pytest.approx(
+    assert sensitivity.noise_dn(sensor, np.array([grey]), 1.0)[0] == pytest.approx(
         drawn.std(), rel=0.01
     )
     assert (
-        sensitivity_limits.noise_dn(sensor, np.array([grey]), 2.0)[0]
-        < 2.0 * sensitivity_limits.noise_dn(sensor, np.array([grey]), 1.0)[0]
+        sensitivity.noise_dn(sensor, np.array([grey]), 2.0)[0]
+        < 2.0 * sensitivity.noise_dn(sensor, np.array([grey]), 1.0)[0]
     )
 
 
@@ -111,7 +110,7 @@ def test_an_outline_lies_where_the_picture_changes(renderer: Renderer, state: Sc
 def test_the_limit_is_the_disparitys_noise_times_z_squared_over_f_b(
     renderer: Renderer, state: SceneState, calibration: Calibration
 ) -> None:
-    covariance = sensitivity_limits.end_covariances(renderer, state, [1])[0]
+    covariance = sensitivity.end_covariances(renderer, state, [1])[0]
     end = state.phantom.ends_mm[1]
     per_picture = []
     for eye, camera in (
@@ -119,13 +118,13 @@ def test_the_limit_is_the_disparitys_noise_times_z_squared_over_f_b(
         (renderer.right, renderer.cameras[1]),
     ):
         outline = outline_of(state.phantom, 1, camera, eye.expected(state, renderer.shadows(state)))
-        noise = sensitivity_limits.noise_dn(
+        noise = sensitivity.noise_dn(
             eye.readout.sensor, 0.5 * (outline.inside + outline.outside), 1.0
         )
         depth = float(camera.camera_from_world(end[None])[0, 2])
-        information = sensitivity_limits.edge_information(
+        information = sensitivity.edge_information(
             outline,
-            sensitivity_limits.edge_sigma_px(eye.readout.sensor, depth, float(camera.fc.mean())),
+            sensitivity.edge_sigma_px(eye.readout.sensor, depth, float(camera.fc.mean())),
             noise,
         )
         per_picture.append(1.0 / information[0, 0])
@@ -151,7 +150,7 @@ def test_limits_grow_with_noise_and_shrink_with_contrast(
         for a in (0.05, 0.4)
     )
     best, worse, worst = (
-        np.trace(sensitivity_limits.end_covariances(*each, [0])[0])
+        np.trace(sensitivity.end_covariances(*each, [0])[0])
         for each in ((renderer, dark), (renderer, grey), (noisy, grey))
     )
     assert best < worse < worst
@@ -159,10 +158,10 @@ def test_limits_grow_with_noise_and_shrink_with_contrast(
 
 def test_quantiles_are_those_of_a_shifted_normal_distribution() -> None:
     one_axis = np.diag([1e-12, 1e-12, 4.0])[None]
-    median, p95 = sensitivity_limits.error_quantiles_mm(one_axis, np.zeros((1, 3)), (0.5, 0.95))
+    median, p95 = sensitivity.error_quantiles_mm(one_axis, np.zeros((1, 3)), (0.5, 0.95))
     assert median == pytest.approx(2.0 * 0.6745, rel=0.05)
     assert p95 == pytest.approx(2.0 * 1.96, rel=0.05)
-    shifted = sensitivity_limits.error_quantiles_mm(
+    shifted = sensitivity.error_quantiles_mm(
         1e-12 * np.eye(3)[None], np.array([[3.0, 4.0, 0.0]]), (0.5,)
     )
     assert shifted[0] == pytest.approx(5.0, abs=1e-4)
@@ -178,7 +177,7 @@ def test_a_thermal_picture_shows_teats_until_noise_drowns_what_all_their_pixels_
         eyes = Renderer.from_calibration(
             table, 1, thermal=replace(ThermalSensor.from_calibration(table), netd_k=netd_k)
         )
-        shares.append(sensitivity_limits.nominated_share(eyes, state, [0, 1, 2, 3]))
+        shares.append(sensitivity.nominated_share(eyes, state, [0, 1, 2, 3]))
     assert shares[0] == pytest.approx(1.0, abs=1e-9)
     assert shares[1] == pytest.approx(1.0, abs=1e-6)
     assert shares[1] > shares[2] > shares[3]
@@ -191,13 +190,13 @@ def test_miscalibration_moves_perfect_pixels_as_its_covariance_says(
     size_px, ends = 0.05, state.phantom.ends_mm
     shifts = np.array(
         [
-            shifts_mm(calibration, sensitivity_limits.told(size_px, seed, calibration), ends)
+            shifts_mm(calibration, sensitivity.miscalibrated(size_px, seed, calibration), ends)
             for seed in range(300)
         ]
     )
     spread = ParameterCovariance(
-        tuple(sensitivity_limits.SPREAD_PER_PX),
-        np.diag([(size_px * one) ** 2 for one in sensitivity_limits.SPREAD_PER_PX.values()]),
+        tuple(sensitivity.SPREAD_PER_PX),
+        np.diag([(size_px * one) ** 2 for one in sensitivity.SPREAD_PER_PX.values()]),
     )
     expected = replace(calibration, covariance=spread).covariance_of(ends)
     rms = np.sqrt((shifts**2).sum(axis=2).mean(axis=0))
@@ -207,9 +206,9 @@ def test_miscalibration_moves_perfect_pixels_as_its_covariance_says(
 def test_miscalibration_is_seeded_scales_and_leaves_the_rest_alone(
     calibration: Calibration,
 ) -> None:
-    one, twice = (sensitivity_limits.told(size, 4, calibration) for size in (0.1, 0.2))
-    assert sensitivity_limits.told(0.1, 4, calibration).left == one.left
-    assert sensitivity_limits.told(0.1, 5, calibration).left != one.left
+    one, twice = (sensitivity.miscalibrated(size, 4, calibration) for size in (0.1, 0.2))
+    assert sensitivity.miscalibrated(0.1, 4, calibration).left == one.left
+    assert sensitivity.miscalibrated(0.1, 5, calibration).left != one.left
     moved = np.subtract(one.left.cc, calibration.left.cc)
     assert np.subtract(twice.left.cc, calibration.left.cc) == pytest.approx(2.0 * moved)
     before = calibration.right_from_left.T
@@ -219,6 +218,6 @@ def test_miscalibration_is_seeded_scales_and_leaves_the_rest_alone(
     assert one.thermal_from_left is calibration.thermal_from_left
     assert shifts_mm(
         calibration,
-        sensitivity_limits.told(0.0, 4, calibration),
+        sensitivity.miscalibrated(0.0, 4, calibration),
         np.array([[-150.0, 240.0, 135.0]]),
     ) == pytest.approx(0.0, abs=1e-6)

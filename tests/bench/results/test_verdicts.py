@@ -16,8 +16,7 @@ from bench.config import read_config
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.page import _latency_parts
 from bench.report.wording import headline
-from bench.results.latency import latency_of
-from bench.results.verdicts import judge, run_verdict
+from bench.results.verdicts import judge, latency_of, run_verdict
 from bench.scoring.decisions import Decision, Verdict
 from bench.script.model import RECORDING_RULES, Rules, SuccessRequirement, TimeRequirement
 from reports.page import Paragraph

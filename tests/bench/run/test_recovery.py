@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from bench.record.reader import RunRecord, read_run
-from bench.results.latency import latency_of
+from bench.results.verdicts import latency_of
 from bench.rig.emulation_model import EmulatedFault
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import load_rig

@@ -183,7 +183,7 @@ def test_nothing_found_by_both_compares_no_error() -> None:
 
 def test_only_teats_that_both_found_are_compared_each_with_itself() -> None:
     old, new = noisy(1)[[0, 1, 3]], noisy(2)[[3, 2, 1]]
-    a, b = common_errors(pairs([old], [new])[0])
+    a, b, _ = common_errors(pairs([old], [new]))
     assert a == pytest.approx(noisy(1)[[1, 3]] - TRUTH[[1, 3]])
     assert b == pytest.approx(noisy(2)[[1, 3]] - TRUTH[[1, 3]])
 

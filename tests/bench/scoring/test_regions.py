@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from statsmodels.stats.multivariate import test_mvmean as hotelling  # type: ignore[import-untyped]
 
 from bench.scoring.errors import Floats
-from bench.scoring.regions import (
+from bench.scoring.spread import (
     LEAST_POSES,
     Cell,
     Ellipsoid,

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 
 from bench.scoring.decisions import decide_rate
 from bench.scoring.matching import Counts
-from bench.scoring.pool import Pool, pool
 from bench.scoring.rates import Rate
 from bench.scoring.sample_size import failures_allowed, shown_error_mm
-from bench.scoring.scene import SceneScore, scene_from_dict, score_scene
+from bench.scoring.scene import Pool, SceneScore, pool, scene_from_dict, score_scene
 
 # table 5.1
 TRUTH = np.array(

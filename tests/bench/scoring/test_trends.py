@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.stats import t
 
 from bench.scoring.errors import Floats
-from bench.scoring.trends import LEAST_TREND_POSES, Trend, trend, trends
+from bench.scoring.spread import LEAST_TREND_POSES, Trend, trend, trends
 
 
 def line(x: Floats, y: Floats, strata: npt.NDArray[np.int64]) -> float:

@@ -13,8 +13,10 @@ import pytest
 from scipy.stats import binom
 
 from bench.config import ConfigError
-from bench.truth.registration import Registration, RegistrationError, Station
-from bench.truth.registration_file import (
+from bench.truth.registration import (
+    Registration,
+    RegistrationError,
+    Station,
     as_facts,
     load_registration,
     registration_from_facts,

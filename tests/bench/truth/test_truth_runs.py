@@ -24,7 +24,7 @@ from bench.rig.loading import RIGS, load_rig
 from bench.run.truth_source import REGISTRATION_FILE, refuse_carry
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
-from bench.truth.registration_file import (
+from bench.truth.registration import (
     load_registration,
     registration_from_facts,
     write_registration,
