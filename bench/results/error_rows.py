@@ -3,8 +3,7 @@ teat, and the gage R&R study of the truth.
 
 Time and temperature are asked within a teat's pose where poses are repeated; else over the poses,
 where they can't be separated from place. In the gage study a part is a teat at a pose; an appraiser
-is a run, or, of one run, a repeat. Cells must be full: what was touched less often is left out and
-counted.
+is a run, or, of one run, a repeat. Cells must be full; the rest is left out and counted.
 """
 
 from __future__ import annotations
@@ -40,10 +39,9 @@ WITHIN = ("time_s", "bath_c")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorRows:
-    """One row a visible teat and trial of one detector, in order of time.
-
-    ``places_mm`` (n, 3) is the true end; ``found`` (n,); ``errors_mm`` (k, 3) belong to the found
-    rows. The rest is (n,), not-a-number where it isn't known.
+    """One row a visible teat and trial of one detector, in order of time. ``places_mm`` (n, 3) is
+    the true end; ``found`` (n,); ``errors_mm`` (k, 3) of the found rows. The rest is (n,),
+    not-a-number where not known.
     """
 
     places_mm: Floats
@@ -93,11 +91,8 @@ class TeatErrors:
 
 @dataclass(frozen=True, slots=True)
 class PosePlace:
-    """One teat at one pose: where its end was (mean of the repeats), how often it was to be found
-    and was, and its worst distance.
-
-    ``worst_trial`` is the trial of that distance, ``missed_trial`` the first that missed it; None
-    where there is no such trial.
+    """One teat at one pose: mean place of its end, how often it was to be found and was, its worst
+    distance with the trial of it, and the first trial that missed it; None for none.
     """
 
     teat: str
@@ -239,9 +234,7 @@ Touches = dict[Part, dict[str, list[tuple[float, float, float]]]]
 @dataclass(frozen=True, slots=True)
 class TruthGage:
     """The studies along the world's x, y and z, mm; None where the record doesn't hold one, and
-    ``why`` then says why not.
-
-    ``left_out`` parts had too few touches or set-ups.
+    ``why`` not. ``left_out`` parts had too few touches or set-ups.
     """
 
     studies: tuple[GageStudy, GageStudy, GageStudy] | None

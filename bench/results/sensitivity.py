@@ -1,8 +1,13 @@
-"""The sensitivity study: eight quantities and their values as a table, the scenes of each (a member
-of the family `ideal` with one thing changed), and what detectors find in them.
+"""The sensitivity study: quantities and their values as a table, the scenes of each (a member of
+the family `ideal` with one thing changed), what detectors find in them, and what no method could
+beat. Members, noise and calibration errors are the same at every value.
 
-Members, noise and calibration errors are the same at every value, so that only the quantity
-differs.
+The limit is Cramer and Rao's bound (Kay, Fundamentals of Statistical Signal Processing I, 3.9): an
+edge of contrast C, blurred by sigma_b under white noise sigma_n, tells its place along the normal
+with C^2 / (2 sqrt(pi) sigma_b sigma_n^2) a pixel of length; summed along the outline in both
+pictures and carried to the world. For an upright teat it comes to Z^2 / (f B) times the noise of
+the disparity. A calibration error has a size in pixels of the principal point; every other
+parameter is wrong by what moves a picture about as far.
 """
 
 from __future__ import annotations
@@ -59,12 +64,8 @@ def true_calibration(_value: float, _seed: int, calibration: Calibration) -> Cal
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One quantity: its ``name`` as a file's, ``label`` with its unit, the ``values`` it takes,
-    ``about`` in one sentence.
-
-    ``set_up`` gives the scene of a value and a member's seed, ``optics`` the sensors, ``told`` the
-    calibration that detectors are handed. ``thermal``: whether the limit of nomination belongs
-    beside it.
+    """One quantity. ``set_up`` gives the scene of a value and a member's seed, ``optics`` the
+    sensors, ``told`` the calibration that detectors get. ``thermal``: with the limit of nomination.
     """
 
     name: str
@@ -94,7 +95,7 @@ class Tally:
 @dataclass(frozen=True, slots=True)
 class Limit:
     """What physics allows at one value: error by pixel noise, depth error of a fixed disparity
-    share (median), and share of ends that a thermal picture can show (None where not asked).
+    share (median), share of ends that a thermal picture can show (None where not asked).
     """
 
     median_mm: float
@@ -130,10 +131,8 @@ class Bench:
 
 
 def measure(bench: Bench, quantity: Quantity) -> Iterator[Measured]:
-    """What every detector does at each value, one by one. Cameras are made anew only where their
-    sensors change.
-
-    Raises ConfigError for a scene that can't be set up before these cameras.
+    """What every detector does at each value, one by one; cameras are made anew only for other
+    sensors. Raises ConfigError for a scene that can't be set up before these cameras.
     """
     table = tomllib.loads(read_text(bench.rig.calibration_path))
     said = bench.rig.rig.emulation
@@ -156,7 +155,16 @@ def _at(bench: Bench, quantity: Quantity, value: float, renderer: Renderer) -> M
     bounds: list[tuple[Array, Array, Array]] = []
     shares: list[tuple[int, float]] = []
     for member in bench.members:
-        state, frames = _drawn(bench, quantity, value, member, renderer)
+        noise = np.random.default_rng([bench.seed, member, *quantity.name.encode()])
+        try:
+            state = warm(quantity.set_up(value, member, renderer))
+            taken = renderer.render(state, noise)
+        except ValueError as error:
+            raise ConfigError.plain(
+                f"{quantity.name} {value:g} can't be set up for member {member}: {error}; choose"
+                " others by --first"
+            ) from error
+        frames = FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
         told = quantity.told(value, member, truth)
         seen = renderer.visible_ends(state).all(axis=1)
         teats, ends = np.flatnonzero(seen).tolist(), state.phantom.ends_mm
@@ -166,12 +174,11 @@ def _at(bench: Bench, quantity: Quantity, value: float, renderer: Renderer) -> M
             failed = int(answer.outcome is not Outcome.ANSWERED)
             tallies[detector.name] += Tally(found.distances_mm, len(found.false), failed)
         if teats:
+            depths = truth.depth_per_disparity_px_mm(ends[teats])
             covariances = end_covariances(renderer, state, teats)
-            shifts = shifts_mm(truth, told, ends[teats])
-            bounds.append((covariances, shifts, truth.depth_per_disparity_px_mm(ends[teats])))
-            if quantity.thermal:
-                nominated = nominated_share(renderer, state, teats)
-                shares.append((len(teats), nominated))
+            bounds.append((covariances, shifts_mm(truth, told, ends[teats]), depths))
+        if teats and quantity.thermal:
+            shares.append((len(teats), nominated_share(renderer, state, teats)))
     if not bounds:
         return Measured(value, 0, tallies, None)
     covariances, shifts, depths = (np.concatenate(each) for each in zip(*bounds, strict=True))
@@ -179,22 +186,6 @@ def _at(bench: Bench, quantity: Quantity, value: float, renderer: Renderer) -> M
     disparity = MEDIAN_OF_NORMAL * DISPARITY_PX * float(np.median(depths))
     share = sum(n * one for n, one in shares) / len(shifts) if shares else None
     return Measured(value, len(shifts), tallies, Limit(median, p95, disparity, share))
-
-
-def _drawn(
-    bench: Bench, quantity: Quantity, value: float, member: int, renderer: Renderer
-) -> tuple[SceneState, FrameSet]:
-    """One member at one value."""
-    noise = np.random.default_rng([bench.seed, member, *quantity.name.encode()])
-    try:
-        state = warm(quantity.set_up(value, member, renderer))
-        taken = renderer.render(state, noise)
-    except ValueError as error:
-        raise ConfigError.plain(
-            f"{quantity.name} {value:g} can't be set up for member {member}: {error}; choose others"
-            " by --first"
-        ) from error
-    return state, FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
 
 
 def shifts_mm(calibration: Calibration, told: Calibration, ends_mm: Array) -> Array:
@@ -222,19 +213,6 @@ class Outline:
 
 def outline_of(phantom: Phantom, teat: int, camera: CameraModel, picture: Image) -> Outline:
     """The outline of teat number ``teat``, sides and end, from a ``picture`` without noise."""
-    points, outward, below = _pieces(phantom, teat, camera)
-    at = camera.project(points)
-    normal = camera.project(points + 0.01 * outward) - at
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    along = np.linalg.norm(np.diff(at, axis=0), axis=1)
-    length = 0.5 * (np.concatenate([[0.0], along]) + np.concatenate([along, [0.0]]))
-    inside, outside = (_grey(picture, at + side * BESIDE_PX * normal) for side in (-1.0, 1.0))
-    known = np.isfinite(inside) & np.isfinite(outside)
-    return Outline(normal[known], length[known], inside[known], outside[known], below[known])
-
-
-def _pieces(phantom: Phantom, teat: int, camera: CameraModel) -> tuple[Floats, Floats, Floats]:
-    """Points (n, 3) mm along the outline, normals (n, 3), how far below the end's middle."""
     end, axis = phantom.ends_mm[teat], phantom.axes[teat]
     shape = phantom.teats[teat].shape
     middle = end - shape.radius_mm * axis
@@ -249,7 +227,15 @@ def _pieces(phantom: Phantom, teat: int, camera: CameraModel) -> tuple[Floats, F
     side = np.tile(across, (len(down), 1))
     outward = np.concatenate([side, cap, -side])
     below = np.concatenate([down[::-1], np.zeros(len(cap)), down])
-    return middle - below[:, None] * axis + shape.radius_mm * outward, outward, below
+    points = middle - below[:, None] * axis + shape.radius_mm * outward
+    at = camera.project(points)
+    normal = camera.project(points + 0.01 * outward) - at
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    along = np.pad(np.linalg.norm(np.diff(at, axis=0), axis=1), 1)
+    length = 0.5 * (along[1:] + along[:-1])
+    inside, outside = (_grey(picture, at + way * BESIDE_PX * normal) for way in (-1.0, 1.0))
+    known = np.isfinite(inside) & np.isfinite(outside)
+    return Outline(normal[known], length[known], inside[known], outside[known], below[known])
 
 
 def _grey(picture: Image, at: Floats) -> Floats:
@@ -289,6 +275,7 @@ def end_covariances(renderer: Renderer, state: SceneState, teats: Sequence[int])
     """Least covariances (n, 3, 3) mm^2 of the ends, world axes, from both noise-free pictures."""
     shadows = renderer.shadows(state)
     information = np.zeros((len(teats), 3, 3))
+    steps = GRADIENT_STEP_MM * np.eye(3)
     for eye, camera in zip((renderer.left, renderer.right), renderer.cameras[:2], strict=True):
         picture, sensor = eye.expected(state, shadows), eye.readout.sensor
         for i, teat in enumerate(teats):
@@ -298,16 +285,10 @@ def end_covariances(renderer: Renderer, state: SceneState, teats: Sequence[int])
             noise = noise_dn(sensor, 0.5 * (outline.inside + outline.outside), state.exposure.gain)
             sigma_px = edge_sigma_px(sensor, depth, float(camera.fc.mean()))
             seen = edge_information(outline, sigma_px, noise)
-            slope = _pixels_per_mm(camera, end)
+            moved = camera.project(end + steps) - camera.project(end - steps)  # px, (3, 2)
+            slope = moved.T / (2.0 * GRADIENT_STEP_MM)
             information[i] += slope.T @ seen @ slope
     return np.asarray(np.linalg.inv(information), dtype=np.float64)
-
-
-def _pixels_per_mm(camera: CameraModel, point_mm: Floats) -> Floats:
-    """How pixels move with a point, (2, 3)."""
-    steps = GRADIENT_STEP_MM * np.eye(3)
-    moved = camera.project(point_mm + steps) - camera.project(point_mm - steps)
-    return np.asarray(moved.T / (2.0 * GRADIENT_STEP_MM))
 
 
 def error_quantiles_mm(
@@ -322,10 +303,8 @@ def error_quantiles_mm(
 
 def nominated_share(renderer: Renderer, state: SceneState, teats: Sequence[int]) -> float:
     """Share of these teats that a matched filter finds in a thermal frame at one false alarm a
-    frame (Neyman and Pearson).
-
-    A teat that covers N pixels, dT warmer than the room, has a signal of dT sqrt(N) / sigma; one of
-    as many places as there are pixels gets past the threshold by noise alone.
+    frame (Neyman and Pearson): N pixels, dT warmer than the room, have a signal of dT sqrt(N) /
+    sigma.
     """
     sensor, camera = renderer.thermal.readout.sensor, renderer.cameras[2]
     threshold = float(norm.isf(1.0 / (sensor.width_px * sensor.height_px)))

@@ -173,13 +173,9 @@ def _positive_sd(sd: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A rate to be shown. ``poses_needed`` for 0, 1, 2, … failures; the rest is about the poses
-    that there are, None where none were named.
-
-    ``failures_allowed`` is None too where no number of successes in them shows the rate. Where
-    limit and uncertainty of the error were named: ``at_the_edge`` poses show it up to the
-    acceptance limit (None: no number does), and the poses that there are, else the fewest without a
-    failure, up to ``error_shown_mm``.
+    """A rate to be shown: ``poses_needed`` for 0, 1, 2, … failures; the rest, where named, about
+    the poses that there are and the error's limit (``at_the_edge`` poses show it up to the
+    acceptance limit, those there are up to ``error_shown_mm``). None where nothing shows it.
     """
 
     rate: float
@@ -226,10 +222,8 @@ def make_plan(
     u_mm: float | None = None,
 ) -> Plan:
     """The plan for showing ``rates``, and for comparing with the chance ``power`` at the two-sided
-    level 1 - ``confidence``.
-
-    ``limit_mm`` of the error with ``u_mm``, the truth's standard uncertainty along an axis: what
-    poses near the limit need.
+    level 1 - ``confidence``; with ``limit_mm`` and the truth's ``u_mm`` along an axis, near the
+    limit.
     """
     alpha, there = round(1.0 - confidence, 12), poses or None
     accept = None if limit_mm is None or u_mm is None else acceptance_limit_mm(limit_mm, u_mm)
