@@ -1,5 +1,8 @@
-"""The arm's tip in the world: the one place where a reading, which is in the arm's own frame,
-becomes a point of the table.
+"""The arm's tip in the world, the one place where a reading of the arm's own frame becomes a point
+of the table; and the check of the arm before and after a run, on a known divot.
+
+The check finds an arm that was not homed, a pushed table or arm, a slipping joint. What was touched
+becomes a fact of the run; the script's requirement decides.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ from instruments.operators.operator import CheckPoint, Release, Request
 
 
 class ReadableArm(Protocol):
-    """What is asked of the driver."""
+    """The driver's part that is used."""
 
     @property
     def identity(self) -> Identity: ...
@@ -29,9 +32,7 @@ class ReadableArm(Protocol):
 
 
 class TipReader:
-    """Reads ``arm`` as the rig says. Without a ``frame`` the arm's own frame is the world, as in
-    the thesis.
-    """
+    """Reads ``arm`` as the rig says. Without a ``frame`` the arm's own frame is the world."""
 
     def __init__(self, arm: ReadableArm, settings: Arm, frame: TableFrame | None) -> None:
         self._arm = arm
@@ -39,18 +40,15 @@ class TipReader:
         self._frame = frame
 
     def refuse_other_arm(self) -> None:
-        """Raises LimitError where the frame is that of another arm; to be called once the arm has
-        said who it is.
-        """
+        """Raises LimitError where the frame is that of another arm than the one that is open."""
         serial_number = self._arm.identity.serial_number
         if self._frame is not None and self._frame.serial_number != serial_number:
             what = (
                 f"the rig's table frame is of the arm {self._frame.serial_number}, but the arm that"
                 f" answers is {serial_number}"
             )
-            raise LimitError(
-                "arm", what, hint="Make the frame anew with this arm: 'teatbench arm frame'"
-            )
+            hint = "Make the frame anew with this arm: 'teatbench arm frame'"
+            raise LimitError("arm", what, hint=hint)
 
     def read(self) -> Reading:
         """One reading of a still arm, in the world. Raises as the driver does."""
@@ -61,14 +59,10 @@ class TipReader:
         return replace(seen, tip_mm=motion.apply(seen.tip_mm), axis=motion.R @ seen.axis)
 
     def u_registration_mm(self, point_mm: NDArray[np.float64]) -> float | None:
-        """What the frame adds to the uncertainty of ``point_mm``, along an axis; None where the
-        world is the arm's frame.
-        """
-        return (
-            None
-            if self._frame is None
-            else self._frame.u_registration_mm(point_mm, self._settings.accuracy_mm)
-        )
+        """The frame's part of the uncertainty of (3,), along an axis; None without a frame."""
+        if self._frame is None:
+            return None
+        return self._frame.u_registration_mm(point_mm, self._settings.accuracy_mm)
 
 
 BEFORE, AFTER = "before", "after"

@@ -1,14 +1,13 @@
 """Where the stage's axes lie in the world, from touches of one teat end at three or more stage
-positions; and how far that holds.
+positions; how far that holds; and the dated file of it.
 
 A rigid motion carries (`world_from_stage`). Scale per axis and squareness are diagnostics only: a
-misfit may as well be the arm's as the stage's, and a truth that follows the arm's own errors from
-place to place would hide them. What the axes may be off by is stated in the rig file and enters the
-uncertainty of everything carried. Where the touches cast doubt on that statement (a chi-square test
-at `DOUBT`), what they show is put on top. They resolve little (some 2 mm/m), so a doubt that waited
-for proof would leave stages unlike their statement uncovered: of a stage five to ten times worse, a
-95 % region would hold 84 to 92 % of poses at 0.01 or 0.2, and holds 94 to 97 % at 0.4. Where they
-contradict it (at `ALPHA`), the report says what to mend.
+misfit may as well be the arm's as the stage's. What the axes may be off by is stated in the rig
+file and enters the uncertainty of everything carried. Where the touches cast doubt on that
+statement (a chi-square test at `DOUBT`), what they show is put on top. They resolve little (some 2
+mm/m): of a stage five to ten times worse, a 95 % region would hold 84 to 92 % of poses at 0.01 or
+0.2, and holds 94 to 97 % at 0.4. Where they contradict it (at `ALPHA`), the report says what to
+mend.
 
 E = [[sx, -gxy, -gxz], [0, sy, -gyz], [0, 0, sz]]: a stage that is told to go by D goes by (I + E)
 D, in its own axes. The x axis is the reference, and g is by how much the angle between two axes
@@ -68,9 +67,7 @@ class StageAccuracy:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """How far one property of the axes is from ideal: 0 where the stage is perfect; ``u`` is its
-    standard uncertainty.
-    """
+    """How far one property of the axes is from ideal (0), with its standard uncertainty ``u``."""
 
     name: str
     value: float
@@ -102,11 +99,10 @@ def free_fit(q: Floats, seen: Floats) -> FreeFit:
     high = np.std(q[:, 2]) > _FLAT_MM and np.linalg.svd(q, compute_uv=False)[2] > _FLAT_MM
     turns = [np.cross(axis, q).ravel() for axis in np.eye(3)]
     bends = [(q @ entry.T).ravel() for entry in _ENTRIES[: 6 if high else 3]]
-    design = np.column_stack([*turns, *bends])
-    found = np.asarray(np.linalg.lstsq(design, (seen - q).ravel(), rcond=None)[0], dtype=np.float64)
-    left_over = np.asarray((seen - q).ravel() - design @ found)
-    freedom = 3 * len(q) - 3 - design.shape[1]
+    design, off = np.column_stack([*turns, *bends]), (seen - q).ravel()
+    found = np.asarray(np.linalg.lstsq(design, off, rcond=None)[0], dtype=np.float64)
     covariance = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
+    left_over, freedom = np.asarray(off - design @ found), 3 * len(q) - 3 - design.shape[1]
     return FreeFit(found[:3], found[3:], covariance, left_over, freedom)
 
 
@@ -117,8 +113,8 @@ for _i, (_row, _column) in enumerate(((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1
 
 
 def bent_mm(q: Floats, way_mm: Floats) -> Floats:
-    """(3, 6): how a carry by ``way_mm`` (3,) is off for each entry of E, with the turn of the fit
-    to q (n, 3) that it brings.
+    """(3, 6): how a carry by ``way_mm`` (3,) is off for each entry of E, with the fit to q (n, 3)
+    turned.
     """
     inverse = np.linalg.inv(np.sum(q**2) * np.eye(3) - q.T @ q)
     turned = [inverse @ np.sum(np.cross(q, q @ entry.T), axis=0) for entry in _ENTRIES]
@@ -133,7 +129,7 @@ GROSS_MM, GROSS_U = 5.0, 15.0
 
 
 class RegistrationError(ValueError):
-    """The touches give no registration. The sentence says why, and what to do."""
+    """The touches give no registration; the sentence says why, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,8 +210,8 @@ class Registration:
 
     @cached_property
     def u_mm(self) -> float:
-        """As stated; larger where what no axis error explains is too large for that (Birge ratio;
-        chi-square test at `ALPHA`).
+        """As stated; larger where the touches scatter more (Birge ratio; chi-square test at
+        `ALPHA`).
         """
         freedom = self._free.freedom
         chi2 = float(np.sum(self._free.left_over**2)) / self.stated_u_mm**2
@@ -225,35 +221,33 @@ class Registration:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Of the axes that the positions exercise: x, y and their squareness, and z where the
-        height varied.
-        """
+        """Of the axes that the positions exercise; of z where the height varied."""
         u = np.sqrt(np.diag(self._theta_covariance))
         rows = zip(NAMES, self._free.theta.tolist(), u.tolist(), strict=False)
         return tuple(Diagnostic(*row) for row in rows)
 
     @cached_property
     def p_value(self) -> float:
-        """How likely the diagnostics are, if the stage is as good as stated and the touches are."""
+        """How likely the diagnostics are, if stage and touches are as good as stated."""
         theta = self._free.theta
         expected = self._theta_covariance + np.diag(self.stated.deformation[: len(theta)])
         return float(chdtrc(len(theta), theta @ np.linalg.solve(expected, theta)))
 
     @property
     def doubted(self) -> bool:
-        """Whether the touches leave it open that the axes are worse than stated: the carry's
-        uncertainty covers what they show.
+        """Whether the axes may be worse than stated; the carry's uncertainty then covers what is
+        seen.
         """
         return self.p_value < DOUBT
 
     @property
     def contradicted(self) -> bool:
-        """Whether the touches say that the axes are worse than stated."""
+        """Whether the axes are worse than stated."""
         return self.p_value < ALPHA
 
     def carry_covariance_mm2(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
-        """Covariance (3, 3), world axes, of what a carry from one stage position (3,) to another
-        adds to a touched end.
+        """Covariance (3, 3), world axes, that a carry from one stage position (3,) to
+        another adds.
         """
         way = np.subtract(stage_to_mm, stage_from_mm)
         turn = cross_matrix(way)
@@ -271,17 +265,13 @@ class Registration:
         return np.asarray(self.world_from_stage.R @ way)
 
     def target_error_mm(self, stage_mm: ArrayLike) -> float:
-        """Expected error of ``world_from_stage`` at a stage position, from the touches alone
-        (Fitzpatrick's formula).
-        """
+        """Expected error at a stage position, from the touches alone (Fitzpatrick's formula)."""
         return float(
             target_error_mm(sqrt(3.0) * self.u_mm, self.stage_mm, np.atleast_2d(stage_mm))[0]
         )
 
     def outdated(self, serial_number: str, frame_made: datetime | None) -> str:
-        """Why it doesn't hold for the world of this arm and its table frame (None without one);
-        empty where it does.
-        """
+        """Why it doesn't hold for this arm and its table frame (None without one); else empty."""
         if self.serial_number != serial_number:
             return (
                 f"was made with the arm {self.serial_number}, but the arm that answers is"
@@ -331,8 +321,8 @@ class Registration:
 
     @cached_property
     def _deformation(self) -> Floats:
-        """Second moments (6, 6) of E's entries: as stated, and what the touches show on top where
-        they cast doubt on it.
+        """Second moments (6, 6) of E's entries: as stated, and in doubt what the touches show on
+        top.
         """
         moments = np.diag(self.stated.deformation)
         if self.doubted:
@@ -432,8 +422,8 @@ def as_dict(registration: Registration) -> dict[str, Any]:
 
 
 def as_facts(registration: Registration) -> dict[str, Any]:
-    """The same as facts of a run; when it was made stands apart, since one made at the run's start
-    doesn't repeat with the seed.
+    """The same as facts of a run; when it was made stands apart: it doesn't repeat with
+    the seed.
     """
     whole = as_dict(registration)
     return {MADE_FACT: whole.pop("made").isoformat(), REGISTRATION_FACT: whole}
@@ -450,7 +440,9 @@ def write_registration(path: Path, registration: Registration) -> None:
 
 
 def load_registration(path: Path) -> Registration:
-    """The registration at ``path``. Raises ConfigError with all faults, each in its place."""
+    """The registration at ``path``, worked out again from the touches. Raises ConfigError with all
+    faults, each in its place; also where the file's figures don't follow from its touches.
+    """
     file = read_config(path, _RegistrationFile)
     try:
         found = _registration(file)
