@@ -180,24 +180,17 @@ def test_checks_confirm_and_are_in_the_report(carried: Done) -> None:
     assert "guard band" in carried.page
 
 
-def test_each_end_s_budget_is_stored_with_it(carried: Done) -> None:
-    for trial in carried.run.trials:
-        for row in trial.truth:
-            budget = json.loads(row["budget"])
-            names = [line["name"] for line in budget["components"]]
-            assert names == ["arm", "definition", "resolution", "scatter"] + (
-                ["carry"] if row["how"] == "carried" else []
-            )
-            assert (
-                row["u_mm"]
-                == budget["u_mm"]
-                == pytest.approx(np.sqrt(sum(line["u_mm"] ** 2 for line in budget["components"])))
-            )
+def test_budgets_are_stored_and_the_guard_band_is_of_the_largest(carried: Done) -> None:
+    rows = [row for trial in carried.run.trials for row in trial.truth]
+    largest = max(row["u_mm"] for row in rows)
+    for row in rows:
+        budget = json.loads(row["budget"])
+        names = ["arm", "definition", "resolution", "scatter", "carry"]
+        assert [line["name"] for line in budget["components"]] == names[
+            : 4 + (row["how"] == "carried")
+        ]
+        assert row["u_mm"] == budget["u_mm"]
     assert carried.page.count("Uncertainty of the truth") >= len(carried.run.trials)
-
-
-def test_the_guard_band_is_of_the_largest_uncertainty(carried: Done) -> None:
-    largest = max(row["u_mm"] for trial in carried.run.trials for row in trial.truth)
     assert max(score.u_mm for score in scored(carried.run, "thesis").scores) == largest
     assert f"u = {largest:.3f} mm" in carried.page
 
@@ -239,11 +232,6 @@ def test_a_ball_tip_gives_the_same_ends(tmp_path: Path) -> None:
     assert np.linalg.norm(ball.off_mm, axis=1).max() < 0.8, "not corrected it would be 3 mm"
     assert len(ball.run.trials[0].touches) == 16
     assert "tip radius" in ball.page
-    exact = ball.run.trials[0].truth[0]["exact_mm"]
-    tips = [row for row in ball.run.trials[0].touches if row["teat"] == "1"]
-    off = np.mean([off_mm({**tip, "exact_mm": exact}) for tip in tips], axis=0)
-    # the record keeps what the arm read
-    assert np.linalg.norm(off) == pytest.approx(3.0, abs=0.8)
 
 
 @pytest.mark.parametrize(
