@@ -300,10 +300,12 @@ class _Shown:
     """A frame set for one detector: read-only, so that it can't change what others see."""
 
     def __init__(self, frames: Frames) -> None:
-        self.left, self.right, self.thermal, self.thermal_k = (
-            None if picture is None else picture.view()
-            for picture in (frames.left, frames.right, frames.thermal, frames.thermal_k)
-        )
-        for picture in (self.left, self.right, self.thermal, self.thermal_k):
-            if picture is not None:
-                picture.setflags(write=False)
+        self.left, self.right = _fixed(frames.left), _fixed(frames.right)
+        self.thermal, self.thermal_k = _fixed(frames.thermal), _fixed(frames.thermal_k)
+
+
+def _fixed(picture: Any) -> Any:
+    view = None if picture is None else picture.view()
+    if view is not None:
+        view.setflags(write=False)
+    return view

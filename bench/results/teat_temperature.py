@@ -65,7 +65,7 @@ def surface(
     if external_c:
         sensor_k, place_k = figures.external_accuracy_k, SENSOR_SPAN_K / math.sqrt(3.0)
         place = f"± {SENSOR_SPAN_K:g} K, root to tip and teat to teat"
-        components = (
+        components: tuple[Component, ...] = (
             Component("sensor at the phantom", sensor_k, "rig file, external_accuracy_k"),
             Component("the sensor's place", place_k, place),
             steady,

@@ -149,12 +149,10 @@ def summarise(
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or det(rotation) < 0:
             raise ValueError("camera_from_world: no proper rotation, so it would change lengths")
         errors = errors @ rotation.T
-    return ErrorSummary(
-        len(errors),
-        "world" if camera_from_world is None else "camera",
-        *(summarise_axis(values) for values in (*errors.T, errors.ravel())),
-        summarise_radial(np.linalg.norm(errors, axis=1)),
-    )
+    x, y, z, components = (summarise_axis(values) for values in (*errors.T, errors.ravel()))
+    frame = "world" if camera_from_world is None else "camera"
+    radial = summarise_radial(np.linalg.norm(errors, axis=1))
+    return ErrorSummary(len(errors), frame, x, y, z, components, radial)
 
 
 def percentile(values: npt.ArrayLike, percent: float) -> float:

@@ -218,8 +218,10 @@ def error_map(
     table = np.column_stack([x, y, z, mean, np.sqrt(square), worst]).tolist()
     rows = zip(centres.tolist(), teats.tolist(), n.tolist(), table, strict=True)
     return tuple(
-        Cell(*place, all_teats, k, (m[0], m[1], m[2]), *m[3:]) if k else Cell(*place, all_teats, 0)
-        for place, all_teats, k, m in rows
+        Cell(at_x, at_y, all_teats, k, (m[0], m[1], m[2]), m[3], m[4], m[5])
+        if k
+        else Cell(at_x, at_y, all_teats, 0)
+        for (at_x, at_y), all_teats, k, m in rows
     )
 
 

@@ -87,36 +87,6 @@ def test_the_same_answers_are_shown_to_be_no_worse_by_72_poses(n: int, verdict: 
         assert told.endswith("(margin 0.25 mm): 72 poses with such changes show less")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("n", [8, 20, 60])
-def test_a_gate_is_hardly_ever_green_where_some_poses_got_worse_by_more_than_the_margin(
-    n: int,
-) -> None:
-    """7 % of the poses are 4 mm worse, 0.28 mm in the mean: of 60 gates at most 6 green (99.9 %
-    where 2.5 % are).
-    """
-    rng, start = np.random.default_rng(n), TRUTH[:1]
-    green = 0
-    for _ in range(60):
-        worse = np.where(rng.random(n) < 0.07, 4.0, 0.0)
-        olds = rng.normal(0.0, 0.1, n)
-        found = compare(
-            [
-                ScenePair(
-                    str(k), str(k), "ideal", one(start, 0.5 + old), one(start, 0.5 + old + by)
-                )
-                for k, (old, by) in enumerate(zip(olds, worse, strict=True))
-            ]
-        )
-        green += found.gate.verdict is MET
-    assert green <= 6
-
-
-def one(truth: Floats, by_mm: float) -> SceneScore:
-    found = np.add(truth, [0.0, by_mm, 0.0])
-    return score_scene(found, truth, [True], u_mm=0.2, seconds=0.4, limit_mm=5.0, time_limit_s=2.0)
-
-
 @pytest.mark.parametrize("by_mm", [1.6, -1.6])
 def test_a_depth_error_of_a_fifth_of_a_pixel_is_worse_either_way(by_mm: float) -> None:
     found = shifted(by_mm)  # 0.2 px of disparity at 8 mm a pixel
@@ -358,7 +328,7 @@ def test_poses_count_not_rows() -> None:
     )
     assert by_pose.poses == 12
     # 600 rows taken for independent would be 7 times too sure
-    widths = [np.subtract(found.high, found.low) for found in (by_pose, by_row)]
+    widths = [(found.high or 0.0) - (found.low or 0.0) for found in (by_pose, by_row)]
     assert widths[0] > 4 * widths[1]
 
 

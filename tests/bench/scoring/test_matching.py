@@ -88,13 +88,6 @@ def test_no_other_assignment_is_cheaper(
     assert cost(result, found, truth) == pytest.approx(least, abs=1e-6)
 
 
-@given(clouds(), clouds(), st.integers(0, 2**32 - 1), st.floats(1, 60))
-def test_order_does_not_matter(found: Floats, truth: Floats, seed: int, c: float) -> None:
-    rng = np.random.default_rng(seed)
-    a, b = rng.permutation(len(found)), rng.permutation(len(truth))
-    assert gospa_mm(found, truth, c) == pytest.approx(gospa_mm(found[a], truth[b], c), abs=1e-9)
-
-
 @given(clouds(), clouds(), st.floats(1, 60), st.data())
 def test_every_finding_and_every_teat_is_accounted_for_once(
     found: Floats, truth: Floats, c: float, data: st.DataObject

@@ -175,7 +175,7 @@ def test_a_carried_end_keeps_its_budget_and_gets_a_line() -> None:
     there = moved(start, np.array([1.0, 2.0, 3.0]), carry, "carried 5 mm", 0.35)
     parts = {c.name: c.u_mm for c in there.uncertainty.components}
     assert (there.how, there.point_mm) == (How.CARRIED, (1.0, 2.0, 3.0))
-    assert (parts["registration"], parts[CARRY]) == (0.35, pytest.approx(0.2))
+    assert (parts["registration"], parts[CARRY]) == pytest.approx((0.35, 0.2))
     alike = sum(u**2 for name, u in parts.items() if name != CARRY)
     assert np.allclose(there.covariance_mm2, alike * np.eye(3) + carry)
 
