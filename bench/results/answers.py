@@ -238,7 +238,11 @@ def examine(
         raise
     # anyone's code: it may fail in any way, and not every library's errors are Exceptions
     except BaseException as error:
-        outcome, detection = Outcome.FAILED, _nothing(_named(error))
+        try:
+            why = f"{type(error).__name__}: {error}"
+        except Exception:  # its own words fail
+            why = type(error).__name__
+        outcome, detection = Outcome.FAILED, _nothing(why)
     start_up_s = served.start_up_s if served else None
     return Answer(
         detector.name,
@@ -286,14 +290,6 @@ def points_of(detection: Detection) -> NDArray[np.float64]:
 
 def _nothing(why: str) -> Detection:
     return Detection((), 0, f"the detector failed: {one_line(why)}"[:LONGEST_REASON], ())
-
-
-def _named(error: BaseException) -> str:
-    """The failure's class, and its own words where it has any."""
-    try:
-        return f"{type(error).__name__}: {error}"
-    except Exception:  # its own words fail
-        return type(error).__name__
 
 
 class _Shown:

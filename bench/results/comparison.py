@@ -166,21 +166,17 @@ def _paired(
     old: Sequence[TrialRecord], new: Sequence[TrialRecord]
 ) -> tuple[list[tuple[TrialRecord, TrialRecord]], int]:
     """Pairs in the old order; how many shared only a name."""
-    by_frames, by_name = _unique(new, _frames), _unique(new, _name)
-    ours = _unique(old, _frames)
-    taken: set[str] = set()
-    pairs: list[tuple[TrialRecord, TrialRecord]] = []
+    by_frames, by_name, ours = _unique(new, _frames), _unique(new, _name), _unique(old, _frames)
+    pairs: dict[str, tuple[TrialRecord, TrialRecord]] = {}  # by the new one's id
     elsewhere = 0
     for trial in old:
         key = _frames(trial)
         other = by_frames.get(key) if key and key in ours else None
         if other is None and (other := by_name.get(_name(trial))) and not _same_place(trial, other):
             elsewhere += 1
-            continue
-        if other is not None and other.id not in taken:
-            taken.add(other.id)
-            pairs.append((trial, other))
-    return pairs, elsewhere
+        elif other is not None:
+            pairs.setdefault(other.id, (trial, other))
+    return list(pairs.values()), elsewhere
 
 
 def _same_place(one: TrialRecord, other: TrialRecord) -> bool:

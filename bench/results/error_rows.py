@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
+from operator import itemgetter
 
 import numpy as np
 
@@ -190,12 +191,11 @@ def pose_places(rows: ErrorRows) -> tuple[PosePlace, ...]:
     places = []
     for teat, pose in sorted(at, key=lambda key: (key[0], at[key][0])):
         here = at[teat, pose]
-        missed = [row for row in here if not rows.found[row]]
-        seen = [(float(distances[row]), -row) for row in here if rows.found[row]]
-        worst_mm, row = max(seen, default=(None, 0))
+        missed = [rows.trials[row] for row in here if not rows.found[row]]
+        seen = [(float(distances[row]), rows.trials[row]) for row in here if rows.found[row]]
+        worst_mm, worst = max(seen, key=itemgetter(0), default=(None, None))  # the first of equals
         x, y, z = rows.places_mm[here].mean(axis=0).tolist()
-        worst = None if worst_mm is None else rows.trials[-row]
-        first_missed = rows.trials[missed[0]] if missed else None
+        first_missed = missed[0] if missed else None
         counts = len(here), len(here) - len(missed)
         places.append(PosePlace(teat, pose, (x, y, z), *counts, worst_mm, worst, first_missed))
     return tuple(places)

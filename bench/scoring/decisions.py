@@ -199,16 +199,17 @@ def decide_count(
     if count < 0 or scenes < 0 or (count and not scenes):
         raise ValueError(f"decide_count: {count} in {scenes} scenes is impossible")
     rule = "at most 0 in all scenes that were run"
-    nothing = Decision(name=name, rule=rule, limit=0.0, sentence="No scene was scored.")
     if not scenes:
-        return nothing
+        return Decision(name=name, rule=rule, limit=0.0, sentence="No scene was scored.")
     worst, poses = (count, scenes) if per_pose is None else (sum(per_pose), len(per_pose))
     bound = float(gammaincinv(worst + 1, confidence)) / poses
     where = plural(scenes, "scene") + (f" of {plural(poses, 'pose')}" if poses != scenes else "")
-    return replace(
-        nothing,
+    return Decision(
+        name=name,
+        rule=rule,
         n=poses,
         measured=float(count),
+        limit=0.0,
         margin=float(-count),
         verdict=Verdict.NOT_MET if count else Verdict.MET,
         sentence=f"{count} in {where}: at most {bound:.2g} a scene in the long run, with"
@@ -218,16 +219,16 @@ def decide_count(
 
 def decide_condition(name: str, rule: str, *, held: int, of: int) -> Decision:
     """Did a condition of the bench (bath in band, arm verified) hold each time it was looked at?"""
-    nothing = Decision(
-        name=name, rule=rule, limit=float(of), sentence="The condition was never looked at."
-    )
     failures = Rate(held, of).failures
     if not of:
-        return nothing
-    return replace(
-        nothing,
+        sentence = "The condition was never looked at."
+        return Decision(name=name, rule=rule, limit=0.0, sentence=sentence)
+    return Decision(
+        name=name,
+        rule=rule,
         n=of,
         measured=float(held),
+        limit=float(of),
         margin=float(-failures),
         verdict=Verdict.NOT_MET if failures else Verdict.MET,
         sentence=f"Held {held} of {of} times.",

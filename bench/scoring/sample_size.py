@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from math import floor, sqrt
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 from scipy.special import bdtr, bdtrc, gammaincinv, ndtr, stdtrit
 from scipy.stats import binom
@@ -82,6 +81,7 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
     """The chance that exact McNemar is significant where shares `lost` and `won` of the scenes are
     solved by the old or the new one only (Duffy, Biometrics 40, 1984).
     """
+    check_open("alpha", alpha)
     if min(lost, won) < 0.0 or lost + won > 1.0:
         raise ValueError(
             f"shares of discordant scenes: {lost} and {won} must not be negative, nor more than 1"
@@ -90,15 +90,12 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
     if lost + won < RARE:
         return 0.0
     discordant = np.arange(trials + 1)
-    chance = binom.pmf(discordant, trials, lost + won)
-    critical = _critical(discordant, alpha)
-    share = lost / (lost + won)
-    significant = np.where(
-        critical >= 0,
-        bdtr(critical, discordant, share) + bdtrc(discordant - critical - 1, discordant, share),
-        0.0,
-    )
-    return float(min(1.0, np.dot(chance, significant)))
+    chance, share = binom.pmf(discordant, trials, lost + won), lost / (lost + won)
+    # the largest smaller count that is significant; -1 for none
+    at = binom.ppf(alpha / 2.0, discordant, 0.5).astype(np.int64)
+    critical = np.where(2.0 * bdtr(at, discordant, 0.5) < alpha, at, at - 1)
+    tails = bdtr(critical, discordant, share) + bdtrc(discordant - critical - 1, discordant, share)
+    return float(min(1.0, np.dot(chance, np.where(critical >= 0, tails, 0.0))))
 
 
 def detectable_loss(trials: int, power: float = 0.8, alpha: float = 0.05) -> float | None:
@@ -148,15 +145,6 @@ def poses_for_shift(shift: float, sd: float, power: float = 0.8, alpha: float = 
         return found is not None and found <= shift
 
     return fewest(shows, 1)
-
-
-def _critical(discordant: npt.NDArray[np.int64], alpha: float) -> npt.NDArray[np.int64]:
-    """For each number of discordant scenes the largest smaller count that is still significant; -1
-    where none is.
-    """
-    check_open("alpha", alpha)
-    at = binom.ppf(alpha / 2.0, discordant, 0.5).astype(np.int64)
-    return np.asarray(np.where(2.0 * bdtr(at, discordant, 0.5) < alpha, at, at - 1), dtype=np.int64)
 
 
 def _rising_root(function: Callable[[float], float], high: float) -> float | None:
@@ -298,21 +286,20 @@ def plan_lines(plan: Plan) -> Iterator[str]:
 
 def _told_of_error(plan: Plan) -> Iterator[str]:
     """How near to its limit the largest error may lie."""
-    against = f"against a truth of u = {plan.u_mm:g} mm along an axis"
-    truth = f"An error below {plan.limit_mm:g} mm, {against}"
+    truth = f"An error below {plan.limit_mm:g} mm, against a truth of u = {plan.u_mm:g} mm along an"
     if plan.accept_mm is None:
-        yield f"{truth}: no error can be accepted; the truth is too uncertain."
+        yield f"{truth} axis: no error can be accepted; the truth is too uncertain."
         return
-    yield f"{truth}: accepted up to {plan.accept_mm:.3f} mm; near that limit more poses are needed:"
+    up_to = f"accepted up to {plan.accept_mm:.3f} mm"
+    yield f"{truth} axis: {up_to}; near that limit more poses are needed:"
     for claim in plan.claims:
-        poses = plan.poses or claim.poses_needed[0]
-        most = claim.error_shown_mm
+        poses = plural(plan.poses or claim.poses_needed[0], "pose")
         shown = "don't show it"
-        if most is not None:
+        if (most := claim.error_shown_mm) is not None:
             shown = f"show it where the largest is at most {floor(1000 * most) / 1000:.3f} mm"
         edge = "no number" if claim.at_the_edge is None else str(claim.at_the_edge)
-        told = f"{plural(poses, 'pose')} {shown}; {edge} up to the acceptance limit."
-        yield f"  {exact_percent(claim.rate)}: {told}"
+        share = exact_percent(claim.rate)
+        yield f"  {share}: {poses} {shown}; {edge} up to the acceptance limit."
 
 
 def _told_of_poses(plan: Plan, sure: str) -> Iterator[str]:
