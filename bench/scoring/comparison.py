@@ -340,11 +340,11 @@ def compare(
     margin = MARGIN_SHARE * _limit_mm(pairs) if margin_mm is None else margin_mm
     if not 0.0 <= margin < float("inf"):
         raise ValueError(f"margin: {margin} mm must be 0 or more")
+    parts: dict[str, list[ScenePair]] = {}
+    for pair in pairs:
+        parts.setdefault(pair.situation, []).append(pair)
     pooled = _row(None, pairs, confidence, seed)
-    rows = [
-        _row(name, [pair for pair in pairs if pair.situation == name], confidence, seed)
-        for name in dict.fromkeys(pair.situation for pair in pairs)
-    ]
+    rows = [_row(name, part, confidence, seed) for name, part in parts.items()]
     success = holm([row.success.p_value for row in rows])
     radial = iter(holm([p for row in rows if (p := row.radial.p_value) is not None]))
     situations = tuple(
@@ -353,8 +353,7 @@ def compare(
         )
         for row, p in zip(rows, success, strict=True)
     )
-    several = situations if len(situations) > 1 else ()
-    verdict = gate(pairs, pooled, margin, unpaired, several)
+    verdict = gate(pairs, pooled, margin, unpaired, situations if len(situations) > 1 else ())
     return Compared(pooled, situations, verdict, confidence)
 
 

@@ -263,10 +263,10 @@ def trends(
     within_groups: Sequence[Hashable] | None = None,
     confidence: float = 0.95,
 ) -> tuple[Trend, ...]:
-    """Every quantity (n,) against the errors' x, y, z (signed) and distance; rows where it is
-    not-a-number are left out. `groups` names each row's independent unit (pose). `within` names the
-    strata (teat at a pose) to ask a quantity within; its unit then is that of `within_groups` (the
-    frame set).
+    """Every quantity (n,) against the errors' x, y, z (signed) and distance, all adjusted together;
+    rows where it is not-a-number are left out. `groups` names each row's independent unit (pose).
+    `within` names the strata (teat at a pose) to ask a quantity within; its unit then is that of
+    `within_groups` (the frame set).
     """
     errors = as_points(errors_mm, "errors")
     responses = dict(zip(RESPONSES, (*errors.T, np.linalg.norm(errors, axis=1)), strict=True))
@@ -281,7 +281,8 @@ def trends(
         for response, values_mm in responses.items():
             line = trend(column[kept], values_mm[kept], names, within=levels, confidence=confidence)
             found.append(replace(line, quantity=quantity, response=response))
-    return adjusted(found)
+    holms = iter(holm([one.p_value for one in found if one.p_value is not None]))
+    return tuple(one if one.p_value is None else replace(one, p_holm=next(holms)) for one in found)
 
 
 def trend(
@@ -318,13 +319,6 @@ def trend(
         2.0 * float(stdtr(count - 1, -abs(slope) / error)) if error > 0.0 else float(slope == 0.0)
     )
     return replace(empty, slope=slope, low=slope - reach, high=slope + reach, p_value=p_value)
-
-
-def adjusted(found: Sequence[Trend]) -> tuple[Trend, ...]:
-    """The same with `p_holm` set, for all that were measured."""
-    asked = [one.p_value for one in found if one.p_value is not None]
-    values = iter(holm(asked))
-    return tuple(one if one.p_value is None else replace(one, p_holm=next(values)) for one in found)
 
 
 def _sums(

@@ -84,15 +84,9 @@ def check_arm(
         check()
         ask(CheckPoint(touch, arm.check_touches))
         seen = tip.read()
-        touches.append(
-            {
-                "t_s": clock.now(),
-                "tip_mm": seen.tip_mm.tolist(),
-                "axis": seen.axis.tolist(),
-                "spread_mm": float(seen.spread_mm),
-                "counts": [int(count) for count in seen.counts],
-            }
-        )
+        row = {"t_s": clock.now(), "tip_mm": seen.tip_mm.tolist(), "axis": seen.axis.tolist()}
+        spread = {"spread_mm": float(seen.spread_mm), "counts": [int(c) for c in seen.counts]}
+        touches.append(row | spread)
     ask(Release())
     return {"check_point_mm": arm.check_point_mm, "touches": touches}
 

@@ -60,13 +60,8 @@ class Reference:
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and text, for the store; `reference_from_dict` reads it back."""
         ends = [{"point_mm": list(p.point_mm), **p.uncertainty.as_dict()} for p in self.points]
-        return {
-            "trial": self.trial,
-            "fixed": self.fixed,
-            "stage_mm": list(self.stage_mm),
-            "axes": self.axes,
-            "ends": ends,
-        }
+        plain = {"trial": self.trial, "fixed": self.fixed, "stage_mm": list(self.stage_mm)}
+        return {**plain, "axes": self.axes, "ends": ends}
 
 
 def reference_from_dict(stored: Mapping[str, Any]) -> Reference:
