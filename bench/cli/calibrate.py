@@ -440,7 +440,7 @@ def take_over(given: argparse.Namespace) -> int:
 
 def stage(given: argparse.Namespace) -> int:
     from bench.calibrate.stage import calibrate_stage
-    from bench.truth.registration_file import write_registration
+    from bench.truth.registration import write_registration
 
     refuse_existing(given.out, replace=given.replace)
     rig = load_rig(find_rig(given.rig))

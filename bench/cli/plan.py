@@ -10,7 +10,7 @@ from dataclasses import asdict
 
 from bench.cli.arguments import CODES
 from bench.config import ConfigError
-from bench.results.sample_size import make_plan, plan_lines
+from bench.scoring.sample_size import make_plan, plan_lines
 
 RATES = (0.95, 0.99, 0.999)
 

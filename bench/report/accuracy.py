@@ -28,9 +28,9 @@ from bench.scoring.guard_band import (
     error_without_noise_mm,
     refusal_limit_mm,
 )
-from bench.scoring.pool import Pool
 from bench.scoring.precision import distance_accuracy, drift_mm, pose_accuracy
 from bench.scoring.rates import zero_failure_n
+from bench.scoring.scene import Pool
 from detector.calibration import Calibration
 from reports.page import Cell, Paragraph, Part, Table
 

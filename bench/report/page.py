@@ -22,8 +22,15 @@ from bench.report.trials import first_looks, trial_id, trial_parts, trial_table,
 from bench.report.truth import arm_parts, deviation_parts, truth_parts
 from bench.report.wording import headline, id_of, table
 from bench.results.exports import write_exports
-from bench.results.latency import LATENCY_RULE, failures_told, latency_of
-from bench.results.verdicts import Judgement, judge, scored, truth_u_mm
+from bench.results.verdicts import (
+    LATENCY_RULE,
+    Judgement,
+    failures_told,
+    judge,
+    latency_of,
+    scored,
+    truth_u_mm,
+)
 from bench.scoring.guard_band import acceptance_limit_mm
 from bench.scoring.rates import zero_failure_n
 from bench.script.model import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement

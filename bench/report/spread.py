@@ -24,8 +24,14 @@ from bench.results.error_rows import (
     teat_errors,
 )
 from bench.scoring.errors import Floats
-from bench.scoring.regions import LEAST_POSES, Ellipsoid, consistency, prediction_ellipsoid
-from bench.scoring.trends import LEAST_TREND_POSES, Trend
+from bench.scoring.spread import (
+    LEAST_POSES,
+    LEAST_TREND_POSES,
+    Ellipsoid,
+    Trend,
+    consistency,
+    prediction_ellipsoid,
+)
 from reports import figures
 from reports.page import Cell, Figure, Notes, Paragraph, Part
 

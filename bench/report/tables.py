@@ -13,8 +13,7 @@ from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import Row
 from bench.report.wording import NOT_MEASURED, limit, listed, margin, measured, table
 from bench.results.attribution import Cause, What, attributed, counted
-from bench.results.latency import LATENCY_RULE, failures_told, latency_of
-from bench.results.verdicts import Judgement, scored
+from bench.results.verdicts import LATENCY_RULE, Judgement, failures_told, latency_of, scored
 from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import Rules

@@ -15,7 +15,6 @@ from bench.report.frames import project_all
 from bench.report.tables import ends_mm, situations
 from bench.report.wording import NOT_MEASURED, listed, number, spanned, table
 from bench.results.error_rows import error_rows, plane_cells
-from bench.results.latency import latency_of
 from bench.results.thesis_figures import (
     Kind,
     Situation,
@@ -25,7 +24,7 @@ from bench.results.thesis_figures import (
     statistics,
     thesis,
 )
-from bench.results.verdicts import scored
+from bench.results.verdicts import latency_of, scored
 from bench.scoring.errors import Bools, Floats
 from bench.scoring.rates import percent
 from bench.script.model import Rules, Script

@@ -16,10 +16,9 @@ from bench.report.wording import key_values, listed, number, spanned, table, xyz
 from bench.results.verdicts import VERIFICATION_FACT, age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
 from bench.run.rows import FRAME_FACT
-from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
+from bench.truth.arm_tip import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
 from bench.truth.carrying import counted, resumed
-from bench.truth.registration import Registration
-from bench.truth.registration_file import registration_from_facts
+from bench.truth.registration import Registration, registration_from_facts
 from bench.truth.uncertainty import CHI2_95, How
 from instruments.teat_end import DEFINITION
 from reports.page import Cell, Column, Notes, Paragraph, Part, Table

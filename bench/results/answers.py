@@ -1,8 +1,7 @@
 """Asks a detector for its answer on a frame set, checks the answer, and scores it.
 
-An answer is checked as a whole and refused as a whole. A detector that fails, answers nonsense or
-is too slow is scored as what it did and never stops a run. Every detector is timed around the same
-`detect` call.
+An answer is refused as a whole. A detector that fails, answers nonsense or is too slow is scored as
+what it did and never stops a run. Every detector is timed around the same `detect` call.
 """
 
 from __future__ import annotations
@@ -43,28 +42,26 @@ _PIXELS = ("left_px", "right_px", "thermal_px")
 
 
 def checked(detection: Any) -> Detection:
-    """The answer as it may be used. Raises DetectionFailure that says which part of it can't be."""
+    """The answer as it may be used. Raises DetectionFailure that names the part that can't be."""
     if not isinstance(detection, Detection):
         raise DetectionFailure(f"its answer is a {type(detection).__name__}, not a Detection")
-    hidden = detection.hidden
+    hidden, teats = detection.hidden, detection.teats
     whole = isinstance(hidden, int | np.integer) and not isinstance(hidden, bool)
     if not whole or not 0 <= hidden <= MOST_TEATS:
         raise DetectionFailure(
             f"its answer counts {hidden!r} teats as hidden; a whole number from 0 to {MOST_TEATS}"
             " is asked for"
         )
-    if not isinstance(detection.teats, tuple | list):
+    if not isinstance(teats, tuple | list):
         raise DetectionFailure(
-            f"the teats of its answer are a {type(detection.teats).__name__}, not a tuple of Teat"
+            f"the teats of its answer are a {type(teats).__name__}, not a tuple of Teat"
         )
-    if len(detection.teats) > MOST_TEATS:
-        raise DetectionFailure(
-            f"its answer has {len(detection.teats)} teats; {MOST_TEATS} are taken at most"
-        )
-    teats = tuple(_teat(number, teat) for number, teat in enumerate(detection.teats, 1))
+    if len(teats) > MOST_TEATS:
+        raise DetectionFailure(f"its answer has {len(teats)} teats; {MOST_TEATS} are taken at most")
     trace, lost = _trace(detection.trace)
     reasons = [one_line(str(part)) for part in (detection.reason, lost) if part is not None]
-    return Detection(teats, int(hidden), "; ".join(reasons)[:LONGEST_REASON] or None, trace)
+    reason = "; ".join(reasons)[:LONGEST_REASON] or None
+    return Detection(tuple(map(_teat, range(1, 1 + len(teats)), teats)), int(hidden), reason, trace)
 
 
 def one_line(text: str) -> str:
@@ -126,7 +123,9 @@ def _numbers(given: Any, shape: tuple[int, ...], what: str, wanted: str) -> Any:
 
 
 def _trace(trace: Any) -> tuple[tuple[Stage, ...], str | None]:
-    """The stages that the record can hold; a fault in the trace never costs an answer."""
+    """The stages that the record can hold, and how many not: a fault in the trace never costs an
+    answer.
+    """
     stages = trace if isinstance(trace, tuple | list) else (trace,)
     kept = {
         stage.name.casefold().replace(" ", "-"): stage
@@ -142,14 +141,16 @@ def _trace(trace: Any) -> tuple[tuple[Stage, ...], str | None]:
 
 def _holds(stage: Any) -> bool:
     """Whether record and report can show a stage: arrays of numbers, text, or masks as pictures."""
-    match stage:
-        case Stage(name=str(name), data=Mapping() as data):
-            plain = name.replace(" ", "").replace("-", "").isalnum() and len(name) <= LONGEST_NAME
-            return plain and all(
-                isinstance(key, str) and key.isprintable() and _keeps(value)
-                for key, value in data.items()
-            )
-    return False
+    if not isinstance(stage, Stage) or not isinstance(stage.data, Mapping):
+        return False
+    name = stage.name
+    plain = isinstance(name, str) and name.replace(" ", "").replace("-", "").isalnum()
+    if not plain or len(name) > LONGEST_NAME:
+        return False
+    return all(
+        isinstance(key, str) and key.isprintable() and _keeps(value)
+        for key, value in stage.data.items()
+    )
 
 
 def _keeps(value: Any) -> bool:
@@ -171,13 +172,11 @@ TIMEOUT_S = 30.0  # a slower answer counts as none; a rig says its own (limits.d
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a detector said of one frame set, and how long it took (real seconds).
+    """What a detector answered on one frame set, and how long it took (real seconds).
 
-    cold: the detector's first call since it was made, or since its process was started; no latency
-    is taken from it. start_up_s: what a process took to start before this call, not part of
-    ``seconds``. stderr: what it wrote to its standard error. cpu_s: seconds of processors that the
-    bench's process used meanwhile, None where the detector isn't in it; load: of the machine, a
-    processor.
+    cold: the first call of the detector or of its process; no latency is taken from it. start_up_s:
+    of its process before this call, not part of ``seconds``. cpu_s: processor seconds that the
+    bench's process used, None for a detector elsewhere. load: of the machine, a processor.
     """
 
     detector: str
@@ -192,7 +191,7 @@ class Answer:
 
 
 class Examiner:
-    """Asks detectors, and knows which were asked before. Slower than ``timeout_s`` is no answer."""
+    """Asks detectors, and marks first calls. An answer slower than ``timeout_s`` is none."""
 
     def __init__(self, calibration: Calibration, timeout_s: float = TIMEOUT_S) -> None:
         self._calibration, self._timeout_s = calibration, timeout_s
@@ -239,7 +238,11 @@ def examine(
         raise
     # anyone's code: it may fail in any way, and not every library's errors are Exceptions
     except BaseException as error:
-        outcome, detection = Outcome.FAILED, _nothing(_named(error))
+        try:
+            why = f"{type(error).__name__}: {error}"
+        except Exception:  # its own words fail
+            why = type(error).__name__
+        outcome, detection = Outcome.FAILED, _nothing(why)
     start_up_s = served.start_up_s if served else None
     return Answer(
         detector.name,
@@ -265,21 +268,19 @@ def score_answer(
     answer: Answer, truth: Sequence[TruthRow], *, limit_mm: float, time_limit_s: float
 ) -> SceneScore:
     """The score of one answer; no answer is no success, also where nothing was to be found."""
-    known = [row.u_mm for row in truth if row.u_mm is not None]
+    answered = answer.outcome is Outcome.ANSWERED
     score = score_scene(
         points_of(answer.detection),
         np.array([row.xyz_mm for row in truth]),
         np.array([row.visible for row in truth]),
-        u_mm=max(known, default=0.0),
+        u_mm=max((row.u_mm for row in truth if row.u_mm is not None), default=0.0),
         seconds=answer.seconds,
         limit_mm=limit_mm,
         time_limit_s=time_limit_s,
-        hidden_claimed=answer.detection.hidden if answer.outcome is Outcome.ANSWERED else None,
+        hidden_claimed=answer.detection.hidden if answered else None,
     )
-    if answer.outcome is Outcome.ANSWERED:
-        return score
     in_time = score.in_time and answer.outcome is not Outcome.TIMEOUT
-    return replace(score, success=False, in_time=in_time)
+    return score if answered else replace(score, success=False, in_time=in_time)
 
 
 def points_of(detection: Detection) -> NDArray[np.float64]:
@@ -291,14 +292,6 @@ def _nothing(why: str) -> Detection:
     return Detection((), 0, f"the detector failed: {one_line(why)}"[:LONGEST_REASON], ())
 
 
-def _named(error: BaseException) -> str:
-    """What a failure is called, and its own words where it has any."""
-    try:
-        return f"{type(error).__name__}: {error}"
-    except Exception:  # its own words fail
-        return type(error).__name__
-
-
 class _Shown:
     """A frame set for one detector: read-only, so that it can't change what others see."""
 
@@ -308,8 +301,7 @@ class _Shown:
 
 
 def _fixed(picture: Any) -> Any:
-    if picture is None:
-        return None
-    view = picture.view()
-    view.setflags(write=False)
+    view = None if picture is None else picture.view()
+    if view is not None:
+        view.setflags(write=False)
     return view

@@ -1,5 +1,5 @@
-"""What each missed, wrong or unjudged teat is attributed to: detector, truth, bench, operator, or
-not visible. A fault of the bench is never a failure of the detector.
+"""What each missed, wrong or unjudged teat is attributed to. A fault of the bench is never a
+failure of the detector.
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ from enum import StrEnum
 
 from bench.record.reader import RunRecord, TrialRecord
 from bench.safety.stability import State
-from bench.scoring.scene import SceneScore
 
 OPERATORS_EVENT = "the operator skipped it"
 
 
 class Cause(StrEnum):
-    """Whose it is."""
+    """What is at fault."""
 
     DETECTOR = "detector"
     TRUTH = "truth"
@@ -27,7 +26,7 @@ class Cause(StrEnum):
 
 
 class What(StrEnum):
-    """What became of a teat, or of a whole trial."""
+    """What is wrong with a teat, or with a whole trial."""
 
     MISSED = "missed"
     OFF = "further off than the limit"
@@ -37,7 +36,7 @@ class What(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Attributed:
-    """One thing that is not as it should be; ``teat`` is empty for a false one or a trial."""
+    """One fault; ``teat`` is empty for a false finding or a trial."""
 
     trial: str
     detector: str
@@ -48,36 +47,33 @@ class Attributed:
 
 
 def attributed(run: RunRecord, detector: str) -> tuple[Attributed, ...]:
-    """Everything of ``detector`` in the order of the trials; then trials that nobody judged."""
-    return (
-        *(one for trial in run.trials for one in _of_trial(trial, detector)),
-        *_not_judged(run, detector),
+    """All of ``detector`` in the order of the trials; then the trials that were not judged."""
+    found = []
+    for trial in run.trials:
+        bath = trial.head["bath_state"]
+        for what, teat, cause, why in _wrong(trial, detector):
+            if trial.invalid is not None:
+                cause, why = Cause.TRUTH, trial.invalid
+            elif bath not in (None, State.STABLE.value) and cause is Cause.DETECTOR:
+                cause = Cause.BENCH
+                why = f"the bath was {bath}, not stable, when the frames were taken"
+            found.append(Attributed(trial.id, detector, teat, what, cause, why))
+    judged_not = (
+        Attributed(trial, detector, "", What.NOT_JUDGED, cause, why)
+        for trial, cause, why in _not_judged(run)
     )
+    return (*found, *judged_not)
 
 
 def counted(found: tuple[Attributed, ...]) -> Counter[tuple[What, Cause]]:
-    """How many of each kind are whose."""
+    """How many of each kind, by cause."""
     return Counter((one.what, one.cause) for one in found)
 
 
-def _of_trial(trial: TrialRecord, detector: str) -> Iterator[Attributed]:
+def _wrong(trial: TrialRecord, detector: str) -> Iterator[tuple[What, str, Cause, str]]:
     score = trial.scores.get(detector)
     if score is None:
         return
-    for what, teat, cause, why in _wrong(trial, score, detector):
-        if trial.invalid is not None:
-            cause, why = Cause.TRUTH, trial.invalid
-        elif trial.head["bath_state"] not in (None, State.STABLE.value) and cause is Cause.DETECTOR:
-            cause, why = (
-                Cause.BENCH,
-                f"the bath was {trial.head['bath_state']}, not stable, when the frames were taken",
-            )
-        yield Attributed(trial.id, detector, teat, what, cause, why)
-
-
-def _wrong(
-    trial: TrialRecord, score: SceneScore, detector: str
-) -> Iterator[tuple[What, str, Cause, str]]:
     names = [str(row["teat"]) for row in trial.truth]
     reasons = [row["reason"] for row in trial.detections if row["detector"] == detector]
     unseen = "it was visible and nothing was found within the gate"
@@ -97,21 +93,19 @@ def _wrong(
             yield What.MISSED, names[teat], Cause.NOT_VISIBLE, "some camera can't see its end"
 
 
-def _not_judged(run: RunRecord, detector: str) -> Iterator[Attributed]:
+def _not_judged(run: RunRecord) -> Iterator[tuple[str, Cause, str]]:
     """Trials that were left out, and those that the run did not come to."""
     by_operator = {
         event["text"].split(":")[0]
         for event in run.events
         if event["kind"] == "skipped" and OPERATORS_EVENT in event["text"]
     }
-    for row in run.skipped:
-        trial, reason = str(row["trial"]), str(row["reason"])
+    skipped = {str(row["trial"]): str(row["reason"]) for row in run.skipped}
+    for trial, reason in skipped.items():
         cause = Cause.BENCH if "the bench died in it" in reason else Cause.TRUTH
-        cause = Cause.OPERATOR if trial in by_operator else cause
-        yield Attributed(trial, detector, "", What.NOT_JUDGED, cause, reason)
-    known = {trial.id for trial in run.trials} | {str(row["trial"]) for row in run.skipped}
+        yield trial, Cause.OPERATOR if trial in by_operator else cause, reason
+    known = {trial.id for trial in run.trials} | skipped.keys()
     cause = Cause.OPERATOR if run.ending == "aborted" else Cause.BENCH
-    why = f"the run was {run.ending} before it"
     for pose in run.facts.get("pose set", {}).get("poses", ()):
         if str(pose[0]) not in known:
-            yield Attributed(str(pose[0]), detector, "", What.NOT_JUDGED, cause, why)
+            yield str(pose[0]), cause, f"the run was {run.ending} before it"

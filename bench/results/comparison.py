@@ -2,8 +2,8 @@
 judged as one.
 
 Trials are a pair where their frames are the same bytes, else where pose, repeat and true teat ends
-agree. Runs with different limits aren't compared. The first run is the old one. Judged as one,
-counts, errors and times are added, never averaged; a pose that several runs share is one pose.
+agree. The first run is the old one. Judged as one, counts, errors and times are added, never
+averaged; a pose that several runs share is one pose.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from bench.config import ConfigError, did_you_mean, read_config
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, TrialRecord, read_run
 from bench.record.schema import RULES, SCRIPT
-from bench.results.latency import Latency, latency_of
 from bench.results.verdicts import (
     DetectorRequirement,
     Judgement,
+    Latency,
     decide_detector,
     held_back,
+    latency_of,
     truth_u_mm,
 )
 from bench.scoring.comparison import Compared, Gate, ScenePair, compare
 from bench.scoring.decisions import Verdict
-from bench.scoring.pool import Pool
+from bench.scoring.scene import Pool
 from bench.script.model import Rules, Script
 
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
@@ -59,10 +60,9 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two sides compared. `same_frames` of the pairs were detected in identical frames; `only_old`
-    and `only_new` had no counterpart.
-
-    `elsewhere` trials had one by name, but its teats stood at other places.
+    """Two sides compared. `same_frames` of the pairs have identical frames; `only_old` and
+    `only_new` had no counterpart; of `elsewhere` trials one by name, with its teats at other
+    places.
     """
 
     old: Side
@@ -76,11 +76,8 @@ class Comparison:
 
 
 def scored_together(runs: Sequence[RunRecord], detector: str) -> Pool:
-    """The scores of one detector over several runs as one: counts and errors side by side, so
-    nothing is an average of averages.
-
-    A pose of one script, or of one recording, is the same pose in every run of it, and succeeds
-    when it does in all; poses of two scripts differ.
+    """The scores of one detector over several runs as one. A pose of one script, or of one
+    recording, is the same pose in every run of it; poses of two scripts differ.
     """
     sides = [(Side(run, detector), poses_of(run)) for run in runs]
     rows = [((poses, trial.pose), trial) for side, poses in sides for trial in side.trials]
@@ -97,9 +94,7 @@ def compare_folders(
     damage: tuple[str, ...] = (),
 ) -> tuple[Comparison, ...]:
     """Compare each later run with the first, or the detectors of one run with its first; ``damage``
-    is that of their records.
-
-    Raises ConfigError where nothing can be compared.
+    is that of their records. Raises ConfigError where nothing can be compared.
     """
     runs = [read_run(folder, damage) for folder in folders]
     return tuple(
@@ -124,49 +119,41 @@ def compare_sides(
         ScenePair(
             a.id, a.pose, str(a.head["situation"]), a.scores[old.detector], b.scores[new.detector]
         )
-        for a, b, _ in matched
+        for a, b in matched
     )
+    same = sum(bool(frames := _frames(a)) and frames == _frames(b) for a, b in matched)
     only_old, only_new = len(old.trials) - len(matched), len(new.trials) - len(matched)
     found = compare(pairs, margin_mm=margin_mm, confidence=confidence, seed=seed, unpaired=only_old)
     if damage := new.run.damage or old.run.damage:
         why = f"{NOT_AS_WRITTEN}: {shortened(damage)}"
         gate = Gate(Verdict.INCONCLUSIVE, (why,), found.gate.margin_mm)
         found = replace(found, gate=gate)
-    return Comparison(
-        old, new, pairs, sum(same for _, _, same in matched), only_old, only_new, found, elsewhere
-    )
+    return Comparison(old, new, pairs, same, only_old, only_new, found, elsewhere)
 
 
 def sides(runs: Sequence[RunRecord], detectors: Sequence[str] = ()) -> Iterator[tuple[Side, Side]]:
     """Which is compared with which, of ``detectors`` if given. Raises ConfigError."""
-    for run in runs:
-        for name in detectors:
-            if len(runs) == 1 and name not in run.detectors:
-                raise ConfigError.plain(
-                    f"{run.folder} has no detector {name!r}{did_you_mean(name, run.detectors)}"
-                )
     first, *others = runs
     if not others:
         names = detectors or first.detectors
+        for name in names:
+            if name not in first.detectors:
+                raise ConfigError.plain(
+                    f"{first.folder} has no detector {name!r}{did_you_mean(name, first.detectors)}"
+                )
         if len(names) < 2:
             raise ConfigError.plain(
                 f"{first.folder} has one detector, {names[0]}: name a second run to compare it with"
             )
         yield from ((Side(first, names[0]), Side(first, name)) for name in names[1:])
     for run in others:
-        yield from _between(first, run, detectors)
-
-
-def _between(
-    old: RunRecord, new: RunRecord, detectors: Sequence[str]
-) -> Iterator[tuple[Side, Side]]:
-    asked = set(detectors or new.detectors) & set(old.detectors)
-    if shared := [name for name in new.detectors if name in asked]:
-        yield from ((Side(old, name), Side(new, name)) for name in shared)
-    elif len(old.detectors) == len(new.detectors) == 1 and not detectors:
-        yield Side(old, old.detectors[0]), Side(new, new.detectors[0])
-    else:
-        raise _none_shared((old, new), detectors, "both")
+        asked = set(detectors or run.detectors) & set(first.detectors)
+        shared = [(name, name) for name in run.detectors if name in asked]
+        if not shared and len(first.detectors) == len(run.detectors) == 1 and not detectors:
+            shared = [(first.detectors[0], run.detectors[0])]
+        if not shared:
+            raise _none_shared((first, run), detectors, "both")
+        yield from ((Side(first, old), Side(run, new)) for old, new in shared)
 
 
 def _none_shared(runs: Sequence[RunRecord], detectors: Sequence[str], which: str) -> ConfigError:
@@ -177,23 +164,19 @@ def _none_shared(runs: Sequence[RunRecord], detectors: Sequence[str], which: str
 
 def _paired(
     old: Sequence[TrialRecord], new: Sequence[TrialRecord]
-) -> tuple[list[tuple[TrialRecord, TrialRecord, bool]], int]:
-    """Pairs in the old order with whether frames are identical; how many shared only a name."""
-    by_frames, by_name = _unique(new, _frames), _unique(new, _name)
-    ours = Counter(_frames(trial) for trial in old)
-    taken: set[str] = set()
-    pairs: list[tuple[TrialRecord, TrialRecord, bool]] = []
+) -> tuple[list[tuple[TrialRecord, TrialRecord]], int]:
+    """Pairs in the old order; how many shared only a name."""
+    by_frames, by_name, ours = _unique(new, _frames), _unique(new, _name), _unique(old, _frames)
+    pairs: dict[str, tuple[TrialRecord, TrialRecord]] = {}  # by the new one's id
     elsewhere = 0
     for trial in old:
         key = _frames(trial)
-        other = by_frames.get(key) if key and ours[key] == 1 else None
+        other = by_frames.get(key) if key and key in ours else None
         if other is None and (other := by_name.get(_name(trial))) and not _same_place(trial, other):
             elsewhere += 1
-            continue
-        if other is not None and other.id not in taken:
-            taken.add(other.id)
-            pairs.append((trial, other, bool(key) and _frames(other) == key))
-    return pairs, elsewhere
+        elif other is not None:
+            pairs.setdefault(other.id, (trial, other))
+    return list(pairs.values()), elsewhere
 
 
 def _same_place(one: TrialRecord, other: TrialRecord) -> bool:
@@ -257,10 +240,8 @@ def judge_folders(
     folders: Sequence[Path], detectors: Sequence[str] = (), damage: tuple[str, ...] = ()
 ) -> tuple[Judgement, ...]:
     """Each detector that all runs have (of those named, if any), judged by the first run's
-    requirements.
-
-    ``damage`` is that of their records. Raises ConfigError where there is none, or where the runs
-    were held against other limits.
+    requirements; ``damage`` is that of their records. Raises ConfigError where there is none, or
+    where the runs were held against other limits.
     """
     runs = [read_run(folder, damage) for folder in folders]
     names = [
@@ -271,20 +252,16 @@ def judge_folders(
     if not names:
         raise _none_shared(runs, detectors, "all")
     rules = rules_of(runs[0]) or read_config(runs[0].folder / RULES, Rules, stored=True)
-    return tuple(_judged(runs, rules, name) for name in names)
-
-
-def _judged(runs: Sequence[RunRecord], rules: Rules, detector: str) -> Judgement:
-    first, *others = (Side(run, detector) for run in runs)
-    for other in others:
-        check_limits(first, other)
-    scores, timed = scored_together(runs, detector), timed_together(runs, detector)
-    u_mm = truth_u_mm(runs, scores, detector)
     held = [rule for rule in rules.requirements if isinstance(rule, DetectorRequirement)]
-    return Judgement(
-        detector,
-        held_back((decide_detector(rule, scores, timed, u_mm) for rule in held), first.run.damage),
-    )
+    found = []
+    for name in names:
+        for other in runs[1:]:
+            check_limits(Side(runs[0], name), Side(other, name))
+        scores, timed = scored_together(runs, name), timed_together(runs, name)
+        u_mm = truth_u_mm(runs, scores, name)
+        decisions = (decide_detector(rule, scores, timed, u_mm) for rule in held)
+        found.append(Judgement(name, held_back(decisions, runs[0].damage)))
+    return tuple(found)
 
 
 def timed_together(runs: Sequence[RunRecord], detector: str) -> Latency:

@@ -3,8 +3,7 @@ teat, and the gage R&R study of the truth.
 
 Time and temperature are asked within a teat's pose where poses are repeated; else over the poses,
 where they can't be separated from place. In the gage study a part is a teat at a pose; an appraiser
-is a run, or, of one run, a repeat. Cells must be full: what was touched less often is left out and
-counted.
+is a run, or, of one run, a repeat. Cells must be full; the rest is left out and counted.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
+from operator import itemgetter
 
 import numpy as np
 
@@ -21,17 +21,18 @@ from bench.record.reader import RunRecord
 from bench.record.schema import SCRIPT
 from bench.scoring.errors import Bools, Floats
 from bench.scoring.precision import GageStudy, Precision, gage_study, precision
-from bench.scoring.regions import (
+from bench.scoring.spread import (
     BiasTest,
     Cell,
     Ellipsoid,
+    Trend,
     bias_ellipsoid,
     bias_test,
     error_map,
     pose_means,
     prediction_ellipsoid,
+    trends,
 )
-from bench.scoring.trends import Trend, trends
 from bench.script.model import Script, layouts_of, planned_of
 
 WITHIN = ("time_s", "bath_c")
@@ -39,10 +40,9 @@ WITHIN = ("time_s", "bath_c")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorRows:
-    """One row a visible teat and trial of one detector, in order of time.
-
-    ``places_mm`` (n, 3) is the true end; ``found`` (n,); ``errors_mm`` (k, 3) belong to the found
-    rows. The rest is (n,), not-a-number where it isn't known.
+    """One row a visible teat and trial of one detector, in order of time. ``places_mm`` (n, 3) is
+    the true end; ``found`` (n,); ``errors_mm`` (k, 3) of the found rows. The rest is (n,),
+    not-a-number where not known.
     """
 
     places_mm: Floats
@@ -92,11 +92,8 @@ class TeatErrors:
 
 @dataclass(frozen=True, slots=True)
 class PosePlace:
-    """One teat at one pose: where its end was (mean of the repeats), how often it was to be found
-    and was, and its worst distance.
-
-    ``worst_trial`` is the trial of that distance, ``missed_trial`` the first that missed it; None
-    where there is no such trial.
+    """One teat at one pose: mean place of its end, how often it was to be found and was, its worst
+    distance with the trial of it, and the first trial that missed it; None for none.
     """
 
     teat: str
@@ -194,12 +191,11 @@ def pose_places(rows: ErrorRows) -> tuple[PosePlace, ...]:
     places = []
     for teat, pose in sorted(at, key=lambda key: (key[0], at[key][0])):
         here = at[teat, pose]
-        missed = [row for row in here if not rows.found[row]]
-        seen = [(float(distances[row]), -row) for row in here if rows.found[row]]
-        worst_mm, row = max(seen, default=(None, 0))
+        missed = [rows.trials[row] for row in here if not rows.found[row]]
+        seen = [(float(distances[row]), rows.trials[row]) for row in here if rows.found[row]]
+        worst_mm, worst = max(seen, key=itemgetter(0), default=(None, None))  # the first of equals
         x, y, z = rows.places_mm[here].mean(axis=0).tolist()
-        worst = None if worst_mm is None else rows.trials[-row]
-        first_missed = rows.trials[missed[0]] if missed else None
+        first_missed = missed[0] if missed else None
         counts = len(here), len(here) - len(missed)
         places.append(PosePlace(teat, pose, (x, y, z), *counts, worst_mm, worst, first_missed))
     return tuple(places)
@@ -238,9 +234,7 @@ Touches = dict[Part, dict[str, list[tuple[float, float, float]]]]
 @dataclass(frozen=True, slots=True)
 class TruthGage:
     """The studies along the world's x, y and z, mm; None where the record doesn't hold one, and
-    ``why`` then says why not.
-
-    ``left_out`` parts had too few touches or set-ups.
+    ``why`` not. ``left_out`` parts had too few touches or set-ups.
     """
 
     studies: tuple[GageStudy, GageStudy, GageStudy] | None

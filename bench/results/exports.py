@@ -6,6 +6,7 @@ import json
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,51 +25,45 @@ COLUMNS = (
 
 def write_exports(run: RunRecord, judgements: Sequence[Judgement], folder: Path) -> None:
     """Write the three files into ``folder``."""
-    write_synced(folder / "trials.csv", trials_csv(run).encode())
-    write_synced(folder / "run.json", run_json(run, judgements).encode())
-    write_synced(folder / "junit.xml", junit_xml(run, judgements).encode())
+    write_synced(folder / "trials.csv", _trials_csv(run).encode())
+    write_synced(folder / "run.json", _run_json(run, judgements).encode())
+    write_synced(folder / "junit.xml", _junit_xml(run, judgements).encode())
 
 
-def trials_csv(run: RunRecord) -> str:
+def _trials_csv(run: RunRecord) -> str:
     """One line a trial and detector. What was not measured is an empty field."""
     columns = COLUMNS.split()
     rows: list[Sequence[object]] = [columns]
     for trial in run.trials:
+        of_trial = {
+            "trial": trial.id,
+            "teats": len(trial.truth),
+            "truth": trial.how or "",
+            "invalid": NOT_AS_WRITTEN if run.damage else trial.invalid or "",
+            **{key: trial.head[key] for key in ("situation", "repeat", "bath_c")},
+        }
         for detection in trial.detections:
             known = {
-                "trial": trial.id,
-                "situation": trial.head["situation"],
-                "repeat": trial.head["repeat"],
-                "detector": detection["detector"],
-                "teats": len(trial.truth),
+                **of_trial,
+                **{key: detection[key] for key in ("detector", "cold", "outcome")},
                 "hidden_claimed": detection["hidden"],
                 "seconds": detection["wall_seconds"],
-                "cold": detection["cold"],
-                "outcome": detection["outcome"],
                 "reason": detection["reason"] or "",
-                "bath_c": trial.head["bath_c"],
-                "truth": trial.how or "",
-                "invalid": NOT_AS_WRITTEN if run.damage else trial.invalid or "",
             }
             if score := trial.scores.get(detection["detector"]):
                 counts, radial = score.counts, score.radial_mm
-                known |= {
-                    "visible": counts.visible,
+                known |= asdict(counts) | {
                     "found": counts.matched,
-                    "missed": counts.missed,
-                    "false": counts.false,
-                    "hidden": counts.hidden,
                     "gospa_mm": score.gospa_mm,
                     "success": int(score.success),
+                    "max_error_mm": max(radial, default=""),
+                    "mean_error_mm": sum(radial) / len(radial) if radial else "",
                 }
-                if radial:
-                    known["max_error_mm"] = max(radial)
-                    known["mean_error_mm"] = sum(radial) / len(radial)
             rows.append([known.get(column, "") for column in columns])
     return csv_text(rows)
 
 
-def run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
+def _run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
     """Facts, verdicts and all scores of the run."""
     table = {
         "facts": dict(run.facts),
@@ -87,12 +82,12 @@ def run_json(run: RunRecord, judgements: Sequence[Judgement]) -> str:
         "trials": [
             {
                 **trial.head,
-                "truth": [dict(row) for row in trial.truth],
+                "truth": list(map(dict, trial.truth)),
                 "detections": [
                     {key: value for key, value in row.items() if key != "trace"}
                     for row in trial.detections
                 ],
-                "found": [dict(row) for row in trial.found],
+                "found": list(map(dict, trial.found)),
                 "scores": {name: score.as_dict() for name, score in trial.scores.items()},
             }
             for trial in run.trials
@@ -112,24 +107,21 @@ def _chain(run: RunRecord) -> Any:
     return {"links": head.number, "digest": head.digest, "wall_digest": head.wall_digest}
 
 
-def junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
+def _junit_xml(run: RunRecord, judgements: Sequence[Judgement]) -> str:
     """A test case a requirement: not met is a failure, undecided is skipped with its reason."""
     root = ET.Element("testsuites", name=str(run.facts.get("title", run.folder.name)))
     for judgement in judgements:
         suite = ET.SubElement(root, "testsuite", name=judgement.detector)
-        failures = undecided = 0
         for decision in judgement.decisions:
             named = {"classname": judgement.detector, "name": decision.name}
             case = ET.SubElement(suite, "testcase", named)
             if decision.verdict is Verdict.NOT_MET:
-                failures += 1
                 ET.SubElement(case, "failure", message=decision.sentence).text = decision.rule
             elif decision.verdict is not Verdict.MET:
-                undecided += 1
                 why = f"{decision.verdict.value}: {decision.sentence}"
                 ET.SubElement(case, "skipped", message=why)
-        tests = len(judgement.decisions)
-        numbers = {"tests": tests, "failures": failures, "skipped": undecided, "errors": 0}
+        failures, skipped = (len(suite.findall(f".//{kind}")) for kind in ("failure", "skipped"))
+        numbers = {"tests": len(suite), "failures": failures, "skipped": skipped, "errors": 0}
         suite.attrib |= {name: str(number) for name, number in numbers.items()}
     ET.indent(root)
     text = sanitized(ET.tostring(root, encoding="unicode"))

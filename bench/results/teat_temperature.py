@@ -57,9 +57,32 @@ def surface(
     bath_c: Sequence[float], external_c: Sequence[float], figures: Figures
 ) -> Surface | None:
     """From a sensor at the phantom if there is one, else from the bath's; None without either."""
+    readings = external_c or bath_c
+    if not readings:
+        return None
+    mean_c, change_k = fmean(readings), (max(readings) - min(readings)) / math.sqrt(12.0)
+    steady = Component("change during the capture", change_k, f"{len(readings)} readings")
     if external_c:
-        return _from_sensor(external_c, figures)
-    return _from_model(bath_c, figures) if bath_c else None
+        sensor_k, place_k = figures.external_accuracy_k, SENSOR_SPAN_K / math.sqrt(3.0)
+        place = f"± {SENSOR_SPAN_K:g} K, root to tip and teat to teat"
+        components: tuple[Component, ...] = (
+            Component("sensor at the phantom", sensor_k, "rig file, external_accuracy_k"),
+            Component("the sensor's place", place_k, place),
+            steady,
+        )
+        return Surface(mean_c, "external sensor at the phantom", components)
+    room_c = figures.room_c
+    supply_c = mean_c - hose_drop_k(mean_c, room_c)
+    slow, fast = (below_water_k(supply_c, room_c, film) for film in FILM_SPAN_W_PER_M2K)
+    per_k = below_water_k(1.0, 0.0)  # it is linear
+    film_k, room_k = abs(slow - fast) / math.sqrt(12.0), ROOM_SPAN_K * per_k / math.sqrt(3.0)
+    components = (
+        Component("bath's own sensor", figures.accuracy_k, "rig file, accuracy_k"),
+        Component("film inside the teat", film_k, "300 to 1500 W/m²K"),
+        Component("room", room_k, f"± {ROOM_SPAN_K:g} K"),
+        steady,
+    )
+    return Surface(supply_c - below_water_k(supply_c, room_c), "plant model", components)
 
 
 def below_water_k(water_c: float, room_c: float, film_w_per_m2k: float = FILM_W_PER_M2K) -> float:
@@ -74,36 +97,3 @@ def hose_drop_k(water_c: float, room_c: float) -> float:
     k = PlantConstants()
     flow_w_per_k = k.flow_l_per_min / 60.0 * HEAT_CAPACITY_J_PER_L_K
     return (water_c - room_c) * (1.0 - math.exp(-k.hose_loss_w_per_k / flow_w_per_k))
-
-
-def _from_sensor(external_c: Sequence[float], figures: Figures) -> Surface:
-    sensor, place = (
-        figures.external_accuracy_k,
-        f"± {SENSOR_SPAN_K:g} K, root to tip and teat to teat",
-    )
-    components = (
-        Component("sensor at the phantom", sensor, "rig file, external_accuracy_k"),
-        Component("the sensor's place", SENSOR_SPAN_K / math.sqrt(3.0), place),
-        _steadiness(external_c),
-    )
-    return Surface(fmean(external_c), "external sensor at the phantom", components)
-
-
-def _from_model(bath_c: Sequence[float], figures: Figures) -> Surface:
-    water_c, room_c = fmean(bath_c), figures.room_c
-    supply_c = water_c - hose_drop_k(water_c, room_c)
-    slow, fast = (below_water_k(supply_c, room_c, film) for film in FILM_SPAN_W_PER_M2K)
-    per_k = below_water_k(supply_c, room_c) / (supply_c - room_c) if supply_c != room_c else 0.0
-    film_k, room_k = abs(slow - fast) / math.sqrt(12.0), ROOM_SPAN_K * per_k / math.sqrt(3.0)
-    components = (
-        Component("bath's own sensor", figures.accuracy_k, "rig file, accuracy_k"),
-        Component("film inside the teat", film_k, "300 to 1500 W/m²K"),
-        Component("room", room_k, f"± {ROOM_SPAN_K:g} K"),
-        _steadiness(bath_c),
-    )
-    return Surface(supply_c - below_water_k(supply_c, room_c), "plant model", components)
-
-
-def _steadiness(readings_c: Sequence[float]) -> Component:
-    u_k = (max(readings_c) - min(readings_c)) / math.sqrt(12.0)
-    return Component("change during the capture", u_k, f"{len(readings_c)} readings")

@@ -1,11 +1,12 @@
-"""From a run's record to its decisions: each requirement held against the scores of one detector,
-and the arm's against its checks and its dated verification.
+"""From a run's record to its decisions: each requirement held against the scores and times of one
+detector, and the arm's against its checks and its dated verification.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -13,8 +14,7 @@ import numpy as np
 
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
-from bench.results.latency import Latency, latency_of
-from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
+from bench.rig.arm_files import Limits, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
     Decision,
     Verdict,
@@ -25,7 +25,8 @@ from bench.scoring.decisions import (
     decide_time,
     overall,
 )
-from bench.scoring.pool import Pool, pool
+from bench.scoring.errors import percentile
+from bench.scoring.scene import Pool, pool
 from bench.script.calibration_age import decide_calibration
 from bench.script.model import (
     ArmRequirement,
@@ -38,23 +39,19 @@ from bench.script.model import (
     SuccessRequirement,
     TimeRequirement,
 )
-from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
+from bench.truth.arm_tip import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
+from detector.protocol import Outcome
 
 VERIFICATION_FACT = "arm verification"
+_CHECKS = {when: CHECK_FACT.format(when) for when in (BEFORE, AFTER)}
 
 
 def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
-    """Met where both checks and the dated verification keep every limit; not met where one breaks
-    any; inconclusive where one of them is missing or shows too little; not measured where the rig
-    names neither.
-
-    There is no guard band: the figure is the arm's own error, with the divot's in it.
+    """Not met where a check or the dated verification breaks a limit, inconclusive where one is
+    missing or shows too little, not measured where the rig names neither. There is no guard band:
+    the figure is the arm's own error, with the divot's in it.
     """
-    keys = {when: CHECK_FACT.format(when) for when in (BEFORE, AFTER)}
-    checks = {when: facts[key] for when, key in keys.items() if key in facts}
-    tests = {
-        when: location_of(fact, f"the check {when} the trials") for when, fact in checks.items()
-    }
+    checks = {when: facts[key] for when, key in _CHECKS.items() if key in facts}
     dated = from_dict(facts[VERIFICATION_FACT]) if VERIFICATION_FACT in facts else None
     limit = rule.location_limit_mm
     nothing = Decision(
@@ -67,21 +64,39 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     )
     if not checks and not dated:
         return nothing
-    against = _check_faults(rule, checks, tests)
-    missing = [f"the arm was not checked {when} the trials" for when in keys if when not in checks]
-    for test in tests.values():
+    tests = {
+        when: location_of(fact, f"the check {when} the trials") for when, fact in checks.items()
+    }
+    against: list[str] = []
+    missing = [
+        f"the arm was not checked {when} the trials" for when in _CHECKS if when not in checks
+    ]
+    for when, test in tests.items():
+        against += broken_by(test, limit)
         missing += gaps_of(test, rule.least_touches)
+        if (shift := shift_mm(checks[when])) > rule.shift_limit_mm:
+            against.append(
+                f"the check point was found {shift:.2f} mm from its place {when} the trials, limit"
+                f" {rule.shift_limit_mm:g} mm: was the arm homed, and was arm or table moved since"
+                " the frame was made?"
+            )
+    if len(tests) == 2:
+        drift = float(np.linalg.norm(tests[AFTER].centre_mm - tests[BEFORE].centre_mm))
+        if drift > rule.drift_limit_mm:
+            against.append(
+                f"the check point moved by {drift:.2f} mm during the run, limit"
+                f" {rule.drift_limit_mm:g} mm: was arm or table pushed?"
+            )
     if dated:
         limits = Limits(limit, rule.length_limit_mm)
-        against += _dated_faults(rule, dated, limits, facts)
+        against += [f"in the dated verification, {text}" for text in dated.broken(limits)]
+        against += _dated_faults(rule, dated, facts)
         missing += [f"in the dated verification, {gap}" for gap in dated.gaps(limits)]
     elif rule.dated_required:
         missing.append("the rig names no dated verification")
     read = " and ".join(f"{test.largest_mm:.2f} mm {when}" for when, test in tests.items())
-    kept = f"one divot read within {read}; " + (
-        f"verified on {dated.made:%Y-%m-%d}" if dated else "no dated verification is named"
-    )
-    told = "; ".join(against + missing) or kept
+    verified = f"verified on {dated.made:%Y-%m-%d}" if dated else "no dated verification is named"
+    reasons = "; ".join(against + missing) or f"one divot read within {read}; {verified}"
     figures = [test.largest_mm for test in tests.values()]
     largest = max([*figures, dated.location_mm] if dated else figures)
     return replace(
@@ -90,7 +105,7 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
         measured=largest,
         margin=limit - largest,
         verdict=(Verdict.NOT_MET if against else Verdict.INCONCLUSIVE if missing else Verdict.MET),
-        sentence=f"{told[0].upper()}{told[1:]}.",
+        sentence=f"{reasons[0].upper()}{reasons[1:]}.",
     )
 
 
@@ -107,44 +122,17 @@ def _rule(rule: ArmRequirement) -> str:
     )
 
 
-def _check_faults(
-    rule: ArmRequirement, checks: Mapping[str, Mapping[str, Any]], tests: Mapping[str, LocationTest]
-) -> list[str]:
-    faults = []
-    for when, fact in checks.items():
-        faults += broken_by(tests[when], rule.location_limit_mm)
-        shift = shift_mm(fact)
-        if shift > rule.shift_limit_mm:
-            faults.append(
-                f"the check point was found {shift:.2f} mm from its place {when} the trials, limit"
-                f" {rule.shift_limit_mm:g} mm: was the arm homed, and was arm or table moved since"
-                " the frame was made?"
-            )
-    if len(tests) == 2:
-        drift = float(np.linalg.norm(tests[AFTER].centre_mm - tests[BEFORE].centre_mm))
-        if drift > rule.drift_limit_mm:
-            faults.append(
-                f"the check point moved by {drift:.2f} mm during the run, limit"
-                f" {rule.drift_limit_mm:g} mm: was arm or table pushed?"
-            )
-    return faults
-
-
 def _dated_faults(
-    rule: ArmRequirement, dated: Verification, limits: Limits, facts: Mapping[str, Any]
-) -> list[str]:
-    faults = [f"in the dated verification, {text}" for text in dated.broken(limits)]
+    rule: ArmRequirement, dated: Verification, facts: Mapping[str, Any]
+) -> Iterator[str]:
     serial = facts.get("identities", {}).get("arm", {}).get("serial_number")
     if serial is not None and dated.serial_number != serial:
-        faults.append(
-            f"the verification is of the arm {dated.serial_number}, but the run used {serial}"
-        )
+        yield f"the verification is of the arm {dated.serial_number}, but the run used {serial}"
     age = age_of(dated, facts)
     if age > timedelta(days=rule.max_age_days):
-        faults.append(f"the verification was {age.days} days old, limit {rule.max_age_days:g} days")
+        yield f"the verification was {age.days} days old, limit {rule.max_age_days:g} days"
     if age < timedelta(0):
-        faults.append("the verification is dated after the run began: look at the computer's clock")
-    return faults
+        yield "the verification is dated after the run began: look at the computer's clock"
 
 
 def age_of(dated: Verification, facts: Mapping[str, Any]) -> timedelta:
@@ -173,25 +161,19 @@ def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     """Each detector's judgement. An unfinished run is judged on the trials that it has."""
     bench = ArmRequirement | BathRequirement | CalibrationRequirement
     of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, bench))
-    return tuple(
-        Judgement(
-            name,
-            held_back(
-                (_decide(rule, run, scored(run, name), name) for rule in rules.requirements),
-                run.damage,
-            ),
-            of_bench,
-        )
-        for name in run.detectors
-    )
+    found = []
+    for name in run.detectors:
+        decisions = (_decide(rule, run, scored(run, name), name) for rule in rules.requirements)
+        found.append(Judgement(name, held_back(decisions, run.damage), of_bench))
+    return tuple(found)
 
 
 def held_back(decisions: Iterable[Decision], damage: Sequence[str]) -> tuple[Decision, ...]:
     """The decisions; where the record is damaged, all of them inconclusive."""
-    if not damage:
-        return tuple(decisions)
     return tuple(
         replace(d, verdict=Verdict.INCONCLUSIVE, sentence=f"{NOT_AS_WRITTEN}. {d.sentence}")
+        if damage
+        else d
         for d in decisions
     )
 
@@ -212,34 +194,34 @@ def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
 def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> Decision:
     match rule:
         case BathRequirement():
-            return _bath(rule, run)
+            set_point_c = run.facts.get("set_point_c")
+            temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
+            held = sum(abs(temp - set_point_c) <= rule.band_k for temp in temps)
+            what = f"bath within {rule.band_k:g} K of the set point at every capture"
+            return decide_condition(rule.name, what, held=held, of=len(temps))
         case ArmRequirement():
             return decide_arm(rule, run.facts)
         case CalibrationRequirement():
             return decide_calibration(rule, run.facts)
-        case _:
-            return decide_detector(
-                rule, scores, latency_of(run, detector), truth_u_mm([run], scores, detector)
-            )
+    u_mm = truth_u_mm([run], scores, detector)
+    return decide_detector(rule, scores, latency_of(run, detector), u_mm)
 
 
 def decide_detector(
     rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None
 ) -> Decision:
-    """What a detector has to meet, held against its scores and times, of one run or of several;
-    ``u_mm`` as ``truth_u_mm`` gives it.
-
-    Nothing is met by silence: a frame set without an answer shows no error, no false teat and no
-    time.
+    """A detector's requirement held against its scores and times, of one run or of several;
+    ``u_mm`` as ``truth_u_mm`` gives it. A frame set without an answer shows no error, no false teat
+    and no time, so that nothing is met by silence.
     """
     decision = _decided(rule, scores, timed, u_mm)
     silent = timed.silent if isinstance(rule, ErrorRequirement | FalseRequirement) else timed.failed
-    told = f"It did not answer on {silent} of {timed.asked} frame sets"
+    unanswered = f"It did not answer on {silent} of {timed.asked} frame sets"
     if silent and silent == timed.asked:
         nothing = replace(decision, n=0, measured=None, margin=None, uncertainty=None)
-        return replace(nothing, verdict=Verdict.NOT_MEASURED, sentence=f"{told}.")
+        return replace(nothing, verdict=Verdict.NOT_MEASURED, sentence=f"{unanswered}.")
     if silent and decision.verdict is Verdict.MET:
-        sentence = f"{decision.sentence} {told}, which shows nothing for them."
+        sentence = f"{decision.sentence} {unanswered}, which shows nothing for them."
         return replace(decision, verdict=Verdict.INCONCLUSIVE, sentence=sentence)
     return decision
 
@@ -297,9 +279,109 @@ def truth_u_mm(runs: Sequence[RunRecord], scores: Pool, detector: str) -> float 
     return None if None in seen else max((score.u_mm for score in scores.scores), default=0.0)
 
 
-def _bath(rule: BathRequirement, run: RunRecord) -> Decision:
-    set_point_c = run.facts.get("set_point_c")
-    temps = [trial.head["bath_c"] for trial in run.trials if trial.head["bath_c"] is not None]
-    held = sum(abs(temp - set_point_c) <= rule.band_k for temp in temps)
-    what = f"bath within {rule.band_k:g} K of the set point at every capture"
-    return decide_condition(rule.name, what, held=held, of=len(temps))
+LATENCY_RULE = (
+    "Answers and time-outs count; the first call of each process (cold) and its start-up stand"
+    " apart, failures have no time. Percentiles are observed values."
+)
+STARVED_BELOW = 0.7  # share of a processor
+LEAST_TIMED_S = 0.2  # in all: a system may count a process's time in steps of 16 ms
+_TIMED = (Outcome.ANSWERED.value, Outcome.TIMEOUT.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Latency:
+    """seconds: what counts, in the order of the trials, with ``poses``, cpu_s and loads (as in
+    `Answer`). cold_s: first calls. start_up_s: the longest of a process. unanswered: how often each
+    outcome but an answer, of ``asked`` calls.
+    """
+
+    seconds: tuple[float, ...] = ()
+    cold_s: tuple[float, ...] = ()
+    start_up_s: float | None = None
+    unanswered: Mapping[str, int] = field(default_factory=dict)
+    poses: tuple[Hashable, ...] = ()
+    cpu_s: tuple[float | None, ...] = ()
+    loads: tuple[float | None, ...] = ()
+    asked: int = 0
+
+    @property
+    def silent(self) -> int:
+        """Calls without an answer."""
+        return sum(self.unanswered.values())
+
+    @property
+    def failed(self) -> int:
+        """Calls without a time: crashes, unusable answers, and calls after it was switched off."""
+        return self.silent - self.unanswered.get(Outcome.TIMEOUT.value, 0)
+
+    @property
+    def median_s(self) -> float | None:
+        """None where nothing was timed, as the other percentiles."""
+        return self._percentile(50)
+
+    @property
+    def p95_s(self) -> float | None:
+        """95th percentile."""
+        return self._percentile(95)
+
+    @property
+    def p99_s(self) -> float | None:
+        """99th percentile."""
+        return self._percentile(99)
+
+    def _percentile(self, percent: float) -> float | None:
+        return percentile(self.seconds, percent) if self.seconds else None
+
+    @property
+    def starved(self) -> str:
+        """A warning where the machine gave the detector less than `STARVED_BELOW` of a processor:
+        by processor seconds in the bench's process, by the machine's load in another.
+        """
+        timed = list(zip(self.cpu_s, self.seconds, self.loads, strict=True))
+        used = [(cpu_s, seconds) for cpu_s, seconds, _ in timed if cpu_s is not None]
+        loads = [load for cpu_s, _, load in timed if load is not None and cpu_s is None]
+        cpu_s, wall_s = (sum(column) for column in zip(*used, strict=True)) if used else (0.0, 0.0)
+        load = percentile(loads, 50) if loads else 0.0
+        if wall_s >= LEAST_TIMED_S and cpu_s < STARVED_BELOW * wall_s:
+            why = f"in {wall_s:.1f} s of detection it had a processor for {cpu_s:.1f} s; it waited"
+            why += " for one, or for something else"
+        elif load > 1.0 / STARVED_BELOW:
+            why = f"half of the time {load:.1f} or more processes wanted each processor"
+        else:
+            return ""
+        return (
+            f"THE MACHINE WAS TOO BUSY FOR THESE TIMES TO HOLD: {why}. On an idle machine they may"
+            " be shorter."
+        )
+
+
+def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> Latency:
+    """The times of one detector over the trials that count; of one situation where named."""
+    rows = [
+        (trial.pose, row)
+        for trial in run.counted
+        if situation in (None, trial.head["situation"])
+        for row in trial.detections
+        if row["detector"] == detector
+    ]
+    timed = [(pose, row) for pose, row in rows if row["outcome"] in _TIMED]
+    warm = [(pose, row) for pose, row in timed if not row["cold"]]
+    outcomes = Counter(row["outcome"] for _, row in rows)
+    del outcomes[Outcome.ANSWERED.value]
+    starts = [row["wall_start_up_s"] for _, row in rows if row["wall_start_up_s"] is not None]
+    return Latency(
+        seconds=tuple(row["wall_seconds"] for _, row in warm),
+        cold_s=tuple(row["wall_seconds"] for _, row in timed if row["cold"]),
+        start_up_s=max(starts, default=None),
+        unanswered=outcomes,
+        poses=tuple(pose for pose, _ in warm),
+        cpu_s=tuple(row["wall_cpu_s"] for _, row in warm),
+        loads=tuple(row["wall_load"] for _, row in warm),
+        asked=len(rows),
+    )
+
+
+def failures_told(latency: Latency) -> str:
+    """``3 timeout, 1 failure``; ``none``."""
+    counts = sorted(latency.unanswered.items())
+    return ", ".join(f"{count} {outcome}" for outcome, count in counts) or "none"

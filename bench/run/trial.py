@@ -27,8 +27,13 @@ from bench.safety.stability import State
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import CarriedTruth, fixed_key, resumed
-from bench.truth.registration import Registration, RegistrationError
-from bench.truth.registration_file import as_facts, registration_from_facts, write_registration
+from bench.truth.registration import (
+    Registration,
+    RegistrationError,
+    as_facts,
+    registration_from_facts,
+    write_registration,
+)
 from bench.truth.stage_registration import around, ends_of, register, stands_at
 from bench.truth.touching import ExpectedScene, NoTruthError, TouchedTruth, Toucher, TrialTruth
 from bench.truth.uncertainty import How, end_u_mm

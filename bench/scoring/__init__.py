@@ -1,3 +1,1 @@
-"""Scores as pure functions: arrays in, values out. Every formula with its source:
-docs/scoring.md.
-"""
+"""Scores as pure functions: arrays in, values out. Formulas and sources: docs/scoring.md."""

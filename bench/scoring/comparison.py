@@ -1,20 +1,15 @@
 """Two detectors, or two versions, on the same scenes: what differs, with an interval, how likely
 chance alone does that, and whether the new one is worse.
 
-Only differences within a scene count, so what makes a scene hard falls out. Success, false teats
-and misses are compared as they are counted, success on the scenes where the two disagree (McNemar,
-Psychometrika 12, 1947); errors by their differences on teats that both found, pose by pose, since
-teats and repeats of one pose are not independent. An error's change counts up to the limit: a teat
-farther off has failed, and failures are counted.
+Only differences within a scene count. Success, false teats and misses are compared as counted,
+success where the two disagree (McNemar, Psychometrika 12, 1947); errors by the differences on teats
+that both found, a pose once, each change up to the limit (beyond it a teat has failed).
 
-The gate asks one thing, "is it worse?": a scene that passed and now fails, a false teat or a miss
-more, or a mean error larger by more than the margin is worse; the mean distance, and the mean
-absolute error along each axis too, for a large error along one axis hides a new one across it. It
-is shown to be no worse only where the upper bound of the distance's change over all poses stays
-within the margin (non-inferiority; ICH E9, 3.3.2), those included that weren't run; else it is
-inconclusive, however little changed in the poses that were. A situation whose mean distance grew by
-more than the margin is worse where chance doesn't explain it (adjusted for all situations), and
-leaves the gate open where it may.
+The gate: a scene lost, a false teat or a miss more, or a mean error (distance, or absolute along an
+axis) larger by more than the margin is worse. No worse is shown only where the upper bound of the
+distance's change over all poses, those not run included, stays within the margin (non-inferiority;
+ICH E9, 3.3.2). A situation whose mean distance grew by more than the margin is worse where chance,
+adjusted for all situations, doesn't explain it; else the gate is inconclusive.
 """
 
 from __future__ import annotations
@@ -22,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import expm1, log, pi, sqrt
-from operator import attrgetter
 from statistics import NormalDist
 
 import numpy as np
@@ -58,29 +52,19 @@ class Discordance:
 
     @property
     def difference(self) -> float | None:
-        """Success rate of the new one less that of the old one, from -1 to 1; None where nothing
-        was compared.
-        """
+        """Success rate, new less old, -1 to 1; None where nothing was compared."""
         return (self.only_new - self.only_old) / self.n if self.n else None
 
     @property
     def p_value(self) -> float:
-        """Exact two-sided McNemar: the binomial test of the discordant scenes against one half; 1
-        where there are none.
-        """
-        discordant = self.only_old + self.only_new
-        return (
-            min(1.0, 2.0 * float(bdtr(min(self.only_old, self.only_new), discordant, 0.5)))
-            if discordant
-            else 1.0
-        )
+        """Exact two-sided McNemar: the discordant scenes' binomial test against one half."""
+        discordant, fewer = self.only_old + self.only_new, min(self.only_old, self.only_new)
+        return min(1.0, 2.0 * float(bdtr(fewer, discordant, 0.5))) if discordant else 1.0
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float] | None:
         """Score interval of `difference` (Tango, Statistics in Medicine 17, 1998); None where
-        nothing was compared.
-
-        It has a width also where no scene is discordant. It is approximate, `p_value` is exact:
-        where the two disagree, `p_value` decides.
+        nothing was compared. Approximate: where it and the exact `p_value` disagree, `p_value`
+        decides.
         """
         estimate = self.difference
         if estimate is None:
@@ -107,11 +91,9 @@ class Discordance:
 
 @dataclass(frozen=True, slots=True)
 class PairedDifference:
-    """Mean over poses of new - old, in the values' unit; below 0 the new one is better where the
-    values are errors.
-
-    A value's change counts at most `limit` either way. `low` and `high` are each one-sided bounds
-    of confidence (1 + `confidence`) / 2 on the mean over all poses; None where none was compared.
+    """Mean over poses of new - old, in the values' unit; each change counts at most `limit`. `low`
+    and `high` are one-sided bounds of confidence (1 + `confidence`) / 2; None where nothing was
+    compared.
     """
 
     poses: int
@@ -123,8 +105,8 @@ class PairedDifference:
 
 
 def discordance(old: npt.ArrayLike, new: npt.ArrayLike) -> Discordance:
-    """Who succeeded in each scene: two columns (n,) of true and false. Raises ValueError where
-    their lengths differ.
+    """Who succeeded in each scene: two columns (n,) of true and false. Raises ValueError for two
+    lengths.
     """
     a, b = np.asarray(old, dtype=np.bool_).ravel(), np.asarray(new, dtype=np.bool_).ravel()
     if a.shape != b.shape:
@@ -146,10 +128,8 @@ def paired_difference(
     confidence: float = 0.95,
     seed: int = 0,
 ) -> PairedDifference:
-    """Mean difference new - old of errors (n,) of the same teats, with an interval (`upper_bound`)
-    and the p-value of `sign_flip_p`.
-
-    Each pose counts once, with the mean of its differences.
+    """Mean difference new - old of errors (n,) of the same teats, a pose once, with its bounds
+    (`upper_bound`) and p-value (`sign_flip_p`).
     """
     differences = pose_differences(old, new, poses, limit=limit)
     if not len(differences):
@@ -165,11 +145,10 @@ def paired_difference(
 def upper_bound(values: Floats, limit: float, confidence: float) -> float:
     """Upper bound on the mean of what `values` (n,) are independent draws of, none above `limit`.
 
-    The quantile of the mean of the values and, as one that wasn't seen, `limit`, under random
-    weights that sum to 1, all such weights alike likely (Gaffke, Mathematical Methods of Statistics
-    14, 2005; Learned-Miller and Thomas, arXiv:1905.06208). Clopper and Pearson's bound where values
-    are 0 or `limit`. No distribution is known for which it holds less often than it says; that
-    there is none isn't proven.
+    The quantile of the mean of the values and, as one that wasn't seen, `limit`, under uniform
+    random weights that sum to 1 (Gaffke, Mathematical Methods of Statistics 14, 2005;
+    Learned-Miller and Thomas, arXiv:1905.06208). Clopper and Pearson's bound where values are 0 or
+    `limit`. No counterexample to its confidence is known, nor a proof.
     """
     n, chance = len(values), 1.0 - confidence
     share = -expm1(log(chance) / n)
@@ -188,8 +167,8 @@ def upper_bound(values: Floats, limit: float, confidence: float) -> float:
 
 
 def poses_to_show(values: Floats, limit: float, margin: float, confidence: float) -> int | None:
-    """Fewest poses with differences such as these `values` whose `upper_bound` is at most `margin`;
-    None where MOST_POSES don't do.
+    """Fewest poses with differences such as these whose `upper_bound` is at most `margin`; None
+    where MOST_POSES don't do.
     """
 
     def shows(poses: int) -> bool:
@@ -199,11 +178,9 @@ def poses_to_show(values: Floats, limit: float, margin: float, confidence: float
 
 
 def _chance_above(values: Floats, limit: float, mean: float, n: int) -> float:
-    """The chance that a mean under random weights exceeds `mean`: of `n` values distributed like
-    `values`, and of `limit`.
-
-    Such weights are shares of gamma variables, so this is the chance that a weighted sum of those
-    exceeds 0: its characteristic function inverted (Davies, Applied Statistics 29, 1980).
+    """The chance that the mean under random weights of `n` values like these, and of `limit`,
+    exceeds `mean`: that of a weighted sum of gamma variables to exceed 0, its characteristic
+    function inverted (Davies, Applied Statistics 29, 1980).
     """
     offsets, shapes = (
         np.append(values, limit) - mean,
@@ -225,11 +202,9 @@ def _chance_above(values: Floats, limit: float, mean: float, n: int) -> float:
 
 
 def sign_flip_p(differences: Floats, seed: int = 0, flips: int = FLIPS) -> float:
-    """Two-sided p-value of a mean of 0: how often signs thrown at random give a mean as far from 0
-    (Fisher, The Design of Experiments, 21).
-
-    All 2^n signs where they are at most `flips`, else that many at random and the one seen; for
-    more than MANY values the normal limit.
+    """Two-sided p-value of a mean of 0 under random signs (Fisher, The Design of Experiments, 21):
+    all 2^n where at most `flips`, else that many and the one seen; above MANY values the normal
+    limit.
     """
     values = differences[differences != 0.0]
     n = len(values)
@@ -252,38 +227,23 @@ def sign_flip_p(differences: Floats, seed: int = 0, flips: int = FLIPS) -> float
 def pose_differences(
     old: npt.ArrayLike, new: npt.ArrayLike, poses: Sequence[Hashable] | None = None, *, limit: float
 ) -> Floats:
-    """The mean of new - old of each pose (p,), at most `limit` a row either way, poses in order of
-    appearance.
-
-    Without `poses` each row is a pose of its own.
+    """The mean of new - old of each pose (p,), at most `limit` a row either way, in order of
+    appearance; without `poses` each row is a pose.
     """
     a, b = as_values(old, "old errors"), as_values(new, "new errors")
-    if len(a) != len(b):
+    names = range(len(a)) if poses is None else poses
+    if not len(a) == len(b) == len(names):
         raise ValueError(
-            f"paired errors: {len(a)} old and {len(b)} new ones; give both for the same teats, in"
-            " the same order"
+            f"paired errors: {len(a)} old and {len(b)} new ones with {len(names)} pose names; give"
+            " all for the same teats, in the same order"
         )
-    changes = np.clip(b - a, -limit, limit)
-    if poses is None:
-        return changes
-    if len(poses) != len(a):
-        raise ValueError(
-            f"paired errors: {len(poses)} pose names for {len(a)} values; give the pose of each"
-            " value"
-        )
-    codes = numbered(poses)
-    return (
-        np.asarray(np.bincount(codes, changes) / np.bincount(codes), dtype=np.float64)
-        if len(codes)
-        else changes
-    )
+    codes, changes = numbered(names), np.clip(b - a, -limit, limit)
+    return np.asarray(np.bincount(codes, changes) / np.bincount(codes), dtype=np.float64)
 
 
 def holm(p_values: Sequence[float]) -> tuple[float, ...]:
     """Adjusted p-values of several questions asked at once, in the given order (Holm, Scandinavian
-    Journal of Statistics 6, 1979).
-
-    A question whose adjusted value is below 0.05 is significant with 5 % for the whole family.
+    Journal of Statistics 6, 1979): below 0.05 is significant with 5 % for the whole family.
     """
     p = np.asarray(p_values, dtype=np.float64)
     if not ((p >= 0.0) & (p <= 1.0)).all():
@@ -295,8 +255,8 @@ def holm(p_values: Sequence[float]) -> tuple[float, ...]:
 
 
 def _crossing(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a falling function crosses 0 between `low` and `high`; the end that it doesn't leave
-    where it doesn't.
+    """Where a falling function crosses 0 between `low` and `high`; where it doesn't, the nearer
+    end.
     """
     if low == high or function(low) <= 0.0:
         return low
@@ -320,12 +280,9 @@ class ScenePair:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What differs in one situation, or in all (`situation` None). Errors are of teats that both
-    found, mm; `success` counts poses.
-
-    `axes` are the differences of the mean absolute error along the world's x, y and z. The p-values
-    adjusted by Holm are over the situations of one comparison; None in the pooled row, which is one
-    question.
+    """What differs in one situation, or in all (None): errors in mm of teats that both found, along
+    `axes` absolute; `success` counts poses. `_holm`: adjusted over the situations, None in the
+    pooled row.
     """
 
     situation: str | None
@@ -343,9 +300,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Whether the new one is worse: NOT_MET says that it is, MET that it is shown to be no worse.
-    One reason a line.
-    """
+    """NOT_MET: the new one is worse. MET: it is shown to be no worse. One reason a line."""
 
     verdict: Verdict
     reasons: tuple[str, ...]
@@ -370,11 +325,9 @@ def compare(
     seed: int = 0,
     unpaired: int = 0,
 ) -> Compared:
-    """Compare on `pairs`; `unpaired` scenes of the old one have no counterpart.
-
-    Raises ValueError for no pair, a margin below 0, or a scene that was scored with two limits: its
-    success means two things then. `margin_mm` is by default a twentieth of the limit that the
-    scenes were scored with.
+    """Compare on `pairs`; `unpaired` scenes of the old one have no counterpart. `margin_mm` is by
+    default a twentieth of the limit. Raises ValueError for no pair, a margin below 0, or a scene
+    with two limits.
     """
     if not pairs:
         raise ValueError("compare: the two have no scene in common")
@@ -387,11 +340,11 @@ def compare(
     margin = MARGIN_SHARE * _limit_mm(pairs) if margin_mm is None else margin_mm
     if not 0.0 <= margin < float("inf"):
         raise ValueError(f"margin: {margin} mm must be 0 or more")
+    parts: dict[str, list[ScenePair]] = {}
+    for pair in pairs:
+        parts.setdefault(pair.situation, []).append(pair)
     pooled = _row(None, pairs, confidence, seed)
-    rows = [
-        _row(name, [pair for pair in pairs if pair.situation == name], confidence, seed)
-        for name in dict.fromkeys(pair.situation for pair in pairs)
-    ]
+    rows = [_row(name, part, confidence, seed) for name, part in parts.items()]
     success = holm([row.success.p_value for row in rows])
     radial = iter(holm([p for row in rows if (p := row.radial.p_value) is not None]))
     situations = tuple(
@@ -400,8 +353,7 @@ def compare(
         )
         for row, p in zip(rows, success, strict=True)
     )
-    several = situations if len(situations) > 1 else ()
-    verdict = gate(pairs, pooled, margin, unpaired, several)
+    verdict = gate(pairs, pooled, margin, unpaired, situations if len(situations) > 1 else ())
     return Compared(pooled, situations, verdict, confidence)
 
 
@@ -422,15 +374,11 @@ def gate(
         old, new = getattr(pooled.old, what), getattr(pooled.new, what)
         if new > old:
             worse.append(f"{plural(new - old, f'{what} teat')} more ({new} instead of {old})")
-    means = {"distance to the teat end": pooled.radial.mean}
-    means |= {
-        f"error along {name}": axis.mean for name, axis in zip("xyz", pooled.axes, strict=True)
-    }
-    worse += [
-        f"the mean {what} grew by {by:.3f} mm, more than the margin of {margin_mm:g} mm"
-        for what, by in means.items()
-        if by is not None and by > margin_mm
-    ]
+    names = ("distance to the teat end", "error along x", "error along y", "error along z")
+    for what, change in zip(names, (pooled.radial, *pooled.axes), strict=True):
+        if change.mean is not None and change.mean > margin_mm:
+            by = f"grew by {change.mean:.3f} mm, more than the margin of {margin_mm:g} mm"
+            worse.append(f"the mean {what} {by}")
     shown, left_open = _grown_in(situations, margin_mm)
     worse += shown
     if worse:
@@ -438,7 +386,6 @@ def gate(
     if unpaired:
         left_open.append(f"{unpaired} scenes of the old one were not run with the new one")
     high, tail = pooled.radial.high, (1.0 + pooled.radial.confidence) / 2.0
-    poses = plural(pooled.poses, "pose")
     if high is None:
         left_open.append("no teat was found by both, so no error was compared")
     elif high > margin_mm:
@@ -452,16 +399,14 @@ def gate(
     failing = Rate(0, pooled.poses).upper_bound(tail) or 0.0
     bounds = (
         f"over all poses the mean distance grew by at most {high:.3f} mm (margin {margin_mm:g} mm) "
-        f"and at most {percent(failing)} of poses are lost anew ({poses}, "
+        f"and at most {percent(failing)} of poses are lost anew ({plural(pooled.poses, 'pose')}, "
         f"{exact_percent(tail)} confidence each)"
     )
     return Gate(Verdict.MET, ("no scene lost, no false or missed teat more", bounds), margin_mm)
 
 
 def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], list[str]]:
-    """Situations whose mean distance grew by more than the margin, which the mean over all may
-    hide: shown, and perhaps by chance.
-    """
+    """Situations whose mean distance grew by more than the margin: shown, and perhaps by chance."""
     shown, perhaps = [], []
     for row in situations:
         by, p = row.radial.mean, row.radial_holm
@@ -480,70 +425,64 @@ def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], l
 
 def _needed(pairs: Sequence[ScenePair], margin_mm: float, confidence: float) -> str:
     """How many poses would show that those that were not run hide nothing."""
-    limit_mm, (old, new, poses) = _limit_mm(pairs), _common(pairs)
-    changes = pose_differences(
-        np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1), poses, limit=limit_mm
-    )
+    limit_mm, (old, new, poses) = _limit_mm(pairs), common_errors(pairs)
+    distances = np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1)
+    changes = pose_differences(*distances, poses, limit=limit_mm)
     needed = poses_to_show(changes, limit_mm, margin_mm, confidence)
-    return (
-        "no number of poses with such changes shows less"
-        if needed is None
-        else f"{needed} poses with such changes show less"
-    )
+    poses_show = "no number of poses with such changes shows"
+    return f"{poses_show if needed is None else f'{needed} poses with such changes show'} less"
 
 
 def why_failed(score: SceneScore) -> str:
     """What made a scene fail, in words."""
     counts, worst = score.counts, max(score.radial_mm, default=0.0)
-    parts = [
-        f"{counts.missed} missed" if counts.missed else "",
-        f"{counts.false} false" if counts.false else "",
-    ]
-    parts += [f"{worst:.2f} mm off (limit {score.limit_mm:g} mm)" if worst > score.limit_mm else ""]
-    parts += ["" if score.in_time else f"too slow ({score.seconds:.2f} s)"]
-    return ", ".join(part for part in parts if part) or "it succeeded"
+    reasons = {
+        f"{counts.missed} missed": counts.missed,
+        f"{counts.false} false": counts.false,
+        f"{worst:.2f} mm off (limit {score.limit_mm:g} mm)": worst > score.limit_mm,
+        f"too slow ({score.seconds:.2f} s)": not score.in_time,
+    }
+    return ", ".join(text for text, holds in reasons.items() if holds) or "it succeeded"
 
 
-def common_errors(pair: ScenePair) -> tuple[Floats, Floats]:
-    """The errors (k, 3) of the teats that both found, old and new, row by row the same teat."""
-    at = {teat: row for row, (_, teat) in enumerate(pair.new.match.pairs)}
-    rows = [(row, at[teat]) for row, (_, teat) in enumerate(pair.old.match.pairs) if teat in at]
-    olds, news = [a for a, _ in rows], [b for _, b in rows]
-    return pair.old.errors_mm[olds].reshape(-1, 3), pair.new.errors_mm[news].reshape(-1, 3)
+def common_errors(pairs: Iterable[ScenePair]) -> tuple[Floats, Floats, list[str]]:
+    """The errors (k, 3) of the teats that both found, old and new, row by row the same teat, and
+    the pose of each row.
+    """
+    olds, news, poses = [np.zeros((0, 3))], [np.zeros((0, 3))], []
+    for pair in pairs:
+        at = {teat: row for row, (_, teat) in enumerate(pair.new.match.pairs)}
+        rows = [(row, at[teat]) for row, (_, teat) in enumerate(pair.old.match.pairs) if teat in at]
+        olds.append(pair.old.errors_mm[[row for row, _ in rows]])
+        news.append(pair.new.errors_mm[[row for _, row in rows]])
+        poses += [pair.pose] * len(rows)
+    return np.concatenate(olds), np.concatenate(news), poses
 
 
 def _limit_mm(pairs: Iterable[ScenePair]) -> float:
     return min(pair.old.limit_mm for pair in pairs)
 
 
-def _common(pairs: Iterable[ScenePair]) -> tuple[Floats, Floats, list[str]]:
-    """The errors (k, 3) of all teats that both found, old and new, and their poses."""
-    errors = [(pair.pose, *common_errors(pair)) for pair in pairs]
-    old, new = (np.concatenate([both[side] for both in errors]) for side in (1, 2))
-    return old, new, [pose for pose, common, _ in errors for _ in common]
-
-
 def _row(situation: str | None, pairs: Sequence[ScenePair], confidence: float, seed: int) -> Row:
-    old, new, poses = _common(pairs)
+    old, new, poses = common_errors(pairs)
 
     def differ(a: Floats, b: Floats) -> PairedDifference:
-        return paired_difference(
-            a, b, poses, limit=_limit_mm(pairs), confidence=confidence, seed=seed
-        )
+        limit = _limit_mm(pairs)
+        return paired_difference(a, b, poses, limit=limit, confidence=confidence, seed=seed)
 
     x, y, z = (differ(np.abs(old[:, k]), np.abs(new[:, k])) for k in range(3))
     # a pose succeeds when all its repeats do
     names = dict.fromkeys(pair.pose for pair in pairs)
-    failed = [
-        {pair.pose for pair in pairs if not score(pair).success}
-        for score in (attrgetter("old"), attrgetter("new"))
-    ]
+    lost = (
+        {pair.pose for pair in pairs if not pair.old.success},
+        {pair.pose for pair in pairs if not pair.new.success},
+    )
     return Row(
         situation=situation,
         scenes=len(pairs),
         poses=len(names),
         teats=len(old),
-        success=discordance(*([name not in lost for name in names] for lost in failed)),
+        success=discordance(*([name not in failed for name in names] for failed in lost)),
         radial=differ(np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1)),
         axes=(x, y, z),
         old=added(pair.old.counts for pair in pairs),

@@ -1,13 +1,9 @@
-"""From figures to verdicts: met, not met, inconclusive, not measured. The caller names the rule
-before the run; nothing here has a default limit.
+"""From figures to verdicts: met, not met, inconclusive, not measured. No limit has a default.
 
-A rate is decided on its exact bounds (`rates`), an error on its guard band (`guard_band`): accepted
-below it, refused above it, undecided between. A claim for which too few poses were run is
-inconclusive however good the figures look; what bounds anything counts poses. For an error, how
-many are enough depends on how near the largest one lies to the limit, since the confidence is
-shared between chance in the draw of poses and chance in the truth, which in one run is much the
-same at all poses (`rates.guarded_n`): 59 for 95/95 far from the limit, 91 at the edge of the guard
-band.
+A rate is decided on its exact bounds, an error on its guard band: accepted below it, refused above
+it, undecided between. Bounds count poses; too few poses are inconclusive however good the figures.
+The confidence in an error is shared between chance in the draw of poses and chance in the truth
+(`rates.guarded_n`): 59 poses for 95/95 far from the limit, 91 at the edge of the guard band.
 """
 
 from __future__ import annotations
@@ -47,12 +43,9 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
-    """One requirement decided; by default it is not measured. `measured`, `limit`, `accept`,
-    `margin` and `uncertainty` are in `unit`.
-
-    `margin` is positive on the good side of `limit`; `uncertainty` is one-sided at the rule's
-    confidence (the guard band of an error, the distance from a rate to its bound), so what is shown
-    has a margin of at least it. `accept` is the acceptance limit of an error.
+    """One requirement decided; by default not measured. Figures are in `unit`; `margin` is positive
+    on the good side of `limit`, `uncertainty` one-sided at the rule's confidence. `accept` is an
+    error's acceptance limit.
     """
 
     name: str
@@ -73,9 +66,7 @@ class Decision:
 
 
 def overall(verdicts: Iterable[Verdict]) -> Verdict:
-    """The worst: one not met is not met; else one inconclusive or not measured is inconclusive, and
-    so is nothing at all; else met.
-    """
+    """The worst; inconclusive also where one is not measured, or where there are none."""
     given = set(verdicts)
     if Verdict.NOT_MET in given:
         return Verdict.NOT_MET
@@ -92,11 +83,8 @@ def decide_rate(
     possible: Rate | None = None,
 ) -> Decision:
     """Is the true rate at least `required`? Met on the exact one-sided lower bound, not met on the
-    upper one; `rate` counts poses.
-
-    Where the truth is uncertain, `shown` are the successes that it can't turn, and the lower bound
-    is theirs; `possible` are all but the failures that it can't turn, and the upper bound is theirs
-    (`pool`).
+    upper one. `rate` counts poses. The lower bound is of `shown` (successes that the truth's
+    uncertainty can't turn), the upper one of `possible` (all but the failures that it can't turn).
     """
     sure, open_to = shown or rate, possible or rate
     least = trials_needed(sure.failures, required, confidence)
@@ -150,12 +138,9 @@ def decide_time(
     confidence: float = 0.95,
     poses: Sequence[Hashable] | None = None,
 ) -> Decision:
-    """Are the detections (n,) in time? Decided on what was timed, and it says what share of poses
-    that shows; with a `rate` it is inconclusive where less is shown than that. A p95 is claimed for
-    95 %.
-
-    `poses` names the pose of each time (none given: each is a pose of its own); a pose is in time
-    when all its detections are.
+    """Are the detections (n,) in time? With a `rate` it is inconclusive where the poses show less.
+    A p95 is claimed for 95 %. `poses` names the pose of each time (None: each its own); a pose is
+    in time when all its detections are.
     """
     values = as_values(seconds, "seconds")
     if rate is not None and statistic == "p95" and rate != 0.95:
@@ -208,25 +193,23 @@ def decide_count(
     confidence: float = 0.95,
     per_pose: Sequence[int] | None = None,
 ) -> Decision:
-    """Is there none (false teats, say) in the scenes run? The sentence gives the upper
-    bound per scene (Garwood 1936, Poisson).
-
-    `per_pose` is the count of each pose's worst scene: the bound counts poses, since repeats of one
-    pose aren't independent. None given: each scene is a pose of its own.
+    """Is there none (false teats, say) in the scenes run? With the upper bound a scene (Garwood
+    1936, Poisson). `per_pose` is the count of each pose's worst scene (None: each scene is a pose).
     """
     if count < 0 or scenes < 0 or (count and not scenes):
         raise ValueError(f"decide_count: {count} in {scenes} scenes is impossible")
     rule = "at most 0 in all scenes that were run"
-    nothing = Decision(name=name, rule=rule, limit=0.0, sentence="No scene was scored.")
     if not scenes:
-        return nothing
+        return Decision(name=name, rule=rule, limit=0.0, sentence="No scene was scored.")
     worst, poses = (count, scenes) if per_pose is None else (sum(per_pose), len(per_pose))
     bound = float(gammaincinv(worst + 1, confidence)) / poses
     where = plural(scenes, "scene") + (f" of {plural(poses, 'pose')}" if poses != scenes else "")
-    return replace(
-        nothing,
+    return Decision(
+        name=name,
+        rule=rule,
         n=poses,
         measured=float(count),
+        limit=0.0,
         margin=float(-count),
         verdict=Verdict.NOT_MET if count else Verdict.MET,
         sentence=f"{count} in {where}: at most {bound:.2g} a scene in the long run, with"
@@ -235,19 +218,17 @@ def decide_count(
 
 
 def decide_condition(name: str, rule: str, *, held: int, of: int) -> Decision:
-    """Did a condition of the bench (bath in band, arm verified, calibration fresh) hold every time
-    it was looked at?
-    """
-    nothing = Decision(
-        name=name, rule=rule, limit=float(of), sentence="The condition was never looked at."
-    )
+    """Did a condition of the bench (bath in band, arm verified) hold each time it was looked at?"""
     failures = Rate(held, of).failures
     if not of:
-        return nothing
-    return replace(
-        nothing,
+        sentence = "The condition was never looked at."
+        return Decision(name=name, rule=rule, limit=0.0, sentence=sentence)
+    return Decision(
+        name=name,
+        rule=rule,
         n=of,
         measured=float(held),
+        limit=float(of),
         margin=float(-failures),
         verdict=Verdict.NOT_MET if failures else Verdict.MET,
         sentence=f"Held {held} of {of} times.",
@@ -266,40 +247,36 @@ def decide_error(
     statistic: Literal["max", "quantile"] = "max",
     missed: int = 0,
 ) -> Decision:
-    """Is the error below `limit_mm` in a share `rate` of poses? `errors_mm` (n,) are distances;
-    u_mm is that of the truth per axis, None where nobody stated it: then nothing is accepted.
-
-    `poses` names the pose of each error (none given: each is a pose of its own); a pose counts
-    once, with its worst error. "max": the largest error is decided. "quantile": the exact one-sided
-    bounds of the quantile `rate`. `missed` teats have no error; they are told.
+    """Is the distance (n,) below `limit_mm` in a share `rate` of poses? Each pose counts once, with
+    its worst. Decided is the largest, or the exact one-sided bounds of the quantile `rate`. u_mm is
+    that of the truth along an axis; None (not stated) accepts nothing. `missed` have no error.
     """
     worst = worst_per_pose(np.abs(as_values(errors_mm, "errors")), poses)
     accept = None if u_mm is None else acceptance_limit_mm(limit_mm, u_mm)
     refuse = refusal_limit_mm(limit_mm, u_mm or 0.0)
-    least, share = zero_failure_n(rate, confidence), exact_percent(rate)
+    n, least, share = len(worst), zero_failure_n(rate, confidence), exact_percent(rate)
     what = "largest distance" if statistic == "max" else f"{share} quantile of the distance"
     accepted = "nothing" if accept is None else f"{accept:.3f} mm"
     stated = "u not stated" if u_mm is None else f"u = {u_mm:.3g} mm"
-    rule = (
-        f"{what} of the found teats: accepted up to {accepted}, refused from {refuse:.3f} mm (T ="
-        f" {limit_mm:g} mm, {stated}, 5 % false acceptance); at least {least} poses show it for"
-        f" {share} of poses with {exact_percent(confidence)} confidence"
-        f"{', more near the acceptance limit' if u_mm else ''}"
-    )
-    none = "No teat was found, so no error was measured."
     nothing = Decision(
-        name=name, rule=rule, unit="mm", limit=limit_mm, sentence=none, accept=accept
+        name=name,
+        rule=f"{what} of the found teats: accepted up to {accepted}, refused from {refuse:.3f} mm"
+        f" (T = {limit_mm:g} mm, {stated}, 5 % false acceptance); at least {least} poses show it"
+        f" for {share} of poses with {exact_percent(confidence)} confidence"
+        f"{', more near the acceptance limit' if u_mm else ''}",
+        unit="mm",
+        limit=limit_mm,
+        sentence="No teat was found, so no error was measured.",
+        accept=accept,
     )
-    n = len(worst)
     if not n:
         return nothing
-    lower: float | None = float(worst.max())
-    upper = lower
-    if statistic == "quantile":
-        lower, upper = quantile_bounds(worst, rate, confidence)
-    measured = float(worst.max()) if upper is None else upper
+    largest = float(worst.max())
+    lower, upper = (
+        (largest, largest) if statistic == "max" else quantile_bounds(worst, rate, confidence)
+    )
+    measured = largest if upper is None else upper
     verdict = Verdict.INCONCLUSIVE
-    within = f"within the acceptance limit of {accepted}"
     if lower is not None and lower >= refuse:
         measured, verdict = lower, Verdict.NOT_MET
         reason = f"at or beyond the refusal limit of {refuse:.3f} mm"
@@ -315,48 +292,42 @@ def decide_error(
             f"above the acceptance limit of {accepted} and not shown to be beyond {limit_mm:g} mm"
         )
     else:
-        risk = leak(measured, limit_mm, u_mm)
-        enough = guarded_n(int((worst > measured).sum()), rate, confidence, risk)
-        if enough is None:
-            reason = (
-                f"{within}, but so near to it the truth is too uncertain for the claim, however"
-                " many poses are run"
-            )
-        elif n < enough:
-            reason = f"{within}, but a claim for {share} of poses needs {enough - n} more"
-            if enough > max(n, least):
-                reason += f" ({least} do where the largest lies further from it)"
-        else:
-            verdict, reason = Verdict.MET, f"{within}; shown for {share} of poses"
-    without = (
-        f" Of the found teats only: {missed} {'was' if missed == 1 else 'were'} missed."
-        if missed
-        else ""
-    )
+        beyond = int((worst > measured).sum())
+        enough = guarded_n(beyond, rate, confidence, leak(measured, limit_mm, u_mm))
+        verdict, claim = _claim(n, least, enough, share)
+        reason = f"within the acceptance limit of {accepted}{claim}"
+    band = refuse - limit_mm if accept is None or verdict is Verdict.NOT_MET else limit_mm - accept
+    were = "was" if missed == 1 else "were"
+    without = f" Of the found teats only: {missed} {were} missed." if missed else ""
     return replace(
         nothing,
         n=n,
         measured=measured,
         margin=limit_mm - measured,
-        uncertainty=(
-            refuse - limit_mm if accept is None or verdict is Verdict.NOT_MET else limit_mm - accept
-        ),
+        uncertainty=band,
         verdict=verdict,
         sentence=f"The {what} over {plural(n, 'pose')} is {measured:.2f} mm, {reason}.{without}",
     )
 
 
+def _claim(n: int, least: int, enough: int | None, share: str) -> tuple[Verdict, str]:
+    """Whether `n` poses within the acceptance limit are `enough`; far from it `least` would be."""
+    if enough is None:
+        return Verdict.INCONCLUSIVE, (
+            ", but so near to it the truth is too uncertain for the claim, however many poses are"
+            " run"
+        )
+    if n >= enough:
+        return Verdict.MET, f"; shown for {share} of poses"
+    far = f" ({least} do where the largest lies further from it)" if enough > max(n, least) else ""
+    return Verdict.INCONCLUSIVE, f", but a claim for {share} of poses needs {enough - n} more{far}"
+
+
 def worst_per_pose(values: Floats, poses: Sequence[Hashable] | None) -> Floats:
-    """The largest value of each pose (p,), poses in order of appearance; without poses each value
-    is a pose of its own.
-    """
+    """The largest value of each pose (p,), in order of appearance; None: each value is a pose."""
     if poses is None:
         return values
-    if len(poses) != len(values):
-        raise ValueError(
-            f"poses: {len(poses)} names for {len(values)} values; give the pose of each value"
-        )
-    codes = numbered(poses)
+    codes = numbered(poses, len(values))
     worst = np.full(int(codes.max(initial=-1)) + 1, -np.inf)
     np.maximum.at(worst, codes, values)
     return worst

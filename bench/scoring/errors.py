@@ -1,10 +1,9 @@
 """Errors of matched teats: bias, spread and distance, per axis and radial; what covers a share of
-them with a stated confidence (ISO 16269-6); and the checks of every array on its way into a score.
+them with a stated confidence (ISO 16269-6); and the checks of every array that is scored.
 
-No signed mean is ever called "the error": bias and spread stand side by side, rms^2 = bias^2 + sd^2
-holds exactly (sd divides by n), and the distance has figures of its own. Percentiles are observed
-values (the smallest with at least that share at or below it), not interpolated. `rate` is the share
-that is covered, `confidence` how sure that is; "99/95" is a rate of 0.99 with a confidence of 0.95.
+No signed mean is called "the error": rms^2 = bias^2 + sd^2 holds exactly (sd divides by n), and
+distances have figures of their own. Percentiles are observed values, not interpolated. "99/95" is a
+`rate` of 0.99 covered with a `confidence` of 0.95.
 """
 
 from __future__ import annotations
@@ -36,36 +35,36 @@ def as_points(value: npt.ArrayLike, name: str) -> Floats:
             f"{name}: expected points of shape (n, 3) in mm, got shape {points.shape}; a single"
             " point is [[x, y, z]]"
         )
+    return _finite(points, f"{name}: point")
+
+
+def _finite(values: Floats, what: str) -> Floats:
     # the sum first: one look where all is well
-    if not isfinite(np.add.reduce(points, axis=None)) and not np.isfinite(points).all():
-        row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+    if not isfinite(np.add.reduce(values, axis=None)) and not np.isfinite(values).all():
+        row = int(np.argwhere(~np.isfinite(values))[0, 0])
         raise ValueError(
-            f"{name}: point {row} is {points[row].tolist()}, which is not finite; leave out a teat"
-            " that was not found"
+            f"{what} {row} is {values[row].tolist()}, which is not finite; leave out what was not"
+            " found or measured"
         )
-    return points
+    return values
 
 
 def as_values(value: npt.ArrayLike, name: str) -> Floats:
-    """`value` as float64 (n,). Raises ValueError on another shape
-    or on a value that is not finite.
-    """
+    """`value` as float64 (n,). Raises ValueError on another shape or a value that is not finite."""
     values = np.asarray(value, dtype=np.float64)
     if values.size == 0:
         return np.zeros(0)
     if values.ndim != 1:
         raise ValueError(f"{name}: expected a list of numbers, got shape {values.shape}")
-    if not np.isfinite(values).all():
-        place = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise ValueError(
-            f"{name}: value {place} is {values[place]}, which is not finite; leave out what was not"
-            " measured"
-        )
-    return values
+    return _finite(values, f"{name}: value")
 
 
-def numbered(names: Sequence[Hashable]) -> npt.NDArray[np.intp]:
-    """Names (n,) as numbers from 0, in order of their first appearance."""
+def numbered(names: Sequence[Hashable], rows: int | None = None) -> npt.NDArray[np.intp]:
+    """Names (n,) as numbers from 0, in order of their first appearance. Raises ValueError where
+    there are not as many as `rows`.
+    """
+    if rows not in (None, len(names)):
+        raise ValueError(f"poses: {len(names)} names for {rows} rows; give the pose of each")
     numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
     return np.fromiter(map(numbers.__getitem__, names), dtype=np.intp, count=len(names))
 
@@ -97,8 +96,8 @@ class RadialSummary:
 
 @dataclass(frozen=True, slots=True)
 class ErrorSummary:
-    """Errors in one frame of reference. `components` pools the three axes (3 n values): what the
-    thesis's "average error" averaged.
+    """Errors in one frame of reference. `components` pools the axes (3 n values): the thesis's
+    average.
     """
 
     n: int
@@ -115,44 +114,30 @@ def summarise_axis(values_mm: npt.ArrayLike) -> AxisSummary:
     values = as_values(values_mm, "errors along an axis")
     if not len(values):
         return AxisSummary(0)
-    absolute = np.abs(values)
-    return AxisSummary(
-        n=len(values),
-        bias_mm=float(values.mean()),
-        sd_mm=float(values.std()),
-        rms_mm=float(np.sqrt(np.mean(values**2))),
-        mean_abs_mm=float(absolute.mean()),
-        max_abs_mm=float(absolute.max()),
-    )
+    rms, absolute = np.sqrt(np.mean(values**2)), np.abs(values)
+    figures = values.mean(), values.std(), rms, absolute.mean(), absolute.max()
+    return AxisSummary(len(values), *map(float, figures))
 
 
 def summarise_radial(distances_mm: npt.ArrayLike) -> RadialSummary:
     """Distances (n,), none negative."""
-    distances = as_values(distances_mm, "distances")
-    if not len(distances):
+    values = as_values(distances_mm, "distances")
+    if not len(values):
         return RadialSummary(0)
-    if distances.min() < 0:
+    if values.min() < 0:
         raise ValueError(
-            f"distances: {distances.min()} mm is negative; give distances, not signed errors"
+            f"distances: {values.min()} mm is negative; give distances, not signed errors"
         )
-    return RadialSummary(
-        n=len(distances),
-        mean_mm=float(distances.mean()),
-        rms_mm=float(np.sqrt(np.mean(distances**2))),
-        median_mm=float(np.median(distances)),
-        p95_mm=percentile(distances, 95),
-        p99_mm=percentile(distances, 99),
-        max_mm=float(distances.max()),
-    )
+    high = percentile(values, 95), percentile(values, 99), values.max()
+    figures = values.mean(), np.sqrt(np.mean(values**2)), np.median(values), *high
+    return RadialSummary(len(values), *map(float, figures))
 
 
 def summarise(
     errors_mm: npt.ArrayLike, camera_from_world: npt.ArrayLike | None = None
 ) -> ErrorSummary:
-    """Errors found - truth, (n, 3) in world axes; with a rotation (3, 3) the summary is along the
-    camera's axes (z is depth).
-
-    Raises ValueError where the shape is wrong or the matrix is no proper rotation.
+    """Errors found - truth, (n, 3) in world axes; with a rotation (3, 3) along the camera's axes (z
+    is depth). Raises ValueError for a wrong shape or a matrix that is no proper rotation.
     """
     errors = as_points(errors_mm, "errors")
     if camera_from_world is not None:
@@ -164,21 +149,15 @@ def summarise(
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or det(rotation) < 0:
             raise ValueError("camera_from_world: no proper rotation, so it would change lengths")
         errors = errors @ rotation.T
-    along = [summarise_axis(errors[:, k]) for k in range(3)]
-    return ErrorSummary(
-        n=len(errors),
-        frame="world" if camera_from_world is None else "camera",
-        x=along[0],
-        y=along[1],
-        z=along[2],
-        components=summarise_axis(errors.ravel()),
-        radial=summarise_radial(np.linalg.norm(errors, axis=1)),
-    )
+    x, y, z, components = (summarise_axis(values) for values in (*errors.T, errors.ravel()))
+    frame = "world" if camera_from_world is None else "camera"
+    radial = summarise_radial(np.linalg.norm(errors, axis=1))
+    return ErrorSummary(len(errors), frame, x, y, z, components, radial)
 
 
 def percentile(values: npt.ArrayLike, percent: float) -> float:
     """The smallest of the values with at least `percent` of them at or below it. Raises ValueError
-    where there are none.
+    for none.
     """
     given = as_values(values, "values")
     if not len(given):
@@ -200,11 +179,9 @@ def normal_k(n: int, rate: float, confidence: float = 0.95) -> float:
 def quantile_bounds(
     values: npt.ArrayLike, rate: float, confidence: float = 0.95
 ) -> tuple[float | None, float | None]:
-    """One-sided lower and upper bound, each with `confidence`, of the population's quantile `rate`:
-    two of the values, or None where n is too small.
-
-    Any distribution (David and Nagaraja, Order Statistics, section 7.1). The upper bound is the
-    distribution-free tolerance limit.
+    """One-sided lower and upper bound of the population's quantile `rate`, each with `confidence`,
+    for any distribution: two of the values, None where n is too small (David and Nagaraja, Order
+    Statistics, section 7.1).
     """
     ordered = np.sort(as_values(values, "values"))
     n = len(ordered)

@@ -1,7 +1,6 @@
-"""Guard bands: what may still be accepted, and what must be refused, when the truth itself is
-uncertain (JCGM 106:2012, section 8), with 5 % false acceptance.
-
-u is the standard uncertainty of the truth along one axis, the same along all three.
+"""Guard bands: what is accepted, and what refused, when the truth itself is uncertain (JCGM
+106:2012, section 8), with 5 % false acceptance. u is the truth's standard uncertainty along any
+axis.
 """
 
 from __future__ import annotations
@@ -25,19 +24,19 @@ def guard_band_mm(u_mm: float) -> float:
 
 
 def axis_acceptance_limit_mm(limit_mm: float, u_mm: float) -> float | None:
-    """The same as `acceptance_limit_mm` for the error along one axis: T - w."""
+    """`acceptance_limit_mm` for the error along one axis: T - w."""
     band = guard_band_mm(u_mm)
     return limit_mm - band if limit_mm > band else None
 
 
 @lru_cache(maxsize=256)
 def acceptance_limit_mm(limit_mm: float, u_mm: float) -> float | None:
-    """The largest seen distance that is still accepted under a limit T, or None where the truth is
-    too uncertain to accept any.
+    """The largest seen distance that is accepted under a limit T; None where the truth is too
+    uncertain.
 
-    The A at which a true error of three normal components about the seen one exceeds T with the
-    probability 5 %, so (T/u)^2 is the 95 % quantile of a noncentral chi-square with 3 degrees of
-    freedom and noncentrality (A/u)^2. T = 5 mm, u = 0.23 mm: 4.611 (along one axis 4.622).
+    The A at which a true error of three normal components about the seen one exceeds T with 5 %:
+    (T/u)^2 is the 95 % quantile of a noncentral chi-square with 3 degrees of freedom and
+    noncentrality (A/u)^2. T = 5 mm, u = 0.23 mm: 4.611 (along one axis 4.622).
     """
     band = guard_band_mm(u_mm)
     if not 0.0 < limit_mm < float("inf"):
@@ -52,20 +51,17 @@ def acceptance_limit_mm(limit_mm: float, u_mm: float) -> float | None:
 
 @lru_cache(maxsize=256)
 def refusal_limit_mm(limit_mm: float, u_mm: float) -> float:
-    """T + w: a seen error of at least this is too large whatever the truth's uncertainty; between
-    the two limits nothing is decided.
-    """
+    """T + w: a seen error of at least this is too large whatever the truth's uncertainty."""
     return limit_mm + guard_band_mm(u_mm)
 
 
 @lru_cache(maxsize=4096)
 def leak(seen_mm: float, limit_mm: float, u_mm: float) -> float:
-    """The chance that a true error just beyond the limit T is seen at no more than `seen_mm`: what
-    accepting up to there lets through.
+    """The chance that a true error just beyond the limit T is seen at no more than `seen_mm`.
 
-    No error beyond T is seen so near more often: noncentral chi-square with 3 degrees of freedom
-    and noncentrality (T/u)^2 at (seen/u)^2. T = 5 mm, u = 0.23 mm: 4.1 % at the acceptance limit of
-    4.611, 0.1 % at 4.28 mm. 0 for a truth without uncertainty.
+    Noncentral chi-square with 3 degrees of freedom and noncentrality (T/u)^2 at (seen/u)^2; an
+    error further out leaks less. T = 5 mm, u = 0.23 mm: 4.1 % at the acceptance limit of 4.611, 0.1
+    % at 4.28 mm. 0 for an exact truth.
     """
     guard_band_mm(u_mm)
     if u_mm == 0.0:
@@ -76,8 +72,8 @@ def leak(seen_mm: float, limit_mm: float, u_mm: float) -> float:
 
 
 def error_without_noise_mm(seen_rms_mm: float, u_mm: float) -> float | None:
-    """The rms distance with the truth's own noise taken out: E|seen|^2 = |true|^2 + 3 u^2. None
-    where the noise explains all that was seen.
+    """The rms distance less the truth's noise: E|seen|^2 = |true|^2 + 3 u^2; None where noise
+    explains all.
     """
     guard_band_mm(u_mm)
     squared = seen_rms_mm**2 - 3.0 * u_mm**2

@@ -1,18 +1,17 @@
 """Which finding answers which teat: optimal assignment in 3-D under a gate, and the GOSPA distance.
 
-One assignment of all findings to all teats minimises the GOSPA cost (Rahmathullah,
-Garcia-Fernandez, Svensson, "Generalized optimal sub-pattern assignment metric", FUSION 2017; p = 2,
-alpha = 2, c = gate). A pair on a visible teat saves c^2 (a miss and a false finding); one on a
-hidden teat saves c^2 / 2, the false finding only, since a hidden teat may be absent for nothing. So
-a finding on a hidden teat is not false, it takes no visible teat that another finding is nearer to,
-and a visible teat loses its finding to a hidden one only where that is much nearer.
+One assignment minimises the GOSPA cost (Rahmathullah, Garcia-Fernandez, Svensson, "Generalized
+optimal sub-pattern assignment metric", FUSION 2017; p = 2, alpha = 2, c = gate). A pair on a
+visible teat saves c^2 (a miss and a false finding), one on a hidden teat c^2 / 2: a hidden teat may
+be absent. So a finding on a hidden teat is not false, and takes a visible teat's finding only where
+that is much nearer to it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from itertools import combinations, starmap
+from itertools import combinations
 from math import dist, inf, sqrt
 from operator import attrgetter
 
@@ -32,9 +31,7 @@ Points = list[list[float]]
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What a match counted; adds field by field, so that scenes and runs merge without averaging
-    averages.
-    """
+    """What a match counted; adds field by field."""
 
     visible: int = 0
     hidden: int = 0
@@ -58,9 +55,7 @@ class Counts:
 
     @property
     def precision(self) -> Rate:
-        """Findings that were a visible teat, of those that had to be one (findings on hidden teats
-        count neither way).
-        """
+        """Findings on a visible teat, of those not on a hidden one."""
         return Rate(self.matched, self.matched + self.false)
 
 
@@ -90,42 +85,28 @@ class Match:
     @property
     def counts(self) -> Counts:
         """The match as numbers that add."""
-        n = len(self.pairs)
-        return Counts(
-            n + len(self.missed),
-            self.hidden,
-            n,
-            len(self.missed),
-            len(self.false),
-            len(self.hidden_pairs),
-        )
+        n, missed = len(self.pairs), len(self.missed)
+        return Counts(n + missed, self.hidden, n, missed, len(self.false), len(self.hidden_pairs))
 
     @property
     def gospa_mm(self) -> float:
-        """sqrt(sum d^2 + c^2/2 (missed + false)), c = gate; hidden teats and the findings on them
-        cost nothing.
+        """sqrt(sum d^2 + c^2/2 (missed + false)), c = gate; hidden teats and findings on them cost
+        nothing.
         """
         outliers = len(self.missed) + len(self.false)
         return sqrt(sum(d * d for d in self.distances_mm) + self.gate_mm**2 / 2 * outliers)
 
 
 def gate_mm(truth_mm: npt.ArrayLike) -> float:
-    """The gate of a scene: min(25 mm, half the least spacing of its teats, the hidden ones too);
-    `truth_mm` is (m, 3).
-
-    Half the spacing, because then no finding lies within the gate of two teats. Raises ValueError
-    where two ends are at one place.
+    """The gate of a scene with teats (m, 3), hidden ones too: min(25 mm, half the least spacing),
+    which holds no finding in two gates. Raises ValueError where two ends are at one place.
     """
-    return gate_between(as_points(truth_mm, "truth").tolist())
-
-
-def gate_between(truth: Points) -> float:
-    """`gate_mm` of points that are checked already."""
-    least = min(starmap(dist, combinations(truth, 2)), default=inf)
+    truth = truth_mm if isinstance(truth_mm, list) else as_points(truth_mm, "truth").tolist()
+    least, (i, j) = min(
+        ((dist(truth[i], truth[j]), (i, j)) for i, j in combinations(range(len(truth)), 2)),
+        default=(inf, (0, 0)),
+    )
     if least < LEAST_SPACING_MM:
-        i, j = min(
-            combinations(range(len(truth)), 2), key=lambda two: dist(truth[two[0]], truth[two[1]])
-        )
         raise ValueError(
             f"truth: the ends of teats {i + 1} and {j + 1} are {least:.2f} mm apart, at {truth[i]}"
             " mm; one was touched twice"
@@ -136,10 +117,8 @@ def gate_between(truth: Points) -> float:
 def match(
     found_mm: npt.ArrayLike, truth_mm: npt.ArrayLike, visible: npt.ArrayLike, gate_mm: float
 ) -> Match:
-    """Assign findings (n, 3) to teats (m, 3); `visible` is (m,) true or false. A pair beyond the
-    gate is a miss and a false finding.
-
-    Raises ValueError on wrong shapes, values that are not finite, or a gate that is not above 0.
+    """Assign findings (n, 3) to teats (m, 3) with flags (m,); a pair beyond the gate is a miss and
+    a false finding. Raises ValueError on wrong shapes, values not finite, or a gate not above 0.
     """
     truth = as_points(truth_mm, "truth").tolist()
     return assign(
@@ -148,9 +127,7 @@ def match(
 
 
 def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Match:
-    """`match` of points and flags that are checked already: lists, since a scene has a handful of
-    teats.
-    """
+    """`match` of points and flags that are checked already."""
     if not 0.0 < gate_mm < inf:
         raise ValueError(f"gate: {gate_mm} mm is not above 0 and finite; use gate_mm(truth)")
     within = {
@@ -180,9 +157,7 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
 
 
 def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
-    """A flag for each teat. Raises ValueError where there are more or fewer, or where one is
-    neither true nor false.
-    """
+    """A flag for each teat. Raises ValueError for another number, or one neither true nor false."""
     given = np.asarray(visible)
     if given.size == 0 and teats == 0:
         return []

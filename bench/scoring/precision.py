@@ -1,12 +1,10 @@
-"""Repeatability and reproducibility: gage R&R of the ground truth, a crossed analysis of variance
-(AIAG, Measurement Systems Analysis, 4th edition, chapter III, and ISO 22514-7); accuracy and
-repeatability of poses (ISO 9283:1998, 7.2), of distances (7.3), drift, and the components of spread
-(ISO 5725-2:1994).
+"""Gage R&R of the ground truth, a crossed analysis of variance (AIAG, Measurement Systems Analysis,
+4th edition, chapter III, and ISO 22514-7); accuracy and repeatability of poses (ISO 9283:1998,
+7.2), of distances (7.3), drift, and the components of spread (ISO 5725-2:1994).
 
-In the gage study parts are teat ends at poses, appraisers are set-ups (repeats of the pose, or
-runs), repeats are touches. A component below zero is zero. An interaction that isn't significant at
-25 % is pooled into the repeatability, as the manual does. Standard deviations divide by n - 1, as
-the standards do; a spread of one value is None.
+Parts are teat ends at poses, appraisers set-ups (repeats of the pose, or runs), repeats touches. A
+component below zero is zero; an interaction not significant at 25 % is pooled into the
+repeatability. Standard deviations divide by n - 1; a spread of one value is None.
 """
 
 from __future__ import annotations
@@ -27,12 +25,9 @@ STUDY_SDS = 6.0  # a study variation is 6 standard deviations: 99.73 % of a norm
 
 @dataclass(frozen=True, slots=True)
 class GageStudy:
-    """Standard deviations along one axis, in the values' unit, and the analysis of variance that
-    they come from.
-
-    `repeatability`: touch after touch. `reproducibility`: set-up after set-up, the interaction with
-    the part included. `gage`: both. `part`: between teat ends. `interaction_p` is None where it
-    can't be tested.
+    """Standard deviations along one axis, in the values' unit: touch after touch, set-up after
+    set-up (the interaction included), between teat ends. `interaction_p` is None where it can't be
+    tested.
     """
 
     parts: int
@@ -63,17 +58,15 @@ class GageStudy:
         return max(1, floor(1.41 * self.part / self.gage)) if self.gage > 0.0 else 1
 
     def share_of_tolerance(self, tolerance: float) -> float:
-        """6 gage / tolerance; `tolerance` is the whole width (10 mm for +-5 mm). Below 0.1 is good,
-        above 0.3 is not acceptable (AIAG).
-        """
+        """6 gage / the whole width `tolerance`: below 0.1 good, above 0.3 not acceptable (AIAG)."""
         if not tolerance > 0.0:
             raise ValueError(f"tolerance: {tolerance} is not above 0")
         return STUDY_SDS * self.gage / tolerance
 
 
 def gage_study(values: npt.ArrayLike) -> GageStudy:
-    """The study of `values` (parts, appraisers, repeats), every cell full; at least 2 of each.
-    Raises ValueError on anything else.
+    """The study of full cells `values` (parts, appraisers, repeats), at least 2 of each. Raises
+    ValueError.
     """
     table = np.asarray(values, dtype=np.float64)
     if table.ndim != 3 or min(table.shape) < 2 or not np.isfinite(table).all():
@@ -116,8 +109,8 @@ def gage_study(values: npt.ArrayLike) -> GageStudy:
 
 @dataclass(frozen=True, slots=True)
 class PoseAccuracy:
-    """AP = |mean - commanded| with its components, and RP = mean(l) + 3 sd(l), l_j = |p_j - mean|.
-    RP is None for one repeat.
+    """AP = |mean - commanded|, and RP = mean(l) + 3 sd(l), l_j = |p_j - mean| (None for one
+    repeat).
     """
 
     n: int
@@ -137,8 +130,8 @@ class DistanceAccuracy:
 
 @dataclass(frozen=True, slots=True)
 class Precision:
-    """Standard deviations: s_r within a pose or set-up, s_L between them, s_R = sqrt(s_r^2 +
-    s_L^2). None where the groups don't tell.
+    """Standard deviations: s_r within a pose or set-up, s_L between, s_R = sqrt(s_r^2 + s_L^2);
+    None where the groups don't tell.
     """
 
     n: int
@@ -174,8 +167,8 @@ def distance_accuracy(distances_mm: npt.ArrayLike, commanded_mm: float) -> Dista
 
 
 def drift_mm(points_mm: npt.ArrayLike, commanded_mm: npt.ArrayLike, repeats: int) -> float | None:
-    """Drift of AP: the largest |AP(first block) - AP(later block)|, blocks of `repeats` points (n,
-    3) in order of time. None below two blocks.
+    """The largest |AP(first block) - AP(later block)|, blocks of `repeats` points (n, 3) in order
+    of time; None below two blocks.
     """
     points = as_points(points_mm, "points")
     if repeats < 1:
@@ -190,8 +183,7 @@ def drift_mm(points_mm: npt.ArrayLike, commanded_mm: npt.ArrayLike, repeats: int
 
 
 def precision(groups: Sequence[npt.ArrayLike]) -> Precision:
-    """s_r and s_R of one quantity from groups of repeats (one-way analysis of variance; groups may
-    differ in size, empty ones are left out).
+    """s_r and s_R from groups of repeats (one-way analysis of variance; empty groups are left out).
 
     ISO 5725-2, 7.4.5: s_L^2 = (MS_between - s_r^2) / n0, at least 0, with n0 = (N - sum n_i^2 / N)
     / (p - 1).

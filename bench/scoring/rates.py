@@ -1,7 +1,5 @@
-"""Rates as counts with exact intervals (Clopper and Pearson, Biometrika 26, 1934).
-
-Intervals count poses, not frames: frames of one pose are not independent trials. An empty rate is
-"not measured".
+"""Rates as counts with exact intervals (Clopper and Pearson, Biometrika 26, 1934). They count
+poses: frames of one pose are not independent. An empty rate is "not measured".
 """
 
 from __future__ import annotations
@@ -41,23 +39,19 @@ class Rate:
         return self.successes / self.trials if self.trials else None
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float] | None:
-        """Two-sided exact interval (low, high) of the true rate, or None where nothing was
-        tried.
-        """
+        """Two-sided exact interval (low, high) of the true rate; None where nothing was tried."""
         check_open("confidence", confidence)
         tail = (1.0 + confidence) / 2.0
         low, high = self.lower_bound(tail), self.upper_bound(tail)
         return None if low is None or high is None else (low, high)
 
     def lower_bound(self, confidence: float = 0.95) -> float | None:
-        """One-sided exact bound: the true rate is at least this, with the confidence given. None
-        where nothing was tried.
-        """
+        """The true rate is at least this (one-sided, exact); None where nothing was tried."""
         failed = Rate(self.failures, self.trials).upper_bound(confidence)
         return None if failed is None else 1.0 - failed
 
     def upper_bound(self, confidence: float = 0.95) -> float | None:
-        """One-sided exact bound: the true rate is at most this. None where nothing was tried."""
+        """The true rate is at most this (one-sided, exact); None where nothing was tried."""
         check_open("confidence", confidence)
         if not self.trials:
             return None
@@ -66,17 +60,13 @@ class Rate:
         return float(betaincinv(self.successes + 1, self.failures, confidence))
 
     def __str__(self) -> str:
-        return (
-            "not measured"
-            if self.value is None
-            else f"{self.successes} of {self.trials} ({percent(self.value)})"
-        )
+        if self.value is None:
+            return "not measured"
+        return f"{self.successes} of {self.trials} ({percent(self.value)})"
 
 
 def percent(fraction: float) -> str:
-    """A fraction from 0 to 1 as text with one decimal; "100 %" and "0 %" only where exactly true
-    ("> 99.9 %", "< 0.1 %" otherwise).
-    """
+    """A fraction as text with one decimal; "100 %" and "0 %" only where exactly true."""
     if fraction in (0.0, 1.0):
         return f"{fraction * 100:.0f} %"
     if fraction > 0.999:
@@ -85,9 +75,7 @@ def percent(fraction: float) -> str:
 
 
 def percent_apart(fraction: float, *limits: float) -> str:
-    """`percent` with as many decimals as it takes to be read on the right side of each limit: 94.97
-    %, not 95.0 %, where 95 % is missed.
-    """
+    """`percent` with decimals that show the side of each limit: 94.97 %, not 95.0 %."""
     for decimals in range(1, 8):
         shown = round(100.0 * fraction, decimals)
         if all((fraction >= limit) == (shown >= round(100.0 * limit, 9)) for limit in limits):
@@ -106,8 +94,8 @@ def plural(n: int, thing: str) -> str:
 
 
 def zero_failure_n(rate: float, confidence: float = 0.95) -> int:
-    """Fewest trials, none failed, that show a success rate of at least `rate`: the least n with
-    rate^n <= 1 - confidence.
+    """Fewest trials, none failed, that show a rate of at least `rate`: least n with rate^n <= 1 -
+    confidence.
     """
     check_open("rate", rate)
     check_open("confidence", confidence)
@@ -115,9 +103,7 @@ def zero_failure_n(rate: float, confidence: float = 0.95) -> int:
 
 
 def trials_needed(failures: int, rate: float, confidence: float = 0.95) -> int:
-    """Fewest trials, `failures` of them failed, whose exact
-    one-sided lower bound reaches `rate`.
-    """
+    """Fewest trials, `failures` of them failed, whose exact lower bound reaches `rate`."""
     if failures < 0:
         raise ValueError(f"failures: {failures} is negative")
     start = max(failures, zero_failure_n(rate, confidence) - 1)
@@ -132,11 +118,8 @@ def trials_needed(failures: int, rate: float, confidence: float = 0.95) -> int:
 def guarded_n(
     failures: int, rate: float, confidence: float = 0.95, leak: float = 0.0
 ) -> int | None:
-    """`trials_needed` where a truth that isn't exact takes a bad pose for a good one with the
-    chance `leak`; None where none are enough.
-
-    Fewest trials whose `shown_falsely` is at most 1 - confidence: 59 at 95/95 where nothing leaks,
-    91 where 4.1 % do.
+    """`trials_needed` where the truth takes a bad pose for a good one with the chance `leak`; None
+    where none are enough. At 95/95: 59 where nothing leaks, 91 where 4.1 % do.
     """
     allowed = 1.0 - confidence
     if leak >= allowed - 1e-9:
@@ -162,9 +145,9 @@ def shown_falsely(failures: int, trials: int, rate: float, leak: float) -> float
     """Bound on the chance that a rate below `rate` gives at most `failures` failures that are seen.
 
     P(B <= failures) + sum over b > failures of P(B = b) min(1, b leak / (b - failures)), B binomial
-    over the bad poses: of b of them b - failures have to leak at once, which by Markov's inequality
-    is no likelier than that however the truth's errors depend on each other from pose to pose. It
-    matters since an arm's error is much the same all through a run.
+    over the bad poses. Of b bad poses b - failures have to leak at once: by Markov's inequality no
+    likelier than that, however the truth's errors depend on each other (an arm's error is much the
+    same all through a run).
     """
     bad, few = 1.0 - rate, float(bdtr(failures, trials, 1.0 - rate))
     # beyond are hardly any, all counted as one there
@@ -176,16 +159,14 @@ def shown_falsely(failures: int, trials: int, rate: float, leak: float) -> float
 
 
 def pose_successes(poses: Sequence[Hashable], successes: Iterable[bool]) -> Rate:
-    """Frames to poses: `poses` names the pose of each frame. Rule: a pose succeeds when all its
-    repeats do; one failed repeat fails it.
-    """
+    """Frames to poses (`poses` names each frame's): a pose succeeds when all its repeats do."""
     failed = {pose for pose, success in zip(poses, successes, strict=True) if not success}
     trials = len(set(poses))
     return Rate(trials - len(failed), trials)
 
 
 def check_open(name: str, value: float) -> None:
-    """Raise ValueError where a rate or a confidence is no share that can be shown."""
+    """Raise ValueError where a rate or a confidence isn't between 0 and 1."""
     if not 0.0 < value < 1.0:
         raise ValueError(
             f"{name}: {value} must lie between 0 and 1, both excluded (no number of trials shows"

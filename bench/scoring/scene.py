@@ -1,31 +1,36 @@
-"""The score of one trial: what was found, how far off, and whether the scene as a whole succeeded.
+"""The score of one trial, and of many as one: what was found, how far off, whether the scene
+succeeded.
 
 A scene succeeds when every visible teat was found within the limit, nothing false was found, and
-the answer came in time. The hidden count is scored beside it. Success is counted on the seen error
-as it stands; `doubtful` names the teats whose error lies in the guard band, where the truth's
-uncertainty could turn it, and a decision on a rate takes neither such successes nor such failures
-as shown.
+the answer came in time. The hidden count is scored beside it. `doubtful` names the teats whose
+error lies in the guard band, where the truth's uncertainty could turn it: a decision on a rate
+takes neither such successes nor such failures as shown.
+
+Scenes merge by adding counts, never by averaging averages. Frames of one pose are repeats: a pose
+succeeds when all of them do, and every rate with an interval counts poses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from operator import sub
+from operator import attrgetter, sub
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from bench.scoring.errors import Floats, as_points
+from bench.scoring.errors import ErrorSummary, Floats, as_points, summarise
 from bench.scoring.guard_band import acceptance_limit_mm, refusal_limit_mm
-from bench.scoring.matching import Counts, Match, as_flags, assign, gate_between
+from bench.scoring.matching import Counts, Match, added, as_flags, assign, gate_mm
+from bench.scoring.rates import Rate, pose_successes
+from bench.scoring.sample_size import failures_allowed, shown_error_mm
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneScore:
-    """`errors_mm` (k, 3) are found - truth in world axes, one row a pair of `match.pairs` (visible
+    """`errors_mm` (k, 3) are found - truth in world axes, a row a pair of `match.pairs` (visible
     teats only); compare scores by `as_dict()`.
     """
 
@@ -56,14 +61,12 @@ class SceneScore:
 
     @property
     def surely_succeeded(self) -> bool:
-        """A success that the truth's uncertainty can't turn: no error in the guard band."""
+        """A success that the truth's uncertainty can't turn."""
         return self.success and not self.doubtful
 
     @property
     def surely_failed(self) -> bool:
-        """A failure that the truth's uncertainty can't turn: something else than errors in the
-        guard band made it one.
-        """
+        """A failure that not only errors in the guard band made."""
         if self.success:
             return False
         off = [d for d in self.radial_mm if d > self.limit_mm]
@@ -72,7 +75,7 @@ class SceneScore:
 
     @property
     def hidden_right(self) -> bool | None:
-        """Whether the detector's count of hidden teats was right; None where it made no claim."""
+        """Whether the count of hidden teats was right; None where the detector made no claim."""
         return None if self.hidden_claimed is None else self.hidden_claimed == self.match.hidden
 
     def as_dict(self) -> dict[str, Any]:
@@ -110,10 +113,8 @@ def score_scene(
     hidden_claimed: int | None = None,
 ) -> SceneScore:
     """Score findings (n, 3) against teats (m, 3) with flags (m,), world mm; u_mm is the truth's
-    standard uncertainty along an axis.
-
-    A detection that failed or timed out is scored as no findings, with the time it took. Raises
-    ValueError on impossible input.
+    standard uncertainty along an axis. A detection that failed has no findings. Raises ValueError
+    on impossible input.
     """
     found, truth = as_points(found_mm, "found"), as_points(truth_mm, "truth")
     if not (isfinite(seconds) and seconds >= 0.0):
@@ -126,7 +127,7 @@ def score_scene(
             f"hidden_claimed: {hidden_claimed} teats; None says that the detector makes no claim"
         )
     answers, ends = found.tolist(), truth.tolist()
-    result = assign(answers, ends, as_flags(visible, len(ends)), gate_between(ends))
+    result = assign(answers, ends, as_flags(visible, len(ends)), gate_mm(ends))
     errors = np.array([list(map(sub, answers[i], ends[j])) for i, j in result.pairs])
     in_time, largest = seconds <= time_limit_s, max(result.distances_mm, default=0.0)
     accept, refuse = acceptance_limit_mm(limit_mm, u_mm), refusal_limit_mm(limit_mm, u_mm)
@@ -180,3 +181,111 @@ def _frozen(errors: Floats) -> Floats:
     errors = errors.reshape(-1, 3)
     errors.setflags(write=False)
     return errors
+
+
+@dataclass(frozen=True, slots=True)
+class Pool:
+    """Scenes with the name of the pose that each belongs to; adding puts one pool behind
+    the other.
+    """
+
+    scores: tuple[SceneScore, ...] = ()
+    poses: tuple[Hashable, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.scores) != len(self.poses):
+            raise ValueError(
+                f"pool: {len(self.scores)} scores with {len(self.poses)} pose names; name the pose"
+                " of each score"
+            )
+
+    def __add__(self, other: Pool) -> Pool:
+        return Pool(self.scores + other.scores, self.poses + other.poses)
+
+    @property
+    def counts(self) -> Counts:
+        """All teats and findings counted."""
+        return added(s.counts for s in self.scores)
+
+    @property
+    def frames(self) -> Rate:
+        """Scenes that succeeded, of the scenes; for an interval use `success`."""
+        return Rate(sum(s.success for s in self.scores), len(self.scores))
+
+    @property
+    def success(self) -> Rate:
+        """Poses that succeeded in all repeats, of the poses."""
+        return self._poses_where(attrgetter("success"))
+
+    def _poses_where(self, holds: Callable[[SceneScore], bool | None]) -> Rate:
+        """Poses that hold in all repeats, of the poses; scenes with None are left out."""
+        held = [(pose, holds(s)) for pose, s in zip(self.poses, self.scores, strict=True)]
+        known = [(pose, of) for pose, of in held if of is not None]
+        return pose_successes([pose for pose, _ in known], [of for _, of in known])
+
+    def surely_succeeded(self, rate: float, confidence: float) -> Rate:
+        """Poses whose success the truth's uncertainty can't turn, of the poses: sure up to the
+        distance at which so many poses claim `rate` falsely in no more than 1 - `confidence`.
+        """
+        poses = len(set(self.poses))
+        failures = failures_allowed(poses, rate, confidence)
+        reach: dict[tuple[float, float], float | None] = {}
+        if failures is not None:
+            for limits in {(s.limit_mm, s.u_mm) for s in self.scores}:
+                reach[limits] = shown_error_mm(poses, rate, *limits, confidence, failures)
+
+        def sure(score: SceneScore) -> bool:
+            most = reach.get((score.limit_mm, score.u_mm), score.limit_mm)
+            near = not score.radial_mm or (most is not None and max(score.radial_mm) <= most)
+            return score.surely_succeeded and near
+
+        return self._poses_where(sure)
+
+    @property
+    def perhaps_succeeded(self) -> Rate:
+        """Poses that succeeded, or whose failures the truth's uncertainty could turn."""
+        return self._poses_where(lambda score: not score.surely_failed)
+
+    @property
+    def worst_false(self) -> tuple[int, ...]:
+        """The false findings of each pose's worst repeat."""
+        worst: dict[Hashable, int] = {}
+        for pose, score in zip(self.poses, self.scores, strict=True):
+            worst[pose] = max(worst.get(pose, 0), len(score.match.false))
+        return tuple(worst.values())
+
+    @property
+    def hidden_right(self) -> Rate:
+        """Poses whose hidden teats were counted right, of those where the detector made a claim."""
+        return self._poses_where(attrgetter("hidden_right"))
+
+    @property
+    def in_time(self) -> Rate:
+        """Poses answered in time in all repeats, of the poses."""
+        return self._poses_where(attrgetter("in_time"))
+
+    @property
+    def seconds(self) -> tuple[float, ...]:
+        """The time of each detection."""
+        return tuple(s.seconds for s in self.scores)
+
+    @property
+    def errors_mm(self) -> Floats:
+        """found - truth of every matched teat, (n, 3), world axes."""
+        return np.concatenate([np.zeros((0, 3)), *(s.errors_mm for s in self.scores)])
+
+    @property
+    def error_poses(self) -> tuple[Hashable, ...]:
+        """The pose of each row of `errors_mm`."""
+        return tuple(
+            p for p, s in zip(self.poses, self.scores, strict=True) for _ in range(len(s.errors_mm))
+        )
+
+    def summary(self, camera_from_world: Floats | None = None) -> ErrorSummary:
+        """All matched teats; with a rotation (3, 3), along the camera's axes."""
+        return summarise(self.errors_mm, camera_from_world)
+
+
+def pool(scores: Sequence[SceneScore], poses: Sequence[Hashable] | None = None) -> Pool:
+    """Scores to a pool; without names each scene is a pose of its own (don't add such pools)."""
+    return Pool(tuple(scores), tuple(range(len(scores))) if poses is None else tuple(poses))

@@ -21,8 +21,7 @@ from bench.script.phantom import Layout, find_layout, load_layout
 from bench.script.planned_trials import PlannedTrial, plan
 from bench.script.python_script import ENDING, script_text
 from bench.script.trial_table import Published, Trial
-from bench.truth.registration import Registration
-from bench.truth.registration_file import load_registration
+from bench.truth.registration import Registration, load_registration
 
 FIRST = "first"
 Shift = Annotated[float, Field(ge=-2000, le=2000)]

@@ -2,13 +2,12 @@
 later stage position, and checked by touch.
 
 end(s) = touched + R (s - s_reference), with R the rigid registration's rotation and s the stage
-position as read back from the controller. Only shifts are carried: a phantom that was turned,
-rearranged or shifted by hand is another `fixed`, and is touched anew.
+position as read back. Only shifts are carried: a phantom that was turned, rearranged or shifted by
+hand is another `fixed`, and is touched anew.
 
-Check touches come where the phantom still stands as it stood for the trials that they confirm:
-before it is rearranged, every n carried trials, and at the end. A check beyond its limit
-invalidates the carried trials since the last good one; its own touches then are the new reference.
-All state is in the store: `resumed` reads it back.
+Check touches come before the phantom is rearranged, every n carried trials, and at the end. A check
+beyond its limit invalidates the carried trials since the last good one; its own touches then are
+the new reference. All state is in the store: `resumed` reads it back.
 """
 
 from __future__ import annotations
@@ -61,13 +60,8 @@ class Reference:
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and text, for the store; `reference_from_dict` reads it back."""
         ends = [{"point_mm": list(p.point_mm), **p.uncertainty.as_dict()} for p in self.points]
-        return {
-            "trial": self.trial,
-            "fixed": self.fixed,
-            "stage_mm": list(self.stage_mm),
-            "axes": self.axes,
-            "ends": ends,
-        }
+        plain = {"trial": self.trial, "fixed": self.fixed, "stage_mm": list(self.stage_mm)}
+        return {**plain, "axes": self.axes, "ends": ends}
 
 
 def reference_from_dict(stored: Mapping[str, Any]) -> Reference:
@@ -84,9 +78,7 @@ def reference_from_dict(stored: Mapping[str, Any]) -> Reference:
 
 
 def fixed_key(phantom: Phantom, by_hand: PlatePose, yaw_rad: float) -> str:
-    """A name for all that the stage's shifts leave as it is: the teats on their plate, the part of
-    the pose set by hand, the turn.
-    """
+    """A name for what the stage's shifts leave as it is: teats, the pose set by hand, the turn."""
     what = (phantom.moved(PlatePose()), by_hand, round(yaw_rad, 9))
     return hashlib.sha256(repr(what).encode()).hexdigest()[:16]
 
@@ -97,22 +89,18 @@ def carried(
     stage_mm: Triple,
     u_registration_mm: Callable[[Floats], float | None],
 ) -> list[TruthPoint]:
-    """The ends when the stage stands at ``stage_mm``; ``u_registration_mm`` is the table frame's
-    part at a place, None without one.
-    """
+    """The ends with the stage at ``stage_mm``; ``u_registration_mm`` is the table frame's part."""
     way = registration.carry_mm(reference.stage_mm, stage_mm)
     covariance = registration.carry_covariance_mm2(reference.stage_mm, stage_mm)
-    distance = float(np.linalg.norm(way))
-    of = (
-        f"registration of {len(registration.stations)} positions, the stage's axes and"
-        " repeatability"
+    source = (
+        f"carried {np.linalg.norm(way):.0f} mm from the touches of {reference.trial}: registration"
+        f" of {len(registration.stations)} positions, the stage's axes and repeatability"
     )
-    source = f"carried {distance:.0f} mm from the touches of {reference.trial}: {of}"
-    ends = []
-    for point in reference.points:
-        there = np.array(point.point_mm) + way
-        ends.append(moved(point, there, covariance, source, u_registration_mm(there)))
-    return ends
+    places = [np.array(point.point_mm) + way for point in reference.points]
+    return [
+        moved(point, there, covariance, source, u_registration_mm(there))
+        for point, there in zip(reference.points, places, strict=True)
+    ]
 
 
 REFERENCE_FACT, UNCONFIRMED_FACT = "truth reference", "truth unconfirmed"
@@ -121,10 +109,8 @@ LOST = "The stage lost its place, or phantom or arm were moved"
 
 @dataclass(slots=True)
 class CarryState:
-    """What a carried truth rests on. ``since`` are the carried trials since the last good check,
-    ``checks`` how many there were.
-
-    ``unconfirmed`` are those whose check was skipped, and can't be made up for.
+    """What a carried truth rests on: the carried trials ``since`` the last good check, how many
+    ``checks``, and trials ``unconfirmed`` for good since their check was skipped.
     """
 
     reference: Reference | None = None
@@ -134,13 +120,11 @@ class CarryState:
 
 
 class CarriedTruth(TouchedTruth):
-    """Touched once for each thing that stands there, carried by the stage afterwards, and checked
-    by touch.
+    """Touched once for each thing that stands there, carried by the stage afterwards, checked by
+    touch after ``every`` carried trials (0: only before a rearrangement and at the end) within
+    ``limit_mm``.
 
-    ``registration`` gives the registration, at `begin`; ``stage_mm`` reads back where the stage
-    stands. A check comes after ``every`` carried trials (0: only at the end and before a
-    rearrangement), and may be off by ``limit_mm``. ``settled`` is told which trials a check has
-    confirmed (True) or invalidated; ``tell`` is for the operator and the record.
+    ``settled`` gets the trials that a check has confirmed (True) or invalidated.
     """
 
     def __init__(
@@ -172,15 +156,13 @@ class CarriedTruth(TouchedTruth):
         self._away = False
 
     def begin(self) -> None:
-        """Have the registration, and say what speaks against it."""
+        """Have the registration, and its faults for the operator."""
         self._registration = self._register()
         for fault in self._registration.faults:
             self._tell("registration", fault)
 
     def before(self, shown: ExpectedScene) -> None:
-        """Check what the carried trials so far rest on, where it is time or where it is about to be
-        changed.
-        """
+        """Check the carried trials so far where it is time, or before the phantom is changed."""
         state, again = self._state, shown.trial == self._begun
         self._begun = shown.trial
         if state.reference is None:
@@ -204,9 +186,7 @@ class CarriedTruth(TouchedTruth):
         return self._away and reference is not None and reference.fixed == shown.fixed
 
     def of_trial(self, shown: ExpectedScene) -> TrialTruth:
-        """Carried where the same thing was touched before, else touched, and the reference for what
-        follows.
-        """
+        """Carried where the same thing was touched before; else touched, as the new reference."""
         reference = self._state.reference
         self._away = reference is not None and reference.fixed == shown.fixed
         if reference is not None and self._away:
@@ -224,15 +204,13 @@ class CarriedTruth(TouchedTruth):
             self._state.since.append(trial)
 
     def end(self) -> None:
-        """Check what the last carried trials rest on. Who skips that leaves them unconfirmed."""
+        """Check what the last carried trials rest on; skipped, it leaves them unconfirmed."""
         if self._state.since and self._state.reference is not None:
             self._check(self._state.reference)
         self._give_up()
 
     def _check(self, reference: Reference) -> None:
-        """Touch the ends again where the stage has them now. What follows from it is in the store
-        before anything else happens.
-        """
+        """Touch the ends again where the stage has them now; what follows is stored first."""
         state, number = self._state, self._state.checks + 1
         after = state.since[-1]
         self._away = False
@@ -317,8 +295,8 @@ class CarriedTruth(TouchedTruth):
 
 
 def resumed(run: RunRecord) -> CarryState:
-    """The state that a stopped run left in its store: the reference, and which carried trials no
-    good check has confirmed yet.
+    """The state that a stopped run left: the reference, and the carried trials without a good
+    check.
     """
     stored, unconfirmed = run.facts.get(REFERENCE_FACT), list(run.facts.get(UNCONFIRMED_FACT, ()))
     last = run.checks[-1]["after_trial"] if run.checks else None

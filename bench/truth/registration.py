@@ -1,14 +1,13 @@
 """Where the stage's axes lie in the world, from touches of one teat end at three or more stage
-positions; and how far that holds.
+positions; how far that holds; and the dated file of it.
 
 A rigid motion carries (`world_from_stage`). Scale per axis and squareness are diagnostics only: a
-misfit may as well be the arm's as the stage's, and a truth that follows the arm's own errors from
-place to place would hide them. What the axes may be off by is stated in the rig file and enters the
-uncertainty of everything carried. Where the touches cast doubt on that statement (a chi-square test
-at `DOUBT`), what they show is put on top. They resolve little (some 2 mm/m), so a doubt that waited
-for proof would leave stages unlike their statement uncovered: of a stage five to ten times worse, a
-95 % region would hold 84 to 92 % of poses at 0.01 or 0.2, and holds 94 to 97 % at 0.4. Where they
-contradict it (at `ALPHA`), the report says what to mend.
+misfit may as well be the arm's as the stage's. What the axes may be off by is stated in the rig
+file and enters the uncertainty of everything carried. Where the touches cast doubt on that
+statement (a chi-square test at `DOUBT`), what they show is put on top. They resolve little (some 2
+mm/m): of a stage five to ten times worse, a 95 % region would hold 84 to 92 % of poses at 0.01 or
+0.2, and holds 94 to 97 % at 0.4. Where they contradict it (at `ALPHA`), the report says what to
+mend.
 
 E = [[sx, -gxy, -gxz], [0, sy, -gyz], [0, 0, sz]]: a stage that is told to go by D goes by (I + E)
 D, in its own axes. The x axis is the reference, and g is by how much the angle between two axes
@@ -19,15 +18,22 @@ q x E q; a carry by D is then off by w x D - E D. All to first order, in the sta
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from functools import cached_property
 from math import sqrt
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import AwareDatetime, Field
 from scipy.special import chdtrc
 
+from bench.config import Section, located, read_config, read_text
+from bench.rig.arm_files import FOLLOWS_MM, write_file
+from bench.toml import toml_text
 from bench.truth.uncertainty import Floats, Triple
 from detector.calibration.rigid import (
     Comparison,
@@ -61,9 +67,7 @@ class StageAccuracy:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """How far one property of the axes is from ideal: 0 where the stage is perfect; ``u`` is its
-    standard uncertainty.
-    """
+    """How far one property of the axes is from ideal (0), with its standard uncertainty ``u``."""
 
     name: str
     value: float
@@ -95,11 +99,10 @@ def free_fit(q: Floats, seen: Floats) -> FreeFit:
     high = np.std(q[:, 2]) > _FLAT_MM and np.linalg.svd(q, compute_uv=False)[2] > _FLAT_MM
     turns = [np.cross(axis, q).ravel() for axis in np.eye(3)]
     bends = [(q @ entry.T).ravel() for entry in _ENTRIES[: 6 if high else 3]]
-    design = np.column_stack([*turns, *bends])
-    found = np.asarray(np.linalg.lstsq(design, (seen - q).ravel(), rcond=None)[0], dtype=np.float64)
-    left_over = np.asarray((seen - q).ravel() - design @ found)
-    freedom = 3 * len(q) - 3 - design.shape[1]
+    design, off = np.column_stack([*turns, *bends]), (seen - q).ravel()
+    found = np.asarray(np.linalg.lstsq(design, off, rcond=None)[0], dtype=np.float64)
     covariance = np.asarray(np.linalg.inv(design.T @ design), dtype=np.float64)
+    left_over, freedom = np.asarray(off - design @ found), 3 * len(q) - 3 - design.shape[1]
     return FreeFit(found[:3], found[3:], covariance, left_over, freedom)
 
 
@@ -110,8 +113,8 @@ for _i, (_row, _column) in enumerate(((0, 0), (1, 1), (0, 1), (2, 2), (0, 2), (1
 
 
 def bent_mm(q: Floats, way_mm: Floats) -> Floats:
-    """(3, 6): how a carry by ``way_mm`` (3,) is off for each entry of E, with the turn of the fit
-    to q (n, 3) that it brings.
+    """(3, 6): how a carry by ``way_mm`` (3,) is off for each entry of E, with the fit to q (n, 3)
+    turned.
     """
     inverse = np.linalg.inv(np.sum(q**2) * np.eye(3) - q.T @ q)
     turned = [inverse @ np.sum(np.cross(q, q @ entry.T), axis=0) for entry in _ENTRIES]
@@ -126,7 +129,7 @@ GROSS_MM, GROSS_U = 5.0, 15.0
 
 
 class RegistrationError(ValueError):
-    """The touches give no registration. The sentence says why, and what to do."""
+    """The touches give no registration; the sentence says why, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,8 +210,8 @@ class Registration:
 
     @cached_property
     def u_mm(self) -> float:
-        """As stated; larger where what no axis error explains is too large for that (Birge ratio;
-        chi-square test at `ALPHA`).
+        """As stated; larger where the touches scatter more (Birge ratio; chi-square test at
+        `ALPHA`).
         """
         freedom = self._free.freedom
         chi2 = float(np.sum(self._free.left_over**2)) / self.stated_u_mm**2
@@ -218,35 +221,33 @@ class Registration:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Of the axes that the positions exercise: x, y and their squareness, and z where the
-        height varied.
-        """
+        """Of the axes that the positions exercise; of z where the height varied."""
         u = np.sqrt(np.diag(self._theta_covariance))
         rows = zip(NAMES, self._free.theta.tolist(), u.tolist(), strict=False)
         return tuple(Diagnostic(*row) for row in rows)
 
     @cached_property
     def p_value(self) -> float:
-        """How likely the diagnostics are, if the stage is as good as stated and the touches are."""
+        """How likely the diagnostics are, if stage and touches are as good as stated."""
         theta = self._free.theta
         expected = self._theta_covariance + np.diag(self.stated.deformation[: len(theta)])
         return float(chdtrc(len(theta), theta @ np.linalg.solve(expected, theta)))
 
     @property
     def doubted(self) -> bool:
-        """Whether the touches leave it open that the axes are worse than stated: the carry's
-        uncertainty covers what they show.
+        """Whether the axes may be worse than stated; the carry's uncertainty then covers what is
+        seen.
         """
         return self.p_value < DOUBT
 
     @property
     def contradicted(self) -> bool:
-        """Whether the touches say that the axes are worse than stated."""
+        """Whether the axes are worse than stated."""
         return self.p_value < ALPHA
 
     def carry_covariance_mm2(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
-        """Covariance (3, 3), world axes, of what a carry from one stage position (3,) to another
-        adds to a touched end.
+        """Covariance (3, 3), world axes, that a carry from one stage position (3,) to
+        another adds.
         """
         way = np.subtract(stage_to_mm, stage_from_mm)
         turn = cross_matrix(way)
@@ -264,17 +265,13 @@ class Registration:
         return np.asarray(self.world_from_stage.R @ way)
 
     def target_error_mm(self, stage_mm: ArrayLike) -> float:
-        """Expected error of ``world_from_stage`` at a stage position, from the touches alone
-        (Fitzpatrick's formula).
-        """
+        """Expected error at a stage position, from the touches alone (Fitzpatrick's formula)."""
         return float(
             target_error_mm(sqrt(3.0) * self.u_mm, self.stage_mm, np.atleast_2d(stage_mm))[0]
         )
 
     def outdated(self, serial_number: str, frame_made: datetime | None) -> str:
-        """Why it doesn't hold for the world of this arm and its table frame (None without one);
-        empty where it does.
-        """
+        """Why it doesn't hold for this arm and its table frame (None without one); else empty."""
         if self.serial_number != serial_number:
             return (
                 f"was made with the arm {self.serial_number}, but the arm that answers is"
@@ -324,8 +321,8 @@ class Registration:
 
     @cached_property
     def _deformation(self) -> Floats:
-        """Second moments (6, 6) of E's entries: as stated, and what the touches show on top where
-        they cast doubt on it.
+        """Second moments (6, 6) of E's entries: as stated, and in doubt what the touches show on
+        top.
         """
         moments = np.diag(self.stated.deformation)
         if self.doubted:
@@ -333,3 +330,149 @@ class Registration:
             k = len(theta)
             moments[:k, :k] += np.outer(theta, theta) + self._theta_covariance
         return np.asarray(moments)
+
+
+REGISTRATION_FACT, MADE_FACT = "stage registration", "wall_registered"
+HEADING = """Where the stage's axes lie in the world, made by 'teatbench calibrate stage' or at the
+start of a run. Lengths in mm. X_world = R(om) X_stage + T, om in rad, for the end of the
+teat that was touched. Make it anew when stage, table frame or arm were moved. Scale and
+squareness (0 is ideal) are diagnostics: the rigid motion carries."""
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Above = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Three = tuple[Number, Number, Number]
+
+
+class _Stated(Section):
+    scale_u: NotNegative
+    squareness_u_rad: NotNegative
+    repeatability_mm: NotNegative
+
+
+class _Station(Section):
+    stage_mm: Three
+    touched_mm: Three
+    u_mm: Above
+    residual_mm: NotNegative
+
+
+class _Diagnostic(Section):
+    name: str
+    value: Number
+    u: NotNegative
+    significant: bool
+
+
+class _Fit(Section):
+    model: str
+    fre_mm: NotNegative
+    held_out_mm: NotNegative | None = None
+    singular_values: Three
+
+
+class _RegistrationFile(Section):
+    made: AwareDatetime
+    serial_number: str
+    stage: str
+    teat: Annotated[int, Field(ge=1)]
+    om: Three
+    T: Three
+    u_mm: Above
+    fre_mm: NotNegative
+    expected_fre_mm: NotNegative
+    p_value: Annotated[float, Field(ge=0, le=1)]
+    stated: _Stated
+    stations: Annotated[tuple[_Station, ...], Field(min_length=3)]
+    diagnostics: tuple[_Diagnostic, ...]
+    fits: tuple[_Fit, ...]
+
+
+def as_dict(registration: Registration) -> dict[str, Any]:
+    """Everything of it, as the file and the run's record keep it."""
+    r, fits = registration, registration.comparison
+    residuals = np.linalg.norm(fits.rigid.residuals_mm, axis=1).tolist()
+    return {
+        "made": r.made,
+        "serial_number": r.serial_number,
+        "stage": r.stage,
+        "teat": r.teat,
+        "om": r.world_from_stage.om.tolist(),
+        "T": r.world_from_stage.T.tolist(),
+        "u_mm": r.u_mm,
+        "fre_mm": fits.rigid.fre_mm,
+        "expected_fre_mm": r.expected_fre_mm,
+        "p_value": r.p_value,
+        "stated": asdict(r.stated),
+        "stations": [
+            {**asdict(s), "residual_mm": residual}
+            for s, residual in zip(r.stations, residuals, strict=True)
+        ],
+        "diagnostics": [{**asdict(d), "significant": d.significant} for d in r.diagnostics],
+        "fits": [
+            {
+                "model": f.model,
+                "fre_mm": f.fre_mm,
+                "held_out_mm": fits.held_out_mm[f.model],
+                "singular_values": f.singular_values.tolist(),
+            }
+            for f in fits.fits
+        ],
+    }
+
+
+def as_facts(registration: Registration) -> dict[str, Any]:
+    """The same as facts of a run; when it was made stands apart: it doesn't repeat with
+    the seed.
+    """
+    whole = as_dict(registration)
+    return {MADE_FACT: whole.pop("made").isoformat(), REGISTRATION_FACT: whole}
+
+
+def registration_text(registration: Registration) -> str:
+    """The text of its file."""
+    return toml_text(as_dict(registration), HEADING)
+
+
+def write_registration(path: Path, registration: Registration) -> None:
+    """Write its file, whole or not at all. Raises ConfigError where the folder can't be written."""
+    write_file(path, registration_text(registration))
+
+
+def load_registration(path: Path) -> Registration:
+    """The registration at ``path``, worked out again from the touches. Raises ConfigError with all
+    faults, each in its place; also where the file's figures don't follow from its touches.
+    """
+    file = read_config(path, _RegistrationFile)
+    try:
+        found = _registration(file)
+    except RegistrationError as error:
+        raise located(path, read_text(path), [(("stations",), str(error), False)]) from error
+    written = Motion.from_vectors(file.om, file.T)
+    reach = max(float(np.abs(found.stage_mm).max()), 1.0)
+    right = {
+        "om": bool(np.abs(written.R - found.world_from_stage.R).max() * reach <= FOLLOWS_MM),
+        "T": bool(np.abs(written.T - found.world_from_stage.T).max() <= FOLLOWS_MM),
+        "u_mm": abs(file.u_mm - found.u_mm) <= FOLLOWS_MM,
+        "fre_mm": abs(file.fre_mm - found.comparison.rigid.fre_mm) <= FOLLOWS_MM,
+    }
+    message = "doesn't follow from what was touched: the file was changed by hand. Make it anew"
+    wrong = [((key,), message, False) for key, held in right.items() if not held]
+    if wrong:
+        raise located(path, read_text(path), wrong)
+    return found
+
+
+def registration_from_facts(facts: Mapping[str, Any]) -> Registration | None:
+    """The registration among a run's facts (`as_facts`); None where there is none."""
+    if REGISTRATION_FACT not in facts:
+        return None
+    return _registration(
+        _RegistrationFile.model_validate({"made": facts[MADE_FACT], **facts[REGISTRATION_FACT]})
+    )
+
+
+def _registration(file: _RegistrationFile) -> Registration:
+    stations = tuple(Station(s.stage_mm, s.touched_mm, s.u_mm) for s in file.stations)
+    stated = StageAccuracy(**file.stated.model_dump())
+    return Registration(file.made, file.serial_number, file.stage, file.teat, stations, stated)

@@ -1,5 +1,5 @@
-"""Makes a stage's registration: moves to positions, has one teat end touched at each, and reads
-back where the stage stands. The same for the command and for the start of a run.
+"""Makes a stage's registration: has one teat end touched at several stage positions, as
+read back.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def stands_at(stage: Stage) -> Triple:
 
 
 def around(poses: Iterable[PlatePose], least_mm: float = 150.0) -> tuple[PlatePose, ...]:
-    """Where to touch for a run over ``poses``: the corners and the middle of the box round them, of
-    at least ``least_mm`` along x and y.
+    """Where to touch for a run over ``poses``: corners and middle of their box, at least
+    ``least_mm`` wide.
     """
     at = np.array([(pose.x_mm, pose.y_mm) for pose in poses], dtype=np.float64)
     low, high = at.min(axis=0), at.max(axis=0)
@@ -53,11 +53,8 @@ def register(
     serial_number: str,
     tell: Callable[[str], None],
 ) -> Registration:
-    """Touch ``teat`` of ``phantom`` (as it stands at its reference place) at each of ``poses``;
-    ``u_mm`` is that of one end's mean.
-
-    Raises RegistrationError where the positions give no registration, and as stage, operator and
-    arm do.
+    """Touch ``teat`` of ``phantom`` (as at its reference place) at each of ``poses``; ``u_mm`` is
+    that of one end's mean. Raises RegistrationError, and as stage, operator and arm do.
     """
     stations = []
     for number, pose in enumerate(poses, 1):

@@ -1,17 +1,15 @@
 """Has the operator touch teat ends and reads the arm: several readings an end, each judged at once,
 asked for again where refused; and a trial's truth made of that.
 
-**Outliers.** Readings of one end differ by hand and rounding only, whose standard deviation s0
-along an axis is known beforehand. A reading is refused when its distance from the median of all (by
-axis) is more than `FAR` times s, where s is the larger of s0 and the scatter that the readings show
-themselves, median distance / 1.538 (the median length of a standard normal vector in space). So an
-unsteady hand widens its own limit, one slip of the tip doesn't; of two readings that far apart
-neither can be trusted. With normal readings one end in some 3000 loses one falsely.
+**Outliers.** Readings of one end differ by hand and rounding, whose standard deviation s0 along an
+axis is known. A reading is refused further than `FAR` times s from the median of all, s the larger
+of s0 and the scatter shown, median distance / 1.538 (the median length of a standard normal vector
+in space). Of two readings that far apart neither is used. With normal readings one end in some 3000
+loses one falsely.
 
-**Wrong teat.** Expected places are only as good as the phantom's placement, so places are compared
-with each other: those of the teats touched already give the common shift, and a touch is refused
-where another teat's shifted place is nearer than the asked one's by more than `TELL_MM`, or where
-it falls on an end that was touched already.
+**Wrong teat.** Places are compared with each other: the teats touched already give the phantom's
+shift. A touch is refused where another teat's shifted place is nearer by more than `TELL_MM`, or
+where it falls on an end that was touched already.
 """
 
 from __future__ import annotations
@@ -43,18 +41,24 @@ SAME_SHARE = 0.25
 
 
 class NoTruthError(DeviceError):
-    """A teat end could not be touched well: the touches asked for again were refused too. The trial
-    has no truth.
-    """
+    """A teat end could not be touched well; the trial has no truth."""
+
+    @classmethod
+    def after(cls, teat: int, most: int, reasons: list[str]) -> NoTruthError:
+        """Of these ``reasons`` not one of ``most`` touches is left."""
+        return cls(
+            "truth",
+            f"teat {teat}: {len(reasons)} of {most} touches could not be used; the last one:"
+            f" {reasons[-1]}",
+            hint="Is the teat loose, does the phantom stand where the script says, and are its"
+            " teats counted as the layout counts them?",
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ends:
-    """What is to be touched: ``expected_mm`` (n, 3) are the places of all the ends, ``axes`` (n, 3)
-    unit vectors from base to end.
-
-    Where the places are not ``known`` well enough to tell teats apart (how the stage's axes lie is
-    just being found out), they aren't used.
+    """What is to be touched: ``expected_mm`` (n, 3) places of all the ends, ``axes`` (n, 3) unit,
+    from base to end. Places not ``known`` well enough to tell teats apart aren't used.
     """
 
     expected_mm: Floats
@@ -63,8 +67,8 @@ class Ends:
 
 
 class Toucher:
-    """Has the operator touch by ``ask``, with ``arm``'s settings, ``readings`` an end. ``check`` is
-    called before each touch, and may raise.
+    """Has the operator touch by ``ask``, ``readings`` an end; ``check`` is called before each
+    touch, and may raise.
     """
 
     def __init__(
@@ -110,67 +114,49 @@ class Toucher:
         again = ""
         while (missing := self.readings - len(kept := _kept(taken))) > 0:
             if len(taken) + len(moves) >= (most := self.readings + SPARE):
-                refused_for = [str(row["refused"]) for _, row in taken if row["refused"]]
-                raise _given_up(teat, most, refused_for + moves)
+                reasons = [str(row["refused"]) for _, row in taken if row["refused"]] + moves
+                raise NoTruthError.after(teat, most, reasons)
             self._check()
             number = self.readings - missing + 1
-            of = len(ends.expected_mm)
-            self._ask(Touch(teat, of, number, self.readings, again))
+            self._ask(Touch(teat, len(ends.expected_mm), number, self.readings, again))
             try:
-                end, row = self._read(teat, len(taken) + 1, ends.axes[teat - 1])
+                seen = self.tip.read()
             except ArmMovesError as error:
                 moves.append(str(error))
                 again = f"{error} Touch teat {teat} once more."
                 continue
+            end = end_under_ball_mm(seen.tip_mm, ends.axes[teat - 1], self._arm.tip_radius_mm)
+            refused = mistaken(end, teat, ends.expected_mm if ends.known else None, done)
+            again = f"{refused} Touch teat {teat}." if refused else ""
+            row = {
+                "teat": str(teat),
+                "touch": len(taken) + 1,
+                "t_s": self._clock.now(),
+                "wall_time": wall_time().isoformat(timespec="milliseconds"),
+                **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, seen.tip_mm), strict=True)),
+                "spread_mm": float(seen.spread_mm),
+                "packets": seen.n,
+                "counts": json.dumps([int(count) for count in seen.counts]),
+                "refused": refused,
+            }
             taken.append((end, row))
-            row["refused"] = mistaken(end, teat, ends.expected_mm if ends.known else None, done)
-            again = f"{row['refused']} Touch teat {teat}." if row["refused"] else ""
             kept = _kept(taken)
             if not again and len(kept) >= min(self.readings, 3):
-                refused = outliers(np.array([end for end, _ in kept]), reading_u_mm(self._arm))
-                for at, reason in refused.items():
+                far = outliers(np.array([end for end, _ in kept]), reading_u_mm(self._arm))
+                for at, reason in far.items():
                     kept[at][1]["refused"] = reason
                     again = again or f"A touch of teat {teat} is refused: {reason}. Once more."
         points = np.array([end for end, _ in kept])
         u_mm = self.tip.u_registration_mm(points.mean(axis=0))
         return touched(points, self._arm, registration_mm=u_mm), [row for _, row in taken]
 
-    def _read(self, teat: int, number: int, axis: Floats) -> tuple[Floats, dict[str, Any]]:
-        seen = self.tip.read()
-        x, y, z = (float(v) for v in seen.tip_mm)
-        row = {
-            "teat": str(teat),
-            "touch": number,
-            "t_s": self._clock.now(),
-            "wall_time": wall_time().isoformat(timespec="milliseconds"),
-            "x_mm": x,
-            "y_mm": y,
-            "z_mm": z,
-            "spread_mm": float(seen.spread_mm),
-            "packets": seen.n,
-            "counts": json.dumps([int(count) for count in seen.counts]),
-        }
-        return end_under_ball_mm(seen.tip_mm, axis, self._arm.tip_radius_mm), row
-
 
 def _kept(taken: list[tuple[Floats, dict[str, Any]]]) -> list[tuple[Floats, dict[str, Any]]]:
     return [one for one in taken if one[1]["refused"] is None]
 
 
-def _given_up(teat: int, most: int, reasons: list[str]) -> NoTruthError:
-    return NoTruthError(
-        "truth",
-        f"teat {teat}: {len(reasons)} of {most} touches could not be used; the last one:"
-        f" {reasons[-1]}",
-        hint="Is the teat loose, does the phantom stand where the script says, and are its teats"
-        " counted as the layout counts them?",
-    )
-
-
 def outliers(points_mm: Floats, s0_mm: float) -> dict[int, str]:
-    """Rows of readings (n, 3) of one end that are refused, with the reason. Of one reading none; of
-    two both or none.
-    """
+    """Rows of readings (n, 3) of one end that are refused, with the reason; of two both or none."""
     points = np.asarray(points_mm, dtype=np.float64)
     if len(points) < 2:
         return {}
@@ -187,10 +173,8 @@ def outliers(points_mm: Floats, s0_mm: float) -> dict[int, str]:
 def mistaken(
     point: Floats, teat: int, expected: Floats | None, done: Mapping[int, Floats]
 ) -> str | None:
-    """Why a touch (3,) that was asked of ``teat`` (from 1) isn't one of it; None where it may be.
-
-    ``expected`` (n, 3) mm are the places of all ends, None where nobody knows them; ``done`` what
-    was touched by teat.
+    """Why a touch (3,) isn't one of ``teat`` (from 1); None where it may be. ``expected`` (n, 3) mm
+    are the places of all ends, None where not known; ``done`` what was touched by teat.
     """
     for other, place in done.items():
         apart, same = float(np.linalg.norm(point - place)), LEAST_SPACING_MM
@@ -217,9 +201,7 @@ def mistaken(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedScene:
-    """What stands there for a trial: ``ends`` where they are expected, and `carry.fixed_key` of
-    what no shift changes.
-    """
+    """What stands there for a trial: ``ends`` where expected, and `carrying.fixed_key`."""
 
     trial: str
     ends: Ends
@@ -228,8 +210,8 @@ class ExpectedScene:
 
 @dataclass(frozen=True, slots=True)
 class TrialTruth:
-    """The truth of one trial: a point for each teat, a row for each touch, and where the stage
-    stood (None without one).
+    """The truth of one trial: a point a teat, a row a touch, and where the stage stood (None
+    without).
     """
 
     points: tuple[TruthPoint, ...]
@@ -243,9 +225,7 @@ class TrialTruth:
 
 
 class TouchedTruth:
-    """Where the truth of trials comes from: every end of every trial is touched. ``stage_mm`` asks
-    where the stage stands, for the record. `bench.truth.carrying` touches once and lets the stage
-    carry.
+    """The truth of trials: every end of every trial is touched. ``stage_mm`` reads back the stage.
 
     The engine calls `begin` once, then for each trial `before`, `unattended`, `of_trial` and, when
     it is in the store, `stored`; `end` after the last.
@@ -262,8 +242,8 @@ class TouchedTruth:
         """The phantom is about to be moved and set up for this."""
 
     def unattended(self, shown: ExpectedScene) -> bool:  # noqa: ARG002 - it always is attended
-        """Whether nobody has been near the phantom since the last trial was shown, nor is needed
-        for this one: the arm may be in the picture until the operator says that it isn't.
+        """Whether no person has been near the phantom since the last trial, nor is needed for this
+        one.
         """
         return False
 

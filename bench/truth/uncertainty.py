@@ -1,9 +1,7 @@
-"""One teat end as the truth has it: a point, how it was had, and the budget of its uncertainty:
-named standard uncertainties that combine to u (GUM, JCGM 100:2008, section 5.1.2, uncorrelated
-components).
-
-u(e)^2 = u_arm^2 + u_registration^2 + u_definition^2 + u_resolution^2 + ..., per axis, mm. What is
-measured is defined in `instruments.teat_end`.
+"""A teat end as the truth has it: a point, how it was had, and its uncertainty budget of named
+standard uncertainties (GUM, JCGM 100:2008, section 5.1.2, uncorrelated), per axis, mm: u(e)^2 =
+u_arm^2 + u_registration^2 + u_definition^2 + u_resolution^2 + .... The measurand:
+`instruments.teat_end`.
 """
 
 from __future__ import annotations
@@ -21,9 +19,7 @@ from bench.rig.model import Arm
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """One line of the budget: standard uncertainty along each axis, and where the figure comes
-    from.
-    """
+    """One line of the budget: standard uncertainty along each axis, and the figure's source."""
 
     name: str
     u_mm: float
@@ -39,8 +35,8 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class TruthUncertainty:
-    """The budget of the ground truth, per axis. Two components of one name are a mistake and raise
-    ValueError.
+    """The budget of the ground truth, per axis. Raises ValueError for two components of
+    one name.
     """
 
     components: tuple[Component, ...]
@@ -87,11 +83,8 @@ class How(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TruthPoint:
-    """A teat end: ``point_mm`` in the world frame, and its budget of standard uncertainties along
-    one axis.
-
-    ``carry_mm2`` is the covariance that the carry added, None for a touched end; its line in the
-    budget is the worst direction's.
+    """A teat end: ``point_mm`` in the world frame, and its budget along one axis. ``carry_mm2`` is
+    the covariance that the carry added (None for touched), in the budget by its worst direction.
     """
 
     point_mm: Triple
@@ -114,11 +107,9 @@ class TruthPoint:
 
 
 def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) -> TruthPoint:
-    """The mean of readings (n, 3) of one teat end, tip radius already taken off.
-
-    The scatter of the readings enters as the uncertainty of their mean. ``registration_mm`` is what
-    the table frame adds at this place, None where the world is the arm's own frame. Raises
-    ValueError without a reading.
+    """The mean of readings (n, 3) of one teat end, tip radius already taken off; their scatter
+    enters as the uncertainty of their mean. ``registration_mm`` is the table frame's part, None
+    without one. Raises ValueError without a reading.
     """
     tips = np.asarray(tips_mm, dtype=np.float64)
     if tips.ndim != 2 or tips.shape[1] != 3 or not len(tips):
@@ -128,16 +119,14 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
     frame = "the table frame's three touches, each with the arm's accuracy, propagated to this end"
     ball = (
         f"ball tip of {arm.tip_radius_mm:g} mm, along a teat axis known within {arm.axis_u_rad:g}"
+        " rad (rig file)"
     )
+    apex = "how well a hand finds the apex of the rounded end (rig file)"
     lines: list[tuple[str, float | None, str]] = [
         ("arm", arm.accuracy_mm, "the arm's stated accuracy, taken along each axis (rig file)"),
         (REGISTRATION, registration_mm, frame),
-        (
-            "definition",
-            arm.definition_mm,
-            "how well a hand finds the apex of the rounded end (rig file)",
-        ),
-        ("tip radius", tip_radius_u_mm(arm) or None, f"{ball} rad (rig file)"),
+        ("definition", arm.definition_mm, apex),
+        ("tip radius", tip_radius_u_mm(arm) or None, ball),
         ("resolution", ROUNDING_MM, "rounding of the arm's encoder counts, rms over its reach"),
         ("scatter", scatter, f"standard deviation of the mean of {n} touches"),
     ]
@@ -148,8 +137,8 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
 def moved(
     point: TruthPoint, to_mm: Floats, carry_mm2: Floats, source: str, registration_mm: float | None
 ) -> TruthPoint:
-    """``point`` carried to (3,): its own budget, the table frame's part at the new place, and a
-    line for the carry.
+    """``point`` carried to (3,): its budget, with the table frame's part there and a line for the
+    carry.
     """
     kept = [
         c if c.name != REGISTRATION or registration_mm is None else replace(c, u_mm=registration_mm)
@@ -161,27 +150,22 @@ def moved(
 
 
 def reading_u_mm(arm: Arm) -> float:
-    """Standard uncertainty along an axis by which two readings of one end differ: the hand and the
-    rounding, not the arm's accuracy.
+    """By which two readings of one end differ along an axis: hand and rounding, not the arm's
+    accuracy.
     """
     return hypot(arm.definition_mm, ROUNDING_MM)
 
 
 def end_u_mm(arm: Arm, readings: int) -> float:
-    """Standard uncertainty along an axis of one end's mean, against that of another place, before
-    anything was read.
-    """
+    """Along an axis, of one end's mean against that of another place, before anything was read."""
     scatter = reading_u_mm(arm) / sqrt(readings)
     return hypot(arm.accuracy_mm, arm.definition_mm, tip_radius_u_mm(arm), ROUNDING_MM, scatter)
 
 
 def tip_radius_u_mm(arm: Arm) -> float:
-    """What a ball tip adds: the teat's axis is known within ``axis_u_rad``, which turns the radius;
-    and the radius itself.
-    """
-    return (
-        hypot(arm.tip_radius_mm * arm.axis_u_rad, arm.tip_radius_u_mm) if arm.tip_radius_mm else 0.0
-    )
+    """Of a ball tip: its radius, turned by the teat axis's uncertainty, and the radius itself."""
+    turned_mm = arm.tip_radius_mm * arm.axis_u_rad
+    return hypot(turned_mm, arm.tip_radius_u_mm) if arm.tip_radius_mm else 0.0
 
 
 def triple(vector: Iterable[float]) -> Triple:

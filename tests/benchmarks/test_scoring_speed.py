@@ -15,10 +15,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from bench.scoring.comparison import ScenePair, compare
 from bench.scoring.decisions import Decision, decide_count, decide_error, decide_rate, decide_time
 from bench.scoring.errors import ErrorSummary, Floats
-from bench.scoring.pool import pool
-from bench.scoring.regions import error_map, pose_means, prediction_ellipsoid
-from bench.scoring.scene import SceneScore, score_scene
-from bench.scoring.trends import Trend, trend
+from bench.scoring.scene import SceneScore, pool, score_scene
+from bench.scoring.spread import Trend, error_map, pose_means, prediction_ellipsoid, trend
 from tests.benchmarks.figures import figure
 
 TRIALS = 100_000

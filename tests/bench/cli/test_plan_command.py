@@ -8,8 +8,8 @@ import json
 
 import pytest
 
-from bench.results.sample_size import make_plan
 from bench.scoring.decisions import decide_error
+from bench.scoring.sample_size import make_plan
 from tests.bench.commands import Said
 
 

@@ -91,21 +91,18 @@ def test_a_drift_and_a_tilted_plane_are_found_and_nothing_else(drifting: RunReco
     assert {("time_s", "y"), ("x_mm", "z")} <= significant
 
 
-def test_the_map_counts_the_missed(drifting: RunRecord) -> None:
-    cells = plane_cells(error_rows(drifting, "fused"))
+def test_the_map_counts_the_missed_and_the_bias_is_over_poses(drifting: RunRecord) -> None:
+    rows = error_rows(drifting, "fused")
+    cells = plane_cells(rows)
     assert len(cells) == 60
     missed = [cell for cell in cells if not cell.found]
     assert [(cell.x_mm, cell.y_mm, cell.teats) for cell in missed] == [(-104.0, 284.0, 2)]
-    assert sum(cell.teats for cell in plane_cells(error_rows(drifting, "fused"), 50.0)) == 120
-
-
-def test_the_bias_is_over_poses(drifting: RunRecord) -> None:
-    found = run_bias(error_rows(drifting, "fused"))
-    assert found.test.n == 30
+    assert sum(cell.teats for cell in plane_cells(rows, 50.0)) == 120
+    found = run_bias(rows)
+    assert found.next_error is not None
     assert found.test.p_value is not None
     assert found.test.p_value < 1e-6
-    assert found.next_error is not None
-    assert found.next_error.n == 30
+    assert found.test.n == found.next_error.n == 30
 
 
 def test_repeats_tell_the_spread_within_a_pose_from_that_between(drifting: RunRecord) -> None:

@@ -16,8 +16,7 @@ from bench.config import read_config
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.page import _latency_parts
 from bench.report.wording import headline
-from bench.results.latency import latency_of
-from bench.results.verdicts import judge, run_verdict
+from bench.results.verdicts import judge, latency_of, run_verdict
 from bench.scoring.decisions import Decision, Verdict
 from bench.script.model import RECORDING_RULES, Rules, SuccessRequirement, TimeRequirement
 from reports.page import Paragraph
@@ -61,13 +60,9 @@ def test_59_good_poses_meet_everything(tmp_path: Path) -> None:
 def test_repeats_are_not_poses_for_any_requirement(tmp_path: Path) -> None:
     found = decided(record(tmp_path, off_by([1.0] * 174, repeats=3)))
     assert {d.n for d in found.values()} == {58}
-    assert found["error below 5 mm"].verdict is OPEN
-    assert found["reliability"].verdict is OPEN
+    assert found["error below 5 mm"].verdict is found["reliability"].verdict is OPEN
     assert "0 in 174 scenes of 58 poses" in found["no false teat"].sentence
     assert "over 174 detections" in found["detection time, limit"].sentence
-
-
-def test_one_bad_repeat_fails_its_pose(tmp_path: Path) -> None:
     found = decided(record(tmp_path, off_by([1.0] * 185 + [7.0], repeats=3)))
     assert found["reliability"].sentence.startswith("61 of 62 poses succeeded")
     assert found["error below 5 mm"].verdict is NOT_MET
@@ -82,15 +77,6 @@ def test_what_the_truth_could_turn_is_not_shown(
     # A = 4.663, T + w = 5.329 for u = 0.2 mm
     found = decided(record(tmp_path, off_by([1.0] * 61 + [near_mm])))
     assert (found["error below 5 mm"].verdict, found["reliability"].verdict) == (error, rate)
-
-
-def test_failures_that_the_truth_could_turn_do_not_refuse(tmp_path: Path) -> None:
-    found = decided(record(tmp_path, off_by([5.2] * 20)))
-    assert found["reliability"].sentence.startswith(
-        "0 of 20 poses succeeded (0 %; within the truth's uncertainty 20 of the failures"
-    )
-    assert found["reliability"].verdict is OPEN
-    assert decided(record(tmp_path, off_by([5.4] * 20)))["reliability"].verdict is NOT_MET
 
 
 def test_a_truth_that_states_no_uncertainty_accepts_no_error(tmp_path: Path) -> None:
@@ -118,20 +104,16 @@ def test_one_trial_decides_what_one_can(tmp_path: Path) -> None:
     }
 
 
-def test_all_missed_measures_no_error_and_shows_no_success(tmp_path: Path) -> None:
+def test_what_is_missed_has_no_error_and_shows_no_success(tmp_path: Path) -> None:
     none = np.zeros((0, 3))
     trials = [timed(trial(k, f"p{k}", 1, ENDS, none), 0.2) for k in range(1, 21)]
     found = decided(record(tmp_path, trials))
     error = found["error below 5 mm"]
     assert (error.verdict, error.measured) == (NOTHING, None)
     assert found["reliability"].verdict is NOT_MET
-
-
-def test_a_miss_is_told_beside_the_error_of_what_was_found(tmp_path: Path) -> None:
     trials = [*off_by([1.0] * 59), trial(60, "last", 1, ENDS, ENDS[:1])]
-    assert decided(record(tmp_path, trials))["error below 5 mm"].sentence.endswith(
-        "Of the found teats only: 1 was missed."
-    )
+    sentence = decided(record(tmp_path, trials))["error below 5 mm"].sentence
+    assert sentence.endswith("Of the found teats only: 1 was missed.")
 
 
 def test_a_rate_of_times_counts_poses(tmp_path: Path) -> None:

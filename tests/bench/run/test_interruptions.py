@@ -13,7 +13,7 @@ import pytest
 from bench.cli.run import typed_lines
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, read_run
-from bench.results.latency import latency_of
+from bench.results.verdicts import latency_of
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import load_rig
 from bench.rig.model import EmulatedFault

@@ -13,8 +13,9 @@ import pytest
 from scipy.stats import binom
 
 from bench.config import ConfigError
-from bench.truth.registration import Registration, RegistrationError, Station
-from bench.truth.registration_file import (
+from bench.truth.registration import (
+    Registration,
+    RegistrationError,
     as_facts,
     load_registration,
     registration_from_facts,
@@ -71,7 +72,6 @@ def test_a_perfect_stage_is_fitted_rigidly_and_nothing_is_said_against_it() -> N
     found = registered(stage, rng, u_mm=1e-6)
     assert np.allclose(found.world_from_stage.R, stage.R, atol=1e-7)
     assert found.faults == ()
-    assert np.linalg.det(found.world_from_stage.R) == pytest.approx(1.0)
 
 
 @pytest.mark.slow
@@ -110,15 +110,18 @@ def test_target_error_grows_away_from_the_touched_places() -> None:
     assert far > 2.0 * near
 
 
-def test_too_few_too_near_and_in_line_are_refused() -> None:
-    rng = np.random.default_rng(6)
-    for at, why in (
+@pytest.mark.parametrize(
+    ("at_mm", "why"),
+    [
         (CORNERS_MM[:2], "three or more"),
         (CORNERS_MM[-1] + 0.1 * (CORNERS_MM - CORNERS_MM[-1]), "near together"),
         (CORNERS_MM[[0, 2, 4]], "line"),
-    ):
-        with pytest.raises(RegistrationError, match=why):
-            registered(stage_of(rng), rng, at_mm=at)
+    ],
+)
+def test_too_few_too_near_and_in_line_are_refused(at_mm: np.ndarray, why: str) -> None:
+    rng = np.random.default_rng(6)
+    with pytest.raises(RegistrationError, match=why):
+        registered(stage_of(rng), rng, at_mm=at_mm)
 
 
 def test_another_teat_among_the_touches_is_refused() -> None:
@@ -178,13 +181,9 @@ def test_a_file_that_was_changed_is_refused(tmp_path: Path, old: str, new: str, 
 
 def test_a_file_whose_touches_make_no_registration_is_refused(tmp_path: Path) -> None:
     found = registered(stage_of(np.random.default_rng(9)), np.random.default_rng(9))
-    near = found.stations[0]
-    text = registration_text(found)
-    for station in found.stations[1:]:
-        text = text.replace(
-            f"stage_mm = {list(station.stage_mm)}", f"stage_mm = {list(near.stage_mm)}"
-        )
+    text, (near, *others) = registration_text(found), found.stations
+    for one in others:
+        text = text.replace(f"stage_mm = {list(one.stage_mm)}", f"stage_mm = {list(near.stage_mm)}")
     (tmp_path / "stage.toml").write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match="near together"):
         load_registration(tmp_path / "stage.toml")
-    assert isinstance(near, Station)

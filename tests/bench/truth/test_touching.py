@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import chi
 
 from bench.truth.touching import FAR, MEDIAN_LENGTH, SPARE, Ends, NoTruthError, mistaken, outliers
 from bench.truth.uncertainty import reading_u_mm
-from instruments.microscribe.errors import ArmMovesError
 from instruments.teat_end import ball_centre_mm
 from tests.bench.truth.touches import ENDS_MM, UP, Hand, arm_settings, layout, table_5_1, toucher
 
@@ -73,7 +73,6 @@ def test_an_arm_that_moves_is_read_again() -> None:
     assert "moved" in hand.again[0]
     with pytest.raises(NoTruthError, match="moved"):
         toucher(Hand(ENDS_MM, [None] * 20), readings=1).touch_one(1, table_5_1())
-    assert issubclass(ArmMovesError, Exception)
 
 
 def test_a_ball_tip_is_taken_off_along_each_teat_s_axis() -> None:
@@ -101,14 +100,6 @@ def test_where_the_places_are_not_known_they_are_not_used() -> None:
 S0 = reading_u_mm(arm_settings())
 
 
-def test_a_slip_is_refused_with_its_figures() -> None:
-    readings = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.05], [1.5, 0.0, -0.3]])
-    refused = outliers(readings, S0)
-    assert list(refused) == [2]
-    assert "1.4" in refused[2]
-    assert "median of 3 readings" in refused[2]
-
-
 @pytest.mark.parametrize("n", [3, 5, 8])
 def test_honest_readings_are_hardly_ever_refused(n: int) -> None:
     rng = np.random.default_rng(n)
@@ -125,13 +116,7 @@ def test_an_unsteady_hand_widens_its_own_limit() -> None:
 def test_of_two_readings_neither_can_be_told_to_be_wrong() -> None:
     apart = np.array([[0.0, 0.0, 0.0], [FAR * S0 * 1.5, 0.0, 0.0]])
     assert list(outliers(apart, S0)) == [0, 1]
-    assert outliers(0.5 * apart, S0) == {}
-    assert outliers(apart[:1], S0) == {}
-
-
-def test_the_median_length_is_that_of_a_normal_vector() -> None:
-    from scipy.stats import chi
-
+    assert outliers(0.5 * apart, S0) == outliers(apart[:1], S0) == {}
     assert pytest.approx(chi.median(3), abs=1e-4) == MEDIAN_LENGTH
 
 
@@ -153,19 +138,9 @@ def test_a_wrong_order_is_noticed_wherever_the_phantom_came_to_stand(
     assert noticed == (order != [1, 2, 3, 4])
 
 
-def test_an_end_that_was_touched_already_is_recognised() -> None:
-    reason = mistaken(ENDS_MM[0] + 0.3, 2, ENDS_MM, {1: ENDS_MM[0]})
-    assert reason is not None
-    assert "the end of teat 1 once more" in reason
-
-
-def test_a_place_between_two_teats_is_left_to_the_operator() -> None:
+def test_near_teats_are_told_apart_and_a_place_between_is_left_to_the_operator() -> None:
     between = (ENDS_MM[0] + ENDS_MM[1]) / 2
-    assert mistaken(between, 1, ENDS_MM, {}) is None
-    assert mistaken(between, 2, ENDS_MM, {}) is None
-
-
-def test_teats_that_touch_each_other_are_told_apart() -> None:
+    assert mistaken(between, 1, ENDS_MM, {}) is mistaken(between, 2, ENDS_MM, {}) is None
     # 22 mm: the layout "overlapping"
     near = np.array([[-95.0, 232.0, 136.0], [-117.0, 232.0, 134.0]])
     assert mistaken(near[0] + [3.0, 0.0, 0.0], 1, near, {}) is None
