@@ -55,9 +55,13 @@ def cameras(given: argparse.Namespace) -> int:
     from bench.report.calibration import cameras_page
     from detector.calibration.bundle import BundleError
 
-    refuse_existing(given.out, replace=given.replace)
     _one_source(given, given.frames, "folders of pictures (FRAMES)")
-    identity = _identities(given.identity)
+    identity = dict(text.partition("=")[::2] for text in given.identity)
+    for camera, serial in identity.items():
+        if camera not in ("left", "right", "thermal") or not serial:
+            raise ConfigError.plain(
+                f"--identity {camera}={serial}: say left=SERIAL, right=SERIAL or thermal=SERIAL"
+            )
     if given.rig:
         identity = {**_gather_views(given), **identity}
     views, paths = _views_of(given, "left", "right")
@@ -82,7 +86,6 @@ def thermal(given: argparse.Namespace) -> int:
     from bench.report.calibration import pairs_page, thermal_page
     from detector.calibration.bundle import BundleError
 
-    refuse_existing(given.out, replace=given.replace)
     delivered = _delivered(given)
     if given.pairs is not None:
         if given.image_size is None:
@@ -153,7 +156,6 @@ def world(given: argparse.Namespace) -> int:
     from bench.calibrate.world import calibrate_world, read_points
     from bench.report.calibration import world_page
 
-    refuse_existing(given.out, replace=given.replace)
     _one_source(given, given.points, "a table of points (CSV)")
     pair = read_part(given.cameras)
     if given.rig:
@@ -171,7 +173,6 @@ def world(given: argparse.Namespace) -> int:
 
 
 def merge(given: argparse.Namespace) -> int:
-    refuse_existing(given.out, replace=given.replace)
     whole = merged([read_part(path) for path in given.parts], _record(given, ()))
     _write_step(given, whole, None)
     return CODES.met
@@ -256,16 +257,6 @@ def _views_of(
         mirrored=frozenset({"thermal"} if mirrored else ()),
     )
     return views, (board_file, *found.paths)
-
-
-def _identities(given: list[str]) -> dict[str, str]:
-    found = dict(text.partition("=")[::2] for text in given)
-    for camera, serial in found.items():
-        if camera not in ("left", "right", "thermal") or not serial:
-            raise ConfigError.plain(
-                f"--identity {camera}={serial}: say left=SERIAL, right=SERIAL or thermal=SERIAL"
-            )
-    return found
 
 
 def _record(
@@ -409,7 +400,6 @@ def board(given: argparse.Namespace) -> int:
 def export(given: argparse.Namespace) -> int:
     from bench.calibrate import exchange
 
-    refuse_existing(given.out, replace=given.replace)
     part = read_part(given.calibration).part
     if given.format == "ros":
         exchange.write_ros(part, given.out, given.camera)
@@ -423,7 +413,6 @@ def export(given: argparse.Namespace) -> int:
 def take_over(given: argparse.Namespace) -> int:
     from bench.calibrate import exchange
 
-    refuse_existing(given.out, replace=given.replace)
     if len(given.file) > (2 if given.format == "ros" else 1):
         raise ConfigError.plain(
             f"{given.format} takes"
@@ -443,7 +432,6 @@ def stage(given: argparse.Namespace) -> int:
     from bench.calibrate.stage import calibrate_stage
     from bench.truth.registration_file import write_registration
 
-    refuse_existing(given.out, replace=given.replace)
     rig = load_rig(find_rig(given.rig))
     found = calibrate_stage(
         rig,

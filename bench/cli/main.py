@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from bench import __version__
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
-from bench.cli.commands import CALLS, COMMANDS, GROUPS, ONCE
+from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE
 from bench.safety.signals import installed
 from reports.sanitize import sanitizing
 
@@ -119,5 +119,7 @@ def parser() -> argparse.ArgumentParser:
         parser = add(name, what)
         for argument in arguments:
             argument(parser)
-        parser.set_defaults(command=CALLS.get(name) or f"{name.split()[0]}.{name.split()[-1]}")
+        first, last = name.split()[0], name.split()[-1]
+        module = next((one for one, words in MODULES.items() if first in words), first)
+        parser.set_defaults(command=(module, FUNCTIONS.get(name, last)))
     return top

@@ -160,6 +160,7 @@ def test_shipped_scripts_load() -> None:
         ("rate = 0.95", "rate = 1.0", "rate"),
         ("window_s = 600.0", "window_s = 600.0\nwindov_s = 1", 'did you mean "window_s"'),
         ("mean_k = 0.10", "mean_k = 0.30", "bath.mean_k: 0.3 K is above leave_k = 0.15 K"),
+        ("mean_k = 0.10", "leave_k = 0.05", "bath.mean_k: 0.1 K is above leave_k = 0.05 K"),
         (
             "mean_k = 0.10",
             "mean_k = 0.10\nleave_k = 0.05",

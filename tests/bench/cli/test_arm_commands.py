@@ -24,7 +24,7 @@ from bench.rig.model import Arm
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.clock import RealClock
 from tests.bench.calibrate.arm_terminal import ENTER, Terminal, answer, at_terminal
-from tests.bench.commands import Said, teatbench, words
+from tests.bench.commands import Said, words
 from tests.bench.run.test_end_to_end import started
 from tests.conftest import ROOT
 
@@ -129,14 +129,6 @@ def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> 
     assert "the operator aborted the run; nothing was written" in terminal.text
     assert "Traceback" not in terminal.text
     assert not out.exists()
-
-
-@pytest.mark.slow
-def test_what_is_not_understood_is_asked_again(tmp_path: Path) -> None:
-    with arm(f"read {OWN}") as terminal:
-        answer(terminal, HOMING, "yes")
-        answer_all(terminal, "Not understood: 'yes'")
-    assert "tip 54.20, -51.84, 212.20 mm in the arm's frame" in terminal.text
 
 
 @pytest.mark.slow
@@ -261,8 +253,10 @@ def test_read_gives_one_json_object(said: Said) -> None:
 @pytest.mark.slow
 def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, said: Said) -> None:
     out = tmp_path / "frame.toml"
-    with arm(f"frame {OWN} --out {{}} --homed --plane-checks 0", out) as terminal:
+    out.write_text("old", encoding="utf-8")
+    with arm(f"frame {OWN} --out {{}} --homed --plane-checks 0 --replace", out) as terminal:
         answer_all(terminal, *TOUCHES)
+    assert "No check point was touched" in terminal.text
     line = json.loads(said(0, "arm read --port emulator: --homed --json --frame {}", out).out)
     assert line["world_mm"] == pytest.approx(PLACED.apply(line["tip_mm"]).tolist(), abs=1.5)
     out.write_text(out.read_text(encoding="utf-8").replace('"40937"', '"11111"'), encoding="utf-8")
@@ -271,31 +265,6 @@ def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, said:
         f"{out}:5: serial_number: this file is of the arm 11111, but the arm that answers is 40937"
         in seen
     )
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
-def test_it_reads_the_arm_of_a_bench_that_only_emulates(capsys: pytest.CaptureFixture[str]) -> None:
-    with started(["emulate"]) as child:
-        assert child.stdout is not None
-        urls = dict(child.stdout.readline().split() for _ in range(3))
-        assert teatbench("arm read --port {} --homed --json", urls["arm"]) == 0
-        assert teatbench("arm watch --port {} --homed --seconds 0.5", urls["arm"]) == 0
-        child.send_signal(signal.SIGINT)
-        child.communicate(timeout=60)
-    seen = capsys.readouterr().out.strip().split("\n")
-    assert json.loads(seen[0])["tip_mm"][2] == pytest.approx(212.2, abs=0.01)
-    assert "packets/s" in seen[1]
-
-
-@pytest.mark.slow
-def test_writing_over_has_to_be_asked_for(tmp_path: Path) -> None:
-    out = tmp_path / "frame.toml"
-    out.write_text("old", encoding="utf-8")
-    with arm(f"frame {OWN} --out {{}} --homed --plane-checks 0 --replace", out) as terminal:
-        answer_all(terminal, *TOUCHES)
-    assert load_frame(out).residual_mm is None
-    assert "No check point was touched" in terminal.text
 
 
 # The page for the lab

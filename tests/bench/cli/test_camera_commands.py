@@ -5,8 +5,6 @@ program.
 from __future__ import annotations
 
 import json
-import signal
-import sys
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -20,7 +18,6 @@ from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock
 from tests.bench.commands import Said, teatbench
 from tests.bench.rig.test_emulated_faults import with_emulation
-from tests.bench.run.test_end_to_end import started
 from tests.instruments.camera.peers import ADDRESS, gige_camera
 from tests.instruments.camera.small_world import GalleryWorld
 
@@ -62,39 +59,6 @@ def test_show_tells_a_fault_and_exits_3(tmp_path: Path, said: Said) -> None:
     captured = said(3, "camera show {}", rig)
     assert "right: emulated 1360 x 1024" in captured.out
     assert "right camera: saturated: " in captured.err
-
-
-@pytest.mark.slow
-def test_show_streams(streams: list[str], capsys: Capture) -> None:
-    assert teatbench("camera show {}", streams) in (
-        0,
-        3,
-    )  # 3: the three fell on two sides of a tick
-    out = capsys.readouterr().out
-    assert "thermal: http://127.0.0.1:" in out
-    assert "640 x 480" in out
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
-def test_emulate_serves_its_cameras_too(said: Said) -> None:
-    with started(["emulate"]) as child:
-        assert child.stdout is not None
-        urls = dict(child.stdout.readline().split() for _ in range(6))
-        assert list(urls)[3:] == ["left", "right", "thermal"]
-        told = json.loads(said(0, "camera show {} --json", urls["left"]).out)["cameras"]["single"]
-        assert told["size_px"] == "1360 x 1024"
-        assert told["brightest_dn"] > 100
-        child.send_signal(signal.SIGINT)
-        child.communicate(timeout=60)
-        assert child.returncode == 0
-
-
-@pytest.mark.slow
-def test_focus_of_one_stream(streams: list[str], said: Said) -> None:
-    lines = said(0, "camera focus {} --seconds 0.5 --every 0.1", streams[0]).out.splitlines()
-    assert lines[0].startswith("single  0.")
-    assert lines[-1].startswith("focus_px = { single = 0.")
 
 
 @pytest.mark.slow

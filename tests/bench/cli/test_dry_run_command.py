@@ -48,7 +48,7 @@ def test_a_clean_script_exits_with_0(short_script: Path, tmp_path: Path, said: S
         " checked"
     )
     assert first == "6 trials at 6 poses: nothing wrong. Nothing was moved."
-    assert time.startswith("about 12 min of the bench's time: preparing 12 s, settling 12 min, ")
+    assert time.startswith("about 12 min of the bench's time: settling 12 min, ")
     assert room.endswith(" MB and the report, 89 prompts")
     assert not (tmp_path / "runs").exists()
 
