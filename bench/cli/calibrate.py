@@ -313,8 +313,8 @@ def _gather_views(
     request = ViewsRequest(**wanted)
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
-    with _opened(given, known, arm=False) as (parts, rig):
-        kept = gather(_look(parts, rig), parts.operator, board, request, folder, tell)
+    with _opened(given, known, arm=False) as (parts, _, look):
+        kept = gather(look, parts.operator, board, request, folder, tell)
         parts.operator.ask(Finish())
         identity = dict(parts.cameras.identity)
     tell(f"{kept} views in {folder}")
@@ -333,7 +333,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
 
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
-    with _opened(given, known, arm=True) as (parts, rig):
+    with _opened(given, known, arm=True) as (parts, rig, look):
         arm = parts.arm
         if arm is None:
             raise ValueError("the arm was asked for, and is not open")
@@ -344,7 +344,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
             parts.operator.ask(Homing(PEG))
             arm.confirm_homed()
             radius_mm = rig.rig.arm.tip_radius_mm
-            asking = Asking(_look(parts, rig), parts.operator, tip, radius_mm, tell)
+            asking = Asking(look, parts.operator, tip, radius_mm, tell)
             gather_points(asking, board, folder)
             parts.operator.ask(Finish())
         finally:
@@ -355,7 +355,9 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
 @contextmanager
 def _opened(
     given: argparse.Namespace, known: Part | None, *, arm: bool
-) -> Iterator[tuple[Devices, LoadedRig]]:
+) -> Iterator[tuple[Devices, LoadedRig, Look]]:
+    """The rig's instruments, and what takes each camera's picture once all has come to rest."""
+    from bench.rig.cameras_alone import patient, pictures
     from bench.rig.opening import open_instruments
     from bench.script.calibration_age import refuse_other_cameras
 
@@ -364,20 +366,13 @@ def _opened(
     names = ("arm", "operator", "cameras") if arm else ("operator", "cameras")
     with open_instruments(rig, names, seed=seed, capture=given.capture) as parts:
         refuse_other_cameras(known.record if known else None, parts.cameras.identity)
-        yield parts, rig
+        taken = patient(lambda: pictures(parts.cameras.capture()))
 
+        def look() -> Mapping[str, Grey]:
+            parts.clock.sleep(rig.rig.cameras.settle_s)
+            return taken()
 
-def _look(parts: Devices, rig: LoadedRig) -> Look:
-    """Takes each camera's picture, once whatever the operator moved has come to rest."""
-    from bench.rig.cameras_alone import patient, pictures
-
-    taken = patient(lambda: pictures(parts.cameras.capture()))
-
-    def look() -> Mapping[str, Grey]:
-        parts.clock.sleep(rig.rig.cameras.settle_s)
-        return taken()
-
-    return look
+        yield parts, rig, look
 
 
 def tell(text: str) -> None:

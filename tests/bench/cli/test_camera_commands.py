@@ -98,15 +98,6 @@ def test_grab_takes_again_what_has_a_fault(tmp_path: Path, said: Said) -> None:
 
 
 @pytest.mark.slow
-def test_grab_streams_without_a_rig(streams: list[str], tmp_path: Path, said: Said) -> None:
-    why = said(0, "camera grab {} --out {}", streams, tmp_path / "grabbed").err
-    assert "put calibration.toml into the folder" in why
-    frames = Recording(tmp_path / "grabbed").load("0000")
-    assert frames.left.shape == (1024, 1360)
-    assert frames.thermal is not None
-
-
-@pytest.mark.slow
 def test_a_gige_vision_camera(tmp_path: Path, said: Said) -> None:
     with gige_camera() as serial:
         expected = f"genicam:Aravis-Fake-{serial}  Aravis Fake {serial} GigEVision at {ADDRESS}"
@@ -114,10 +105,9 @@ def test_a_gige_vision_camera(tmp_path: Path, said: Said) -> None:
         shown = said(0, "camera show {}", f"genicam:{ADDRESS}").out
         assert f"single: Aravis Fake {serial} (512 x 512, Mono8)" in shown
         said(0, "camera focus {} --seconds 0.3 --every 0.1", f"genicam:{ADDRESS}")
-        code = teatbench(
-            "camera grab {} genicam:Fake_1 --out {}", f"genicam:{ADDRESS}", tmp_path / "grabbed"
-        )
-        assert code == 0
+        grab = "camera grab {} genicam:Fake_1 --out {}"
+        why = said(0, grab, f"genicam:{ADDRESS}", tmp_path / "grabbed").err
+        assert "put calibration.toml into the folder" in why
     frames = Recording(tmp_path / "grabbed").load("0000")
     assert frames.left.shape == frames.right.shape == (512, 512)
 

@@ -61,8 +61,10 @@ def test_what_a_plan_says(options: str, said: Said) -> None:
     ],
 )
 def test_a_decision_agrees_with_what_a_plan_says(n: int, largest: float, verdict: str) -> None:
-    limits = {"limit_mm": 5.0, "u_mm": 0.23, "rate": 0.95, "confidence": 0.95}
-    assert decide_error("error", [largest] * n, **limits).verdict.value == verdict
+    found = decide_error(
+        "error", [largest] * n, limit_mm=5.0, u_mm=0.23, rate=0.95, confidence=0.95
+    )
+    assert found.verdict.value == verdict
 
 
 @pytest.mark.slow

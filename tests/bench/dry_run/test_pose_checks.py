@@ -13,8 +13,7 @@ from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.run.estimate import carry_touches
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.phantom import Layout, PhantomFile, find_layout, load_layout
-from bench.script.planned_trials import plan
-from bench.script.trial_table import Trial
+from bench.script.planned_trials import Trial, plan
 from instruments.stage.settings import AxisLimits
 
 TRAVEL = {"X": AxisLimits(-300.0, 0.0), "Y": AxisLimits(-275.0, 0.0), "Z": AxisLimits(-50.0, 0.0)}

@@ -17,8 +17,16 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import find_rig, load_rig
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.phantom import find_layout, load_layout
-from bench.script.planned_trials import POSE_KEYS, PlannedTrial, chosen, plan, pose_set, shared
-from bench.script.trial_table import Grid, Trial
+from bench.script.planned_trials import (
+    POSE_KEYS,
+    Grid,
+    PlannedTrial,
+    Trial,
+    chosen,
+    plan,
+    pose_set,
+    shared,
+)
 from instruments.clock import VirtualClock
 from instruments.world.phantom import PlatePose
 from instruments.world.situations import situation
@@ -293,7 +301,7 @@ def of_families(tmp_path: Path, trial: str) -> LoadedScript:
     return load_script(path)
 
 
-def test_redrawn_trials_show_one_member_for_each_pose(tmp_path: Path) -> None:
+def test_redrawn_trials_show_a_member_for_each_pose_and_others_one_for_all(tmp_path: Path) -> None:
     more = "member = 5\nredraw = true\nrepeats = 2\ndraw = { count = 3 }\n"
     loaded = of_families(tmp_path, f'family = "hot_body_at_ends"\n{more}')
     scenes = [one.scene for one in loaded.planned]
@@ -301,13 +309,10 @@ def test_redrawn_trials_show_one_member_for_each_pose(tmp_path: Path) -> None:
     assert [one.phantom for one in loaded.planned] == [scene.phantom for scene in scenes if scene]
     said = chosen(loaded.script.trials[0])
     assert "family hot_body_at_ends, members from 5 on, one for each pose" in said
-
-
-def test_one_member_stands_at_every_pose(tmp_path: Path) -> None:
     more = "member = 2\nposes = [{ x_mm = 0.0 }, { x_mm = 5.0 }]\n"
-    loaded = of_families(tmp_path, f'family = "hot_body_at_ends"\n{more}')
-    assert {one.scene for one in loaded.planned} == {situation("hot_body_at_ends", 2)}
-    assert "member 2" in chosen(loaded.script.trials[0])
+    same = of_families(tmp_path, f'family = "hot_body_at_ends"\n{more}')
+    assert {one.scene for one in same.planned} == {situation("hot_body_at_ends", 2)}
+    assert "member 2" in chosen(same.script.trials[0])
 
 
 def test_the_operator_is_told_what_stands_where(tmp_path: Path) -> None:
