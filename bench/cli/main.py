@@ -1,4 +1,4 @@
-"""Reads arguments, calls a command, and knows what each kind of failure means for the exit code."""
+"""Reads arguments, calls a command, and gives each kind of failure its exit code."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file that is not there
 
-# OpenCV and its FFmpeg write to the terminal themselves; what they say there is told by us. Both
-# read this when they are loaded.
+# OpenCV and its FFmpeg write to the terminal themselves, unless this stands when they are loaded
 QUIET = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
 
 
@@ -86,9 +85,7 @@ def _run(given: argparse.Namespace) -> int:
     # must not look like a requirement that isn't met, which Python's own code for it would
     except Exception:
         traceback.print_exc()
-        return complain(
-            "a mistake of the bench, not yours: please report what stands above", CODES.fault
-        )
+        return complain("internal error; please report the traceback above", CODES.fault)
 
 
 def parser() -> argparse.ArgumentParser:

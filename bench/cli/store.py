@@ -147,14 +147,14 @@ def control(given: argparse.Namespace) -> int:
 
     run = read_run(given.run)
     if run.ending != "interrupted":
-        print(f"{given.run} has ended ({run.ending}): nobody is there to hear it.")
+        print(f"{given.run} has ended ({run.ending}): it takes no requests any more.")
         return CODES.wrong_use
     leave_wish(given.run, " ".join(given.words))
     if was_taken(given.run, RealClock(), TAKEN_S):
-        print("taken; what comes of it is shown at the run's terminal.")
+        print("request accepted; see the run's terminal")
     else:
         print(
-            f"left for the run, which has not looked for {TAKEN_S:g} s: it is busy, or its bench"
-            " has died and takes nothing any more."
+            f"request left; the run has not read it for {TAKEN_S:g} s: it is busy, or its process"
+            " has ended."
         )
     return CODES.met
