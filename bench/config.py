@@ -1,16 +1,9 @@
-"""Where the keys of a TOML text stand: line and column, so that a fault can be shown in its place.
-
-`tomllib` gives values without places, so this reads the lines once more: headers, keys and how far
-a value reaches. It may not judge anything; what it can't place (an inline table's inside) falls to
-the key around it.
-
-Files that people write: read, checked whole, and explained when wrong.
+"""Files that people write: read, checked whole, and explained when wrong.
 
 `read_config` gives a pydantic model or one `ConfigError` that lists every fault with file, line, a
-caret under the place, what is allowed and what may have been meant. It may not know what the files
-are about.
-
-Numbers as the files that people write take them.
+caret under the place, what is allowed and what may have been meant. `tomllib` gives values without
+places, so `find_places` reads the lines once more: headers, keys and how far a value reaches. What
+it can't place (an inline table's inside) falls to the key around it.
 """
 
 from __future__ import annotations
@@ -197,7 +190,12 @@ def parse_config(path: Path, text: str, model: type[Model], *, stored: bool = Fa
                 detail["type"] == "extra_forbidden",
             )
             for detail in error.errors()
-            if not _echo(detail)
+            # not that a list is too short whose wrong items, left out, have faults of their own
+            if not (
+                detail["type"] == "too_short"
+                and isinstance(detail["input"], list)
+                and len(detail["input"]) >= int(detail.get("ctx", {}).get("min_length") or 0)
+            )
         ]
         raise located(path, text, found) from error
 
@@ -221,21 +219,12 @@ def located(path: Path, text: str, found: Iterable[tuple[KeyPath, str, bool]]) -
     faults = []
     for key_path, message, at_key in found:
         place, exact = nearest(places, key_path)
-        name = _dotted(key_path)
+        start, width = place.key_start, place.key_end - place.key_start
         if exact and not at_key and place.value_start > place.key_start:
-            value = lines[place.line - 1][place.value_start :].split("  #")[0].rstrip()
-            faults.append(
-                Fault(place.line, place.value_start, max(1, len(value)), f"{name}: {message}")
-            )
-        else:
-            faults.append(
-                Fault(
-                    place.line,
-                    place.key_start,
-                    max(1, place.key_end - place.key_start),
-                    f"{name}: {message}",
-                )
-            )
+            start = place.value_start
+            width = len(lines[place.line - 1][start:].split("  #")[0].rstrip())
+        text_of = f"{_dotted(key_path)}: {message}"
+        faults.append(Fault(place.line, start, max(1, width), text_of))
     return ConfigError(path, sorted(faults, key=lambda fault: (fault.line, fault.column)), text)
 
 
@@ -258,27 +247,20 @@ def _rendered(path: Path | None, faults: Sequence[Fault], lines: Sequence[str]) 
         told = fault.message
         out.append(f"{path}:{fault.line}: {told if len(told) <= TOLD else told[:TOLD] + '...'}")
         if 0 < fault.line <= len(lines):
-            shown, column = _around(lines[fault.line - 1], fault.column)
-            out.append(f"  {fault.line:4} | {shown}")
-            out.append(
-                f"       | {' ' * column}{'^' * min(fault.width, max(1, len(shown) - column))}"
-            )
+            line = lines[fault.line - 1]  # a long one around its column only
+            start = max(0, fault.column - SHOWN // 2) if len(line) > SHOWN else 0
+            before, after = "..." if start else "", "..." if len(line) > start + SHOWN else ""
+            shown = f"{before}{line[start : start + SHOWN]}{after}"
+            column = fault.column - start + len(before)
+            carets = "^" * min(fault.width, max(1, len(shown) - column))
+            out += [f"  {fault.line:4} | {shown}", f"       | {' ' * column}{carets}"]
     return out
-
-
-def _around(line: str, column: int) -> tuple[str, int]:
-    """What is shown of ``line``, all of it where it is short, and where ``column`` is in that."""
-    start = max(0, column - SHOWN // 2) if len(line) > SHOWN else 0
-    before, after = "..." if start else "", "..." if len(line) > start + SHOWN else ""
-    return f"{before}{line[start : start + SHOWN]}{after}", column - start + len(before)
 
 
 def _syntax_fault(message: str, text: str) -> Fault:
     place = re.search(r"\(at line (\d+), column (\d+)\)", message)
-    what = message.split(" (at ")[0]
-    if place:
-        return Fault(int(place[1]), int(place[2]) - 1, 1, f"not TOML: {what}")
-    return Fault(text.count("\n") + 1, 0, 1, f"not TOML: {what}")
+    line, column = map(int, place.groups()) if place else (text.count("\n") + 1, 1)
+    return Fault(line, column - 1, 1, f"not TOML: {message.split(' (at ')[0]}")
 
 
 def _dotted(path: KeyPath) -> str:
@@ -304,18 +286,6 @@ def _message(detail: ErrorDetails, model: type[BaseModel]) -> str:
         )
     message = detail["msg"].removeprefix("Value error, ")
     return f"{message[0].lower()}{message[1:]} (found {short(repr(detail['input']))})"
-
-
-def _echo(detail: ErrorDetails) -> bool:
-    """Whether this says that a list is too short whose items are all there: those that are wrong
-    were left out, and have their own.
-    """
-    least = detail.get("ctx", {}).get("min_length")
-    return (
-        detail["type"] == "too_short"
-        and isinstance(detail["input"], list)
-        and len(detail["input"]) >= int(least or 0)
-    )
 
 
 def _without_tags(path: KeyPath, table: Any) -> KeyPath:
@@ -346,14 +316,10 @@ def _fields_at(model: type[BaseModel], path: Sequence[str | int]) -> set[str]:
             if part in one.model_fields
             for found in _models_in(one.model_fields[part].annotation)
         ]
-        models = deeper or [one for one in models if _tag(one) == part] or models
+        kinds = ((one, one.model_fields.get("kind")) for one in models)
+        tagged = [one for one, kind in kinds if kind and part in typing.get_args(kind.annotation)]
+        models = deeper or tagged or models
     return {field.alias or name for one in models for name, field in one.model_fields.items()}
-
-
-def _tag(model: type[BaseModel]) -> str | None:
-    kind = model.model_fields.get("kind")
-    values = typing.get_args(kind.annotation) if kind else ()
-    return str(values[0]) if values else None
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

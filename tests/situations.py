@@ -9,7 +9,7 @@ from dataclasses import replace
 from bench.config import read_config
 from bench.script.model import TRIALS, Script
 from bench.script.phantom import shipped_phantom
-from bench.script.trial_table import Trial
+from bench.script.planned_trials import Trial
 from instruments.world.objects import make_object
 from instruments.world.state import SceneState
 

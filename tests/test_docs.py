@@ -1,6 +1,6 @@
 """Commands of all pages run, in their order, in a folder where what they name is there, and their
 TOML is loaded as what it is. A block that can't run has its reason in the page, above it:
-``<!-- not run: why -->``. The README's own commands are run by test_readme.py.
+``<!-- not run: why -->``. The README's links, first commands and exit codes are right.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from bench.cli.arguments import EXIT_CODES
 from bench.cli.main import main, parser
 from bench.config import read_config
 from bench.record.check import check_run
@@ -52,6 +53,8 @@ MAY_JUDGE = {"run", "resume", "score", "compare"}  # their exit code may be a ve
 AT_A_TERMINAL = {"arm home", "arm frame", "arm read", "arm verify"}
 # what a page names and its reader has, and what stands in for it here; whatever fits, in this order
 STAND_INS = {
+    r" run$": " run short.toml --rig my-rig.toml",  # the shipped script on the shipped rig: CI's demo
+    r"plane-map --dry-run": "short.toml --rig my-rig.toml --dry-run",
     r"/dev/ttyUSB0": "emulator:",
     r"opencv:http://\S+": "my-rig.toml --seconds 0.1",
     r"resume runs/\S+": "resume runs/stopped",
@@ -60,6 +63,8 @@ STAND_INS = {
     r"5ab3…": "DIGEST",
     r"six-situations|my-script": "short.toml",
     r"--seeds 200": "--seeds 1",
+    r"--seeds 3 --out \S+": "--seeds 1 --out recordings/few",
+    r"sheet --out": "sheet --situation ideal --out",
     r"--seeds 12": "--seeds 1 --quantity pixel-noise",
     r"thermal PICTURES": "thermal heated-pictures",
     r"PICTURES": "pictures",
@@ -96,7 +101,7 @@ BLOCKS = [
     for found in FENCED.finditer(text)
 ]
 COMMANDS = [(str(block), line) for block in BLOCKS for line in block.commands]
-RUN_HERE = [block for block in BLOCKS if block.page != "README.md" and not block.not_run]
+RUN_HERE = [block for block in BLOCKS if not block.not_run]
 TOML = [block for block in RUN_HERE if block.language == "toml"]
 
 
@@ -112,6 +117,25 @@ def test_the_program_knows_the_command(
         parser().parse_args(words_of(line))
     except SystemExit:
         pytest.fail(f"{where}: {line}\n{capsys.readouterr().err}")
+
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_readmes_first_two_commands_are_those_of_ci_and_its_exit_codes_those_of_help() -> None:
+    first = re.findall(r"```sh\n(.*?)```", README, re.DOTALL)[0].split("\n")[:2]
+    assert first == ["python3 run.py demo", "python3 run.py test"]
+    ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert "python3 run.py demo" in ci
+    assert "\npython3 run.py test\n" in ci
+    told = re.search(r"Exit codes: (.*?)\.\n", README, re.DOTALL)
+    assert told is not None
+    assert " ".join(EXIT_CODES.split()) == f"exit codes: {told[1]}"
+
+
+def test_links_of_the_readme_lead_somewhere() -> None:
+    for target in re.findall(r"\]\(([^)]+)\)", README):
+        assert target.startswith("https://") or (ROOT / target).exists(), target
 
 
 @pytest.fixture(scope="module")

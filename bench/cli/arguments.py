@@ -70,8 +70,11 @@ def call(given: argparse.Namespace) -> int:
     One with ``--capture FILE`` asks ``given.capture.tap(name, clock)`` for each link's tap; the
     file is opened before the command and closed behind it.
     """
-    module, _, name = given.command.partition(".")
+    module, name = given.command
     work: Callable[[argparse.Namespace], int] = getattr(import_module(f"bench.cli.{module}"), name)
+    out = "write_rig" if "write_rig" in given else "out"
+    if "replace" in given and (path := getattr(given, out)):
+        refuse_existing(path, replace=given.replace, option=f"--{out.replace('_', '-')}")
     if "capture" not in given:
         return work(given)
     from instruments.captures.capture import NO_CAPTURE, CaptureFile

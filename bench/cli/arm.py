@@ -20,7 +20,7 @@ from bench.calibrate.arm import (
     touch_frame,
 )
 from bench.calibrate.arm import verify as verify_arm
-from bench.cli.arguments import CODES, complain, refuse_existing
+from bench.cli.arguments import CODES, complain
 from bench.config import ConfigError
 from bench.rig.arm_files import frame_text, load_frame, verification_text, write_file
 from instruments.microscribe.stream import Pedal
@@ -132,7 +132,6 @@ def home(given: argparse.Namespace) -> int:
 
 
 def frame(given: argparse.Namespace) -> int:
-    refuse_existing(given.out, replace=given.replace)
     with _opened(given) as session:
         session.confirm_homing(homed=given.homed)
         checks = [*given.check, *[None] * given.plane_checks]
@@ -154,7 +153,6 @@ def frame(given: argparse.Namespace) -> int:
 
 
 def verify(given: argparse.Namespace) -> int:
-    refuse_existing(given.out, replace=given.replace)
     limits = limits_of(given.script)
     if given.length_mm is None and limits.length_mm is not None:
         print("Without --length-mm no length is measured, and the arm can't be verified whole.")

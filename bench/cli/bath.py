@@ -83,7 +83,8 @@ def change(given: argparse.Namespace) -> int:
             bath.set_point(given.set_point)
         except LimitError as error:
             return complain(str(error), CODES.wrong_use)
-        state = "it is heating or cooling to it now" if _started(bath) else "the bath is in standby"
+        works = bath.get("run") == bath.profile.row("run").values["started"]
+        state = "it is heating or cooling to it now" if works else "the bath is in standby"
         print(f"set point {bath.get('set_point'):.2f} degC; {state}")
     return CODES.met
 
@@ -150,11 +151,6 @@ def open_bath(
     rig = rig_of(profile, bath=table)
     with open_instruments(rig, ("bath",), capture=capture, identify=identify) as devices:
         yield devices.bath, devices.clock
-
-
-def _started(bath: Bath) -> bool:
-    """Whether the controller says that it works."""
-    return bath.get("run") == bath.profile.row("run").values["started"]
 
 
 def seconds_to_stable(
@@ -295,19 +291,16 @@ def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float = math
     terminal, a line a reading.
     """
     view = BathView(StabilityGate(bath.get("set_point")), moving=moving_of(bath.profile))
+    started = bath.profile.row("run").values["started"]
     end_s = clock.now() + seconds
     with Live(console=console, auto_refresh=False, transient=False) as live:
         while clock.now() < end_s:
-            _look(view, bath)
+            try:
+                view.add(bath.read(), bath.get("set_point"), started=bath.get("run") == started)
+            except InstrumentError as error:  # it may come back
+                view.trouble = f"NO READING: {error}"
             if console.is_terminal:
                 live.update(Group(*(Text(line) for line in view.lines())), refresh=True)
             else:
                 console.print(view.line(), markup=False, highlight=False, soft_wrap=True)
             clock.sleep(min(PERIOD_S, max(0.0, end_s - clock.now())))
-
-
-def _look(view: BathView, bath: Bath) -> None:
-    try:
-        view.add(bath.read(), bath.get("set_point"), started=_started(bath))
-    except InstrumentError as error:  # it may come back: somebody looks on
-        view.trouble = f"NO READING: {error}"

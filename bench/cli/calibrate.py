@@ -54,9 +54,13 @@ def cameras(given: argparse.Namespace) -> int:
     from bench.report.calibration import cameras_page
     from detector.calibration.bundle import BundleError
 
-    refuse_existing(given.out, replace=given.replace)
     _one_source(given, given.frames, "folders of pictures (FRAMES)")
-    identity = _identities(given.identity)
+    identity = dict(text.partition("=")[::2] for text in given.identity)
+    for camera, serial in identity.items():
+        if camera not in ("left", "right", "thermal") or not serial:
+            raise ConfigError.plain(
+                f"--identity {camera}={serial}: say left=SERIAL, right=SERIAL or thermal=SERIAL"
+            )
     if given.rig:
         identity = {**_gather_views(given), **identity}
     views, paths = _views_of(given, "left", "right")
@@ -81,7 +85,6 @@ def thermal(given: argparse.Namespace) -> int:
     from bench.report.calibration import pairs_page, thermal_page
     from detector.calibration.bundle import BundleError
 
-    refuse_existing(given.out, replace=given.replace)
     delivered = _delivered(given)
     if given.pairs is not None:
         if given.image_size is None:
@@ -152,7 +155,6 @@ def world(given: argparse.Namespace) -> int:
     from bench.calibrate.world import calibrate_world, read_points
     from bench.report.calibration import world_page
 
-    refuse_existing(given.out, replace=given.replace)
     _one_source(given, given.points, "a table of points (CSV)")
     pair = read_part(given.cameras)
     if given.rig:
@@ -170,7 +172,6 @@ def world(given: argparse.Namespace) -> int:
 
 
 def merge(given: argparse.Namespace) -> int:
-    refuse_existing(given.out, replace=given.replace)
     whole = merged([read_part(path) for path in given.parts], _record(given, ()))
     _write_step(given, whole, None)
     return CODES.met
@@ -257,16 +258,6 @@ def _views_of(
     return views, (board_file, *found.paths)
 
 
-def _identities(given: list[str]) -> dict[str, str]:
-    found = dict(text.partition("=")[::2] for text in given)
-    for camera, serial in found.items():
-        if camera not in ("left", "right", "thermal") or not serial:
-            raise ConfigError.plain(
-                f"--identity {camera}={serial}: say left=SERIAL, right=SERIAL or thermal=SERIAL"
-            )
-    return found
-
-
 def _record(
     given: argparse.Namespace,
     inputs: Sequence[Path],
@@ -321,8 +312,8 @@ def _gather_views(
     request = ViewsRequest(**wanted)
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
-    with _opened(given, known, arm=False) as (parts, rig):
-        kept = gather(_look(parts, rig), parts.operator, board, request, folder, tell)
+    with _opened(given, known, arm=False) as (parts, _, look):
+        kept = gather(look, parts.operator, board, request, folder, tell)
         parts.operator.ask(Finish())
         identity = dict(parts.cameras.identity)
     tell(f"{kept} views in {folder}")
@@ -341,7 +332,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
 
     board = load_board(find_board_file(given.board)).board
     folder = free_folder(given.out)
-    with _opened(given, known, arm=True) as (parts, rig):
+    with _opened(given, known, arm=True) as (parts, rig, look):
         arm = parts.arm
         if arm is None:
             raise ValueError("the arm was asked for, and is not open")
@@ -352,7 +343,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
             parts.operator.ask(Homing(PEG))
             arm.confirm_homed()
             radius_mm = rig.rig.arm.tip_radius_mm
-            asking = Asking(_look(parts, rig), parts.operator, tip, radius_mm, tell)
+            asking = Asking(look, parts.operator, tip, radius_mm, tell)
             gather_points(asking, board, folder)
             parts.operator.ask(Finish())
         finally:
@@ -363,7 +354,9 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
 @contextmanager
 def _opened(
     given: argparse.Namespace, known: Part | None, *, arm: bool
-) -> Iterator[tuple[Devices, LoadedRig]]:
+) -> Iterator[tuple[Devices, LoadedRig, Look]]:
+    """The rig's instruments, and what takes each camera's picture once all has come to rest."""
+    from bench.rig.alone import patient, pictures
     from bench.rig.opening import open_instruments
     from bench.script.calibration_age import refuse_other_cameras
 
@@ -372,20 +365,13 @@ def _opened(
     names = ("arm", "operator", "cameras") if arm else ("operator", "cameras")
     with open_instruments(rig, names, seed=seed, capture=given.capture) as parts:
         refuse_other_cameras(known.record if known else None, parts.cameras.identity)
-        yield parts, rig
+        taken = patient(lambda: pictures(parts.cameras.capture()))
 
+        def look() -> Mapping[str, Grey]:
+            parts.clock.sleep(rig.rig.cameras.settle_s)
+            return taken()
 
-def _look(parts: Devices, rig: LoadedRig) -> Look:
-    """Takes each camera's picture, once whatever the operator moved has come to rest."""
-    from bench.rig.alone import patient, pictures
-
-    taken = patient(lambda: pictures(parts.cameras.capture()))
-
-    def look() -> Mapping[str, Grey]:
-        parts.clock.sleep(rig.rig.cameras.settle_s)
-        return taken()
-
-    return look
+        yield parts, rig, look
 
 
 def tell(text: str) -> None:
@@ -408,7 +394,6 @@ def board(given: argparse.Namespace) -> int:
 def export(given: argparse.Namespace) -> int:
     from bench.calibrate import exchange
 
-    refuse_existing(given.out, replace=given.replace)
     part = read_part(given.calibration).part
     if given.format == "ros":
         exchange.write_ros(part, given.out, given.camera)
@@ -422,7 +407,6 @@ def export(given: argparse.Namespace) -> int:
 def take_over(given: argparse.Namespace) -> int:
     from bench.calibrate import exchange
 
-    refuse_existing(given.out, replace=given.replace)
     if len(given.file) > (2 if given.format == "ros" else 1):
         raise ConfigError.plain(
             f"{given.format} takes"
@@ -442,7 +426,6 @@ def stage(given: argparse.Namespace) -> int:
     from bench.calibrate.stage import calibrate_stage
     from bench.truth.registration import write_registration
 
-    refuse_existing(given.out, replace=given.replace)
     rig = load_rig(find_rig(given.rig))
     found = calibrate_stage(
         rig,

@@ -614,21 +614,20 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         "the detectors that ship, that other packages bring, and that files in ./detectors declare",
     ),
 }
-# MODULE.FUNCTION of this folder; GROUP.COMMAND and COMMAND.COMMAND where nothing is said here
-CALLS = {
-    "resume": "run.resume",
-    "control": "store.control",
-    "report": "run.report",
-    "score": "run.score",
-    "detect": "scene.detect",
-    "check": "rig.check",
-    "emulate": "rig.emulate",
-    "bath set": "bath.change",
-    "camera list": "camera.attached",
-    "calibrate import": "calibrate.take_over",
-    "replay-wire": "rig.replay_wire",
-    "trials": "trials.listed",
-    "rigs": "rig.rigs",
-    "detectors": "rig.detectors",
+# where a command's or a group's functions are, unless in the module of the same name
+MODULES = {
+    "alone": ("camera", "stage"),
+    "rig": ("check", "detect", "detectors", "emulate", "replay-wire", "rigs", "scene"),
+    "run": ("report", "resume", "score"),
+    "store": ("compare", "control"),
+    "trials": ("plan",),
+}
+# a command's function, unless it has the name of its last word
+FUNCTIONS = {
+    "bath set": "change",
+    "camera list": "attached",
+    "calibrate import": "take_over",
+    "replay-wire": "replay_wire",
+    "trials": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more

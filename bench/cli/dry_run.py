@@ -4,8 +4,8 @@ by a rehearsal on emulators.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from shutil import disk_usage
 
@@ -50,39 +50,49 @@ def look_ahead(
     axes = rig.rig.stage.axes if rig.rig.stage else ""
     limits = settings.limits if settings else {}
     travel = {name: way for name, way in limits.items() if name in axes} if settings else None
-    look = dry_run(rig, script, travel, why_not_asked)
-    learnt = read_learnt(out, rig)
-    # a trial out of the stage's travel would end the run at once: the others are gone through
-    beyond = {one.trial for one in look.findings if one.kind == "limits"}
+    of_poses, unchecked = dry_run(rig, script, travel, why_not_asked)
+    # a trial beyond the stage's travel would end the run at once: the others are gone through
+    beyond = {one.trial for one in of_poses if one.kind == "limits"}
     within = replace(script, planned=tuple(one for one in script.planned if one.name not in beyond))
-    rehearsal, why_not = _rehearsed(rig, within, detectors, settings, learnt, seed)
+    rehearsal, why_not = _rehearsed(rig, within, detectors, settings, seed)
     latch = read_latch(latch_path(rig))
-    # each of a trial once: the look at its pose says where, the rehearsal only finds it again
-    known = {(one.trial, one.kind) for one in look.findings}
+    # each of a trial once: the check of its pose says where, the rehearsal only finds it again
+    known = {(one.trial, one.kind) for one in of_poses}
+    again = rehearsal.findings if rehearsal else ()
     findings = [
         *([Finding("the rig", "latched", str(latch))] if latch else []),
-        *look.findings,
-        *(
-            one
-            for one in (rehearsal.findings if rehearsal else ())
-            if (one.trial, one.kind) not in known
-        ),
+        *of_poses,
+        *(one for one in again if (one.trial, one.kind) not in known),
     ]
     for finding in findings[:SHOWN]:
         print(f"{finding.trial}: {finding.kind}: {finding.text}")
     if (more := len(findings) - SHOWN) > 0:
         print(f"and {more} more")
-    for what in (*look.unchecked, *why_not):
+    for what in (*unchecked, *why_not):
         print(f"not checked: {what}")
+    trials, poses = len(script.planned), len({one.name for one in script.planned})
     if rehearsal:
-        _print_rehearsal(rehearsal, len(script.planned) - len(within.planned))
-    many = f"{len(script.planned)} trials at {look.poses} poses"
+        rendered = (
+            f"; frames of {rehearsal.rendered} were rendered and checked, and each detector was"
+            " asked about one set"
+            if rehearsal.rendered
+            else ""
+        )
+        print(
+            f"gone through on emulators, in virtual time: {rehearsal.trials} of {trials}"
+            f" trials{rendered}"
+        )
+        for what, times in rehearsal.recovered.items():
+            print(f"met and got over: {what} ({times} times)")
+        if left := trials - rehearsal.trials:
+            print(f"not gone through: {left} trials, for what is said above")
+    many = f"{trials} trials at {poses} poses"
     if findings:
         problems = "problem" if len(findings) == 1 else "problems"
         print(f"{many}: {len(findings)} {problems}. Nothing was moved.")
         return CODES.wrong_use
     print(f"{many}: nothing wrong. Nothing was moved.")
-    _print_needs(rig, script, out, rehearsal, learnt)
+    _print_needs(rig, script, out)
     return CODES.met
 
 
@@ -91,78 +101,41 @@ def _rehearsed(
     script: LoadedScript,
     detectors: Sequence[str],
     stage: StageSettings | None,
-    learnt: Mapping[str, float],
     seed: int | None,
 ) -> tuple[Rehearsal | None, tuple[str, ...]]:
-    """What going through ``script`` came to; None where it can't be, and why."""
+    """What going through ``script`` found; None where it is impossible, and why."""
     if not script.planned:
         return None, ("the script as a whole: no trial is within the stage's travel",)
-    under_test = (
-        make_detectors(detectors)
-        if detectors
-        else make_detectors(script.script.detectors, script.path.parent)
-    )
+    named = (detectors,) if detectors else (script.script.detectors, script.path.parent)
+    under_test = make_detectors(*named)
     try:
         with Terminal().status(REHEARSING) as status:
 
             def shown(done: int, of: int) -> None:
                 status.update(f"{REHEARSING}: trial {min(done + 1, of)} of {of}")
 
-            found = rehearse(
-                rig, script, under_test, stage=stage, learnt=learnt, seed=seed, shown=shown
-            )
-            return found, ()
+            return rehearse(rig, script, under_test, stage=stage, seed=seed, shown=shown), ()
     except NoTwinError as error:
         return None, (f"the script as a whole: there can be no emulated twin of this rig: {error}",)
     finally:
         close_detectors(under_test)
 
 
-def _print_rehearsal(rehearsal: Rehearsal, beyond: int) -> None:
-    """What was gone through, and what was not."""
-    planned = rehearsal.planned + beyond
-    rendered = (
-        f"; frames of {rehearsal.rendered} were rendered and checked, and each detector was asked"
-        " about one set"
-        if rehearsal.rendered
-        else ""
-    )
-    print(
-        f"gone through on emulators, in virtual time: {rehearsal.trials} of {planned}"
-        f" trials{rendered}"
-    )
-    for what, times in rehearsal.recovered.items():
-        print(f"met and got over: {what} ({times} times)")
-    if left := planned - rehearsal.trials:
-        print(f"not gone through: {left} trials, for what is said above")
-
-
-def _print_needs(
-    rig: LoadedRig,
-    script: LoadedScript,
-    out: Path,
-    rehearsal: Rehearsal | None,
-    learnt: Mapping[str, float],
-) -> None:
-    """Time, room and prompts; room that isn't there is said."""
+def _print_needs(rig: LoadedRig, script: LoadedScript, out: Path) -> None:
+    """Time, room and prompts; a warning where the room is not there."""
+    learnt = read_learnt(out, rig)
     by = "by what earlier runs took" if learnt else "by assumed times, see 'teatbench trials show'"
-    if rehearsal:
-        parts = ", ".join(
-            f"{kind} {_time(seconds)}" for kind, seconds in rehearsal.spent.items() if seconds >= 1
-        )
-        how = "" if rig.rig.operator.url != CONSOLE else f"; the operator's {by}"
-        print(f"about {_time(rehearsal.total_s)} of the bench's time: {parts}{how}")
-        disk_mb = rehearsal.disk_mb
-        print(f"about {disk_mb:.0f} MB and the report, {rehearsal.prompts} prompts")
-    else:
-        wanted = needs(rig, script, learnt)
-        disk_mb = wanted.disk_mb
-        print(
-            f"about {_time(wanted.time.total_s)} of the bench's time ({by}), at most {disk_mb:.0f}"
-            f" MB, {wanted.prompts} prompts"
-        )
+    wanted = needs(rig, script, learnt)
+    parts = ", ".join(
+        f"{kind.removesuffix('_s').replace('_', '-')} {_time(seconds)}"
+        for kind, seconds in asdict(wanted.time).items()
+        if seconds >= 1
+    )
+    how = f"; the operator's {by}" if rig.rig.operator.url == CONSOLE else ""
+    print(f"about {_time(wanted.time.total_s)} of the bench's time: {parts}{how}")
+    print(f"at most {wanted.disk_mb:.0f} MB and the report, {wanted.prompts} prompts")
     there = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
-    if (free_mb := disk_usage(there).free / 1e6) < disk_mb:
+    if (free_mb := disk_usage(there).free / 1e6) < wanted.disk_mb:
         print(f"NOT ENOUGH ROOM: {free_mb:.0f} MB are free in {there}")
 
 

@@ -1,4 +1,4 @@
-"""Reads arguments, calls a command, and knows what each kind of failure means for the exit code."""
+"""Reads arguments, calls a command, and gives each kind of failure its exit code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from bench import __version__
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
-from bench.cli.commands import CALLS, COMMANDS, GROUPS, ONCE
+from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE
 from bench.safety.signals import installed
 from reports.sanitize import sanitizing
 
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file that is not there
 
-# OpenCV and its FFmpeg write to the terminal themselves; what they say there is told by us. Both
-# read this when they are loaded.
+# OpenCV and its FFmpeg write to the terminal themselves, unless this stands when they are loaded
 QUIET = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
 
 
@@ -86,9 +85,7 @@ def _run(given: argparse.Namespace) -> int:
     # must not look like a requirement that isn't met, which Python's own code for it would
     except Exception:
         traceback.print_exc()
-        return complain(
-            "a mistake of the bench, not yours: please report what stands above", CODES.fault
-        )
+        return complain("internal error; please report the traceback above", CODES.fault)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -119,5 +116,7 @@ def parser() -> argparse.ArgumentParser:
         parser = add(name, what)
         for argument in arguments:
             argument(parser)
-        parser.set_defaults(command=CALLS.get(name) or f"{name.split()[0]}.{name.split()[-1]}")
+        first, last = name.split()[0], name.split()[-1]
+        module = next((one for one, words in MODULES.items() if first in words), first)
+        parser.set_defaults(command=(module, FUNCTIONS.get(name, last)))
     return top

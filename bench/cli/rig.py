@@ -1,22 +1,25 @@
-"""`check` and `emulate`: the rig itself, without a script; `rigs` and `detectors`: what there is;
-`replay-wire`: the far end of a capture, played back for whoever connects.
+"""The rig without a run: `check` and `emulate`; `rigs` and `detectors`; `replay-wire`, the far end
+of a capture; `scene sheet|record|boards|sensitivity` and `detect`, scenes and frames.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import threading
-from collections.abc import Mapping
-from contextlib import closing, suppress
+from collections.abc import Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench import __version__
 from bench.cli.arguments import CODES, complain, refuse_existing
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
 from instruments.clock import Clock, RealClock
 
 if TYPE_CHECKING:
+    from bench.results.sensitivity import Measured
     from instruments.captures.replay import Replay
 
 
@@ -46,8 +49,6 @@ def emulate(given: argparse.Namespace) -> int:
     from instruments.listener import Listener
     from instruments.operators.remote import OperatorPort
 
-    if given.write_rig:
-        refuse_existing(given.write_rig, replace=given.replace, option="--write-rig")
     rig = load_rig(find_rig(given.rig))
     clock = RealClock()
     try:
@@ -144,13 +145,11 @@ def replay_wire(given: argparse.Namespace) -> int:
         raise ConfigError.plain(
             f"{capture.path}: no link was opened in it, so there is nothing to play"
         )
-    for name in given.link:
-        if name not in capture.links:
-            there = ", ".join(capture.links)
-            raise ConfigError.plain(
-                f'{capture.path}: no link "{name}"{did_you_mean(name, capture.links) or "."} It'
-                f" has: {there}."
-            )
+    if unknown := next((name for name in given.link if name not in capture.links), None):
+        raise ConfigError.plain(
+            f'{capture.path}: no link "{unknown}"{did_you_mean(unknown, capture.links) or "."} It'
+            f" has: {', '.join(capture.links)}."
+        )
     if capture.cut:
         complain(f"{given.file}: the last line is cut, and left out", CODES.met)
     with closing(RealClock()) as clock:
@@ -175,20 +174,110 @@ def _watch(replay: Replay, clock: Clock, path: Path, *, once: bool) -> int:
     """Print mismatches as they come, until Ctrl-C or, for ``once``, the end; gives back the exit
     code.
     """
-    shown = 0
-
-    def show() -> int:
-        new = replay.mismatches[shown:]
-        for one in new:
-            print(f"{path}:{one.line}: {one.link}: {one.sentence}", flush=True)
-        return shown + len(new)
-
-    with suppress(KeyboardInterrupt):  # the way to end it
-        while not (once and replay.finished):
+    shown, going = 0, True
+    while going:
+        try:
             clock.sleep(0.05)
-            shown = show()
-    shown = show()
+            going = not (once and replay.finished)
+        except KeyboardInterrupt:  # the way to end it
+            going = False
+        for one in replay.mismatches[shown:]:
+            print(f"{path}:{one.line}: {one.link}: {one.sentence}", flush=True)
+            shown += 1
     unplayed = replay.unplayed if once else []
     for what in unplayed:
         print(what, flush=True)
     return CODES.not_met if shown or unplayed else CODES.met
+
+
+def detect(given: argparse.Namespace) -> int:
+    from bench.run.recordings import detect_lines
+
+    answered = False
+    for line, text in detect_lines(given.recording, given.detector or ["thesis"]):
+        print(json.dumps(line) if given.json else text, flush=True)
+        answered = answered or "outcome" not in line
+    if not answered:
+        return complain("no frame had an answer: nothing was detected", CODES.fault)
+    return CODES.met
+
+
+def _members(given: argparse.Namespace) -> range:
+    return range(given.first, given.first + given.seeds)
+
+
+def sheet(given: argparse.Namespace) -> int:
+    from bench.rig.scenes import write_sheet
+
+    refuse_existing(given.out, replace=True)
+    rig = load_rig(find_rig(given.rig))
+    write_sheet(rig, given.situation, _members(given), given.out, given.seed)
+    print(given.out)
+    return CODES.met
+
+
+def boards(given: argparse.Namespace) -> int:
+    from bench.rig.loading import find_board_file
+    from bench.rig.scenes import record_boards
+
+    board, watching = find_board_file(given.board), given.camera or ["left", "right"]
+    rig = load_rig(find_rig(given.rig))
+    frames = record_boards(
+        rig, board, watching, given.poses, given.out, given.seed, warmer_k=given.warmer_k
+    )
+    return _shown(frames, given.out)
+
+
+def record(given: argparse.Namespace) -> int:
+    from bench.rig.scenes import record as recorded
+
+    rig = load_rig(find_rig(given.rig))
+    frames = recorded(rig, given.situation, _members(given), given.out, given.seed)
+    return _shown(frames, given.out)
+
+
+def _shown(frames: Iterator[str], out: Path) -> int:
+    written = 0
+    for frame in frames:
+        print(frame, flush=True)
+        written += 1
+    print(f"{written} frames in {out}")
+    return CODES.met
+
+
+def sensitivity(given: argparse.Namespace) -> int:
+    from bench.report.sensitivity import check_curves, no_answers, write_figure, write_numbers
+    from bench.results.answers import close_detectors
+    from bench.results.sensitivity import Bench, chosen, measure
+    from bench.script.detectors import make_detectors
+
+    quantities = chosen(given.quantity)
+    rig = load_rig(find_rig(given.rig))
+    detectors = make_detectors(given.detector or ("fused", "thesis"))
+    check_curves([detector.name for detector in detectors])
+    bench = Bench(rig, detectors, _members(given), given.seed)
+    results: dict[str, list[Measured]] = {}
+    try:
+        for quantity in quantities:
+            points = results[quantity.name] = []
+            for point in measure(bench, quantity):
+                points.append(point)
+                found = ", ".join(
+                    f"{name} {len(tally.distances_mm)}{no_answers(tally.failures)}"
+                    for name, tally in point.tallies.items()
+                )
+                print(
+                    f"{quantity.name} {point.value:g}: found of {point.visible} visible: {found}",
+                    flush=True,
+                )
+            print(write_figure(given.out, quantity, points), flush=True)
+    finally:
+        close_detectors(detectors)
+    asked = ", ".join(f"{detector.name} (version {detector.version})" for detector in detectors)
+    made = (
+        f"teatbench {__version__}; {asked}; cameras of `{rig.path.name}`; members {given.first} to"
+        f" {given.first + given.seeds - 1} of `ideal` at each value, noise and cameras of seed"
+        f" {given.seed}."
+    )
+    write_numbers(given.out, quantities, results, made)
+    return CODES.met

@@ -17,10 +17,10 @@ from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, read_run
-from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.loading import find_rig, load_rig
 from bench.rig.urls import CONSOLE
 from bench.run.events import FAILURES, Events, SafeProgress, event_lines
-from bench.script.model import LoadedScript, find_script, load_script
+from bench.script.model import find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
 from instruments.operators.console import keyboard_of
 
@@ -41,13 +41,21 @@ TONES = {
 def run(given: argparse.Namespace) -> int:
     rig = load_rig(find_rig(given.rig))
     path = find_script(given.script)
-    if is_offset_script(path):
-        return _run_offsets(rig, path, given.out, dry=given.dry_run)
+    if is_offset_script(path):  # no instrument takes part
+        if given.dry_run:
+            outcomes(load_offsets(path), rig.calibration)
+            print("nothing wrong. This script opens no instrument.")
+            return CODES.met
+        from bench.report.pixel_offsets import run_offsets
+
+        return _offsets_reported(run_offsets(rig, path, given.out))
     script = load_script(path, rig.rig.limits.set_point_c)
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
 
         return look_ahead(rig, script, given.out, given.detector, given.seed)
+    from bench.report.page import write_run_report
+    from bench.run.estimate import figures, needs, read_learnt, told, took, write_learnt
     from bench.run.start import RunOptions, run_script
 
     console = Terminal()
@@ -64,27 +72,20 @@ def run(given: argparse.Namespace) -> int:
         )
         folder, _ = run_script(rig, script, given.out, progress, how)
         progress.state("writing the report")
-        code, show = _reported(folder)
-    show(console)
-    _compare_times(folder, given.out, rig, script)
+        written = write_run_report(folder)
+    code = _shown(console, *written)
+    record = read_run(folder)
+    spent = took(record)
+    # the next estimate is better by what this run took; one that stopped shows nothing
+    if record.ending == "finished" and "total_s" in spent:
+        expected = needs(rig, script, read_learnt(given.out, rig)).time
+        write_learnt(folder, rig, expected, spent, figures(record, rig, script, spent))
+        print(told(expected, spent))
     return code
 
 
-def _compare_times(folder: Path, out: Path, rig: LoadedRig, script: LoadedScript) -> None:
-    """Print what the run took beside what was expected, and learn from it; one that didn't get
-    through teaches nothing.
-    """
-    from bench.run.estimate import figures, needs, read_learnt, told, took, write_learnt
-
-    record = read_run(folder)
-    spent = took(record)
-    if record.ending == "finished" and "total_s" in spent:
-        expected = needs(rig, script, read_learnt(out, rig)).time
-        write_learnt(folder, rig, expected, spent, figures(record, rig, script, spent))
-        print(told(expected, spent))
-
-
 def resume(given: argparse.Namespace) -> int:
+    from bench.report.page import write_run_report
     from bench.run.resume import files_of
     from bench.run.start import RunOptions, resume_run
 
@@ -98,9 +99,8 @@ def resume(given: argparse.Namespace) -> int:
                 given.run, progress, RunOptions(capture=given.capture, typed=typed, begun=shown.say)
             )
             progress.state("writing the report")
-            code, show = _reported(given.run, damage=damage)
-        show(console)
-    return code
+            written = write_run_report(given.run, damage=damage)
+        return _shown(console, *written)
 
 
 def typed_lines(operator_url: str) -> Callable[[], str | None]:
@@ -108,22 +108,20 @@ def typed_lines(operator_url: str) -> Callable[[], str | None]:
     if operator_url == CONSOLE or sys.stdin is None or not sys.stdin.isatty():
         return lambda: None
     keyboard, terminal = keyboard_of(sys.stdin, lambda _: None), sys.stdin.fileno()
-    return lambda: keyboard.line() if _is_ours(terminal) else None
 
+    def line() -> str | None:
+        # the system stops a background process (`teatbench run &`) that reads its terminal
+        if sys.platform != "win32":
+            with suppress(OSError):  # no controlling terminal: nothing stops us
+                if os.tcgetpgrp(terminal) != os.getpgrp():
+                    return None
+        return keyboard.line()
 
-def _is_ours(terminal: int) -> bool:
-    """Whether what is typed there is for us: who reads a terminal from the background (`teatbench
-    run &`) is stopped by the system.
-    """
-    if sys.platform == "win32":
-        return True
-    try:
-        return os.tcgetpgrp(terminal) == os.getpgrp()
-    except OSError:  # no terminal of ours: nothing stops us there
-        return True
+    return line
 
 
 def score(given: argparse.Namespace) -> int:
+    from bench.report.page import write_run_report
     from bench.report.tables import score_table
     from bench.run.start import score_recording
 
@@ -132,21 +130,10 @@ def score(given: argparse.Namespace) -> int:
         progress = SafeProgress(shown)
         folder = score_recording(given.recording, given.out, progress, given.detector or ["thesis"])
         progress.state("writing the report")
-        code, show = _reported(folder)
-    show(console)
+        written = write_run_report(folder)
+    code = _shown(console, *written)
     print(f"\n{score_table(read_run(folder))}")
     return code
-
-
-def _run_offsets(rig: LoadedRig, path: Path, out: Path, *, dry: bool) -> int:
-    """A sensitivity script: no instrument takes part."""
-    from bench.report.pixel_offsets import run_offsets
-
-    if dry:
-        outcomes(load_offsets(path), rig.calibration)
-        print("nothing wrong. This script opens no instrument.")
-        return CODES.met
-    return _offsets_reported(run_offsets(rig, path, out))
 
 
 def _offsets_reported(folder: Path) -> int:
@@ -164,8 +151,10 @@ def _offsets_reported(folder: Path) -> int:
 
 
 def report(given: argparse.Namespace) -> int:
+    from bench.report.page import PDF, REPORT, write_run_report
     from bench.report.pixel_offsets import is_offset_run
-    from reports.pdf import find_browser
+    from reports.pdf import find_browser, print_pdf
+    from reports.trust import PageError
 
     browser = None if given.no_pdf else find_browser()
     if given.pdf and browser is None:
@@ -182,78 +171,45 @@ def report(given: argparse.Namespace) -> int:
                 from bench.report.comparison import baseline_section
 
                 chapters = (baseline_section(given.baseline, given.run, damage),)
-            code, show = _reported(given.run, chapters, damage, single_file=given.single_file)
-            show(Terminal())
+            written = write_run_report(given.run, chapters, damage, single_file=given.single_file)
+            code = _shown(Terminal(), *written)
     if browser:
-        _print(given.run, browser, needed=given.pdf)
+        folder = given.run / REPORT
+        try:
+            print(f"PDF: {print_pdf(folder / 'index.html', folder / PDF, browser)}")
+        except (PageError, OSError) as error:
+            if given.pdf:
+                raise ConfigError.plain(str(error)) from error
+            print(f"no PDF: {error}", file=sys.stderr)
     return code
 
 
-def _print(folder: Path, browser: str, *, needed: bool) -> None:
-    """The report as PDF, when all else is written and told. Raises ConfigError where it is needed
-    and can't be printed.
+def _shown(
+    console: Terminal, report: Path, record: RunRecord, judgements: Sequence[Judgement]
+) -> int:
+    """Show the verdict and where the report is; gives back the exit code that the run deserves,
+    whether or not it can be shown.
     """
-    from bench.report.page import PDF, REPORT
-    from reports.pdf import print_pdf
-    from reports.trust import PageError
-
-    try:
-        print(f"PDF: {print_pdf(folder / REPORT / 'index.html', folder / REPORT / PDF, browser)}")
-    except (PageError, OSError) as error:
-        if needed:
-            raise ConfigError.plain(str(error)) from error
-        print(f"no PDF: {error}", file=sys.stderr)
-
-
-def _reported(
-    folder: Path,
-    chapters: tuple[Section, ...] = (),
-    damage: tuple[str, ...] = (),
-    *,
-    single_file: bool = False,
-) -> tuple[int, Callable[[Terminal], None]]:
-    """Write the report of a run; gives back the exit code that it deserves, and what shows it on a
-    console.
-    """
-    from bench.report.page import write_run_report
-    from bench.results.verdicts import run_verdict
-
-    path, record, judgements = write_run_report(folder, chapters, damage, single_file=single_file)
-    codes = {"met": CODES.met, "not met": CODES.not_met}
-    code = (
-        CODES.fault
-        if record.ending != "finished"
-        else codes.get(run_verdict(judgements).value, CODES.inconclusive)
-    )
-
-    def show(console: Terminal) -> None:
-        with suppress(*FAILURES):  # whether anybody sees them changes no verdict
-            _show_result(console, record, judgements, path)
-
-    return code, show
-
-
-def _show_result(
-    console: Terminal, record: RunRecord, judgements: Sequence[Judgement], report: Path
-) -> None:
-    """The verdict table, the sentence and where the report is."""
     from rich.table import Table
     from rich.text import Text
 
     from bench.report.wording import headline, limit, measured
+    from bench.results.verdicts import run_verdict
 
-    for judgement in judgements:
-        table = Table(title=f"{record.facts['title']}: detector {judgement.detector}")
-        for title in ("requirement", "measured", "limit", "verdict"):
-            table.add_column(title)
-        for decision in judgement.decisions:
-            word = decision.verdict.value
-            table.add_row(
-                decision.name, measured(decision), limit(decision), Text(word, TONES[word])
-            )
-        console.print(table)
-    verdict, why, then = headline(record, judgements)
-    console.print(Text.assemble("Verdict: ", (verdict, f"bold {TONES[verdict]}")))
-    console.print(why, markup=False)
-    console.print(f"Next: {then}", markup=False)
-    console.print(f"Report: {report}", markup=False, soft_wrap=True)
+    codes = {"met": CODES.met, "not met": CODES.not_met}
+    code = codes.get(run_verdict(judgements).value, CODES.inconclusive)
+    with suppress(*FAILURES):
+        for judgement in judgements:
+            table = Table(title=f"{record.facts['title']}: detector {judgement.detector}")
+            for title in ("requirement", "measured", "limit", "verdict"):
+                table.add_column(title)
+            for one in judgement.decisions:
+                word = Text(one.verdict.value, TONES[one.verdict.value])
+                table.add_row(one.name, measured(one), limit(one), word)
+            console.print(table)
+        verdict, why, then = headline(record, judgements)
+        console.print(Text.assemble("Verdict: ", (verdict, f"bold {TONES[verdict]}")))
+        console.print(why, markup=False)
+        console.print(f"Next: {then}", markup=False)
+        console.print(f"Report: {report}", markup=False, soft_wrap=True)
+    return code if record.ending == "finished" else CODES.fault

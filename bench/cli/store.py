@@ -1,19 +1,24 @@
-"""What is done with a run's folder from outside: `store check` and `store export`, and `control` of
-a run that goes on.
+"""What is done with runs' folders: `store check` and `store export`, `compare` of detectors or
+versions on the same scenes, and `control` of a run that goes on.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bench.cli.arguments import CODES
 from bench.config import ConfigError
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN, check_run, checked_first, shortened
+
+if TYPE_CHECKING:
+    from bench.results.comparison import Comparison
 
 DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
 TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
@@ -67,6 +72,74 @@ def export(given: argparse.Namespace) -> int:
     return CODES.met
 
 
+def compare(given: argparse.Namespace) -> int:
+    from bench.report.comparison import as_json, write_comparison
+    from bench.results.comparison import compare_folders, judge_folders, judgement_lines
+    from bench.results.verdicts import run_verdict
+    from bench.scoring.decisions import Verdict, overall
+
+    with undamaged(given.run, given) as damage:
+        if given.together:
+            judgements = judge_folders(given.run, given.detector, damage)
+            rows = [
+                {
+                    "detector": one.detector,
+                    "verdict": one.verdict,
+                    "decisions": [decision.as_dict() for decision in one.decisions],
+                }
+                for one in judgements
+            ]
+            verdict = run_verdict(judgements)
+        else:
+            found = compare_folders(
+                given.run,
+                given.detector,
+                margin_mm=given.margin_mm,
+                confidence=given.confidence,
+                damage=damage,
+            )
+            rows = as_json(found)
+            verdict = overall(comparison.compared.gate.verdict for comparison in found)
+        if given.json:
+            print(json.dumps(rows, indent=1, ensure_ascii=False))
+        elif given.together:
+            print("\n".join(line for one in judgements for line in judgement_lines(one)))
+        else:
+            _show(found)
+        if given.out and not given.together:
+            path = write_comparison(found, given.out)
+            if not given.json:
+                print(f"Report: {path}")
+    codes = {Verdict.MET: CODES.met, Verdict.NOT_MET: CODES.not_met}
+    return codes.get(verdict, CODES.inconclusive) if given.gate else CODES.met
+
+
+def _show(found: Sequence[Comparison]) -> None:
+    from rich.table import Table
+
+    from bench.cli.terminal import Terminal
+    from bench.report.comparison import distance_table, heading, notes, success_table, verdict_told
+
+    console = Terminal()
+    for comparison in found:
+        console.print(heading(comparison), soft_wrap=True)
+        for title, page in (
+            ("success", success_table(comparison)),
+            ("distance to the teat end", distance_table(comparison)),
+        ):
+            table = Table(title=title)
+            for at, column in enumerate(page.columns):
+                name = f"{column.title}, {column.unit}" if column.unit else column.title
+                table.add_column(name, justify="right" if at else "left", no_wrap=not at)
+            for row in page.rows:
+                table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in row))
+            console.print(table)
+        for line in (*notes(comparison), verdict_told(comparison)):
+            console.print(line)
+        for reason in comparison.compared.gate.reasons:
+            console.print(f"  {reason}")
+
+
 def control(given: argparse.Namespace) -> int:
     from bench.record.reader import read_run
     from bench.run.interruptions import leave_wish, was_taken
@@ -74,14 +147,14 @@ def control(given: argparse.Namespace) -> int:
 
     run = read_run(given.run)
     if run.ending != "interrupted":
-        print(f"{given.run} has ended ({run.ending}): nobody is there to hear it.")
+        print(f"{given.run} has ended ({run.ending}): it takes no requests any more.")
         return CODES.wrong_use
     leave_wish(given.run, " ".join(given.words))
     if was_taken(given.run, RealClock(), TAKEN_S):
-        print("taken; what comes of it is shown at the run's terminal.")
+        print("request accepted; see the run's terminal")
     else:
         print(
-            f"left for the run, which has not looked for {TAKEN_S:g} s: it is busy, or its bench"
-            " has died and takes nothing any more."
+            f"request left; the run has not read it for {TAKEN_S:g} s: it is busy, or its process"
+            " has ended."
         )
     return CODES.met

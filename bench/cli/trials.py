@@ -1,4 +1,6 @@
-"""`trials` and `trials show`: which scripts ship, what a script comes to, and how long it takes."""
+"""Before a run: `trials` and `trials show` say which scripts ship, what a script comes to, and how
+long it takes; `plan`, how many poses a claim needs and what so many can show.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +8,14 @@ import argparse
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from bench.cli.arguments import CODES
+from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig, shipped
-from bench.script.model import TRIALS, LoadedScript, find_script, load_script
+from bench.script.model import TRIALS, find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets
 
-if TYPE_CHECKING:
-    from bench.run.estimate import TimeEstimate
+RATES = (0.95, 0.99, 0.999)
 
 
 def listed(given: argparse.Namespace) -> int:
@@ -35,15 +36,49 @@ def show(given: argparse.Namespace) -> int:
     path = find_script(given.script)
     if is_offset_script(path):
         return _show_offsets(path, as_json=given.json)
-    from bench.run.estimate import estimate
+    from bench.run.estimate import ASSUMED, UNITS, assumed_told, estimate
+    from bench.script.planned_trials import POSE_KEYS, chosen, pose_set
 
     rig = load_rig(find_rig(given.rig))
     script = load_script(path, rig.rig.limits.set_point_c)
-    time = estimate(rig, script)
+    time, s = estimate(rig, script), script.script
+    poses = pose_set(s.trials, script.planned, seed=s.seed, order=s.order)
+    rows = [dict(zip(POSE_KEYS, row, strict=True)) for row in poses.pop("poses")]
     if given.json:
-        print(json.dumps(_as_json(script, time, rig.rig.name), ensure_ascii=False))
-    else:
-        _print(script, time)
+        shown = {
+            "script": script.name,
+            "title": s.title,
+            "rig": rig.rig.name,
+            **poses,
+            "trials": rows,
+            "estimate": {**asdict(time), "total_s": time.total_s},
+            "assumed": {f"{key} [{UNITS.get(key, 's')}]": value for key, value in ASSUMED.items()},
+        }
+        print(json.dumps(shown, ensure_ascii=False))
+        return CODES.met
+    from rich.table import Table
+
+    from bench.cli.terminal import Terminal
+
+    many = f"{len(rows)} trials, {len({one.name for one in script.planned})} poses"
+    table = Table(title=f"{s.title}: {many}")
+    for column in ("trial", "situation", "layout", "x", "y", "z", "yaw", "from"):
+        table.add_column(column, justify="right" if len(column) <= 3 else "left")
+    for one, row in zip(script.planned, rows, strict=True):
+        values = (f"{row[key]:+.1f}" for key in ("x_mm", "y_mm", "z_mm", "yaw_deg"))
+        table.add_row(one.id, one.situation, one.phantom.name, *values, one.side or "")
+    console = Terminal()
+    console.print(table)
+    for trial in s.trials:
+        console.print(chosen(trial), highlight=False)
+    spent = ", ".join(
+        f"{what.removesuffix('_s').replace('_', '-')} {seconds / 60:.0f} min"
+        for what, seconds in asdict(time).items()
+    )
+    console.print(
+        f"About {time.total_s / 3600:.1f} h with a person at the arm: {spent}.", highlight=False
+    )
+    console.print(assumed_told(), highlight=False)
     return CODES.met
 
 
@@ -65,47 +100,41 @@ def _show_offsets(path: Path, *, as_json: bool) -> int:
     return CODES.met
 
 
-def _as_json(script: LoadedScript, time: TimeEstimate, rig: str) -> dict[str, Any]:
-    from bench.run.estimate import ASSUMED, UNITS
-    from bench.script.planned_trials import POSE_KEYS, pose_set
+def plan(given: argparse.Namespace) -> int:
+    from bench.scoring.sample_size import make_plan, plan_lines  # scipy takes seconds to import
 
-    s = script.script
-    poses = pose_set(s.trials, script.planned, seed=s.seed, order=s.order)
-    rows = [dict(zip(POSE_KEYS, row, strict=True)) for row in poses.pop("poses")]
-    return {
-        "script": script.name,
-        "title": s.title,
-        "rig": rig,
-        **poses,
-        "trials": rows,
-        "estimate": {**asdict(time), "total_s": time.total_s},
-        "assumed": {f"{what} [{UNITS.get(what, 's')}]": value for what, value in ASSUMED.items()},
-    }
-
-
-def _print(script: LoadedScript, time: TimeEstimate) -> None:
-    from rich.table import Table
-
-    from bench.cli.terminal import Terminal
-    from bench.run.estimate import assumed_told
-    from bench.script.planned_trials import chosen
-
-    poses = len({one.name for one in script.planned})
-    table = Table(title=f"{script.script.title}: {len(script.planned)} trials, {poses} poses")
-    for column in ("trial", "situation", "layout", "x", "y", "z", "yaw", "from"):
-        table.add_column(column, justify="right" if len(column) <= 3 else "left")
-    for one in script.planned:
-        pose = (one.pose.x_mm, one.pose.y_mm, one.pose.z_mm, one.yaw_deg)
-        values = (f"{value:+.1f}" for value in pose)
-        table.add_row(one.id, one.situation, one.phantom.name, *values, one.side or "")
-    console = Terminal()
-    console.print(table)
-    for trial in script.script.trials:
-        console.print(chosen(trial), highlight=False)
-    parts = {"settling": time.settling_s, "moves": time.moves_s, "set-ups": time.set_ups_s}
-    parts |= {"captures": time.captures_s, "touches": time.touches_s}
-    spent = ", ".join(f"{what} {seconds / 60:.0f} min" for what, seconds in parts.items())
-    console.print(
-        f"About {time.total_s / 3600:.1f} h with a person at the arm: {spent}.", highlight=False
+    if given.script and given.trials is not None:
+        raise ConfigError.plain(
+            "--script and --trials both say how many poses there are; give one of them"
+        )
+    if given.shift_mm is not None and given.sd_mm is None:
+        raise ConfigError.plain(
+            "--shift-mm needs --sd-mm: how much the difference varies from pose to pose ('teatbench"
+            " compare' shows it)"
+        )
+    if (given.limit_mm is None) != (given.u_mm is None):
+        raise ConfigError.plain(
+            "--limit-mm and --u-mm belong together: the limit of the error, and the uncertainty of"
+            " the truth"
+        )
+    poses = given.trials
+    if given.script:  # repeats of one pose count once
+        poses = len({trial.name for trial in load_script(find_script(given.script)).planned})
+    found = make_plan(
+        tuple(given.rate) or RATES,
+        given.confidence,
+        failures=given.failures,
+        poses=poses,
+        true_rate=given.true_rate,
+        sd_mm=given.sd_mm,
+        shift_mm=given.shift_mm,
+        power=given.power,
+        limit_mm=given.limit_mm,
+        u_mm=given.u_mm,
     )
-    console.print(assumed_told(), highlight=False)
+    if given.json:
+        print(json.dumps(asdict(found), indent=1))
+    else:
+        for line in plan_lines(found):
+            print(line)
+    return CODES.met

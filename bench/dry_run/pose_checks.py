@@ -1,9 +1,8 @@
 """What would go wrong with a script on a rig, found without moving anything: reach, limits, views,
 collisions.
 
-Each pose is looked at once, however often it is repeated. Pure: the stage's travel comes as an
-argument, from whoever asked the controller. What can't be checked is said, not passed over. The
-emulated operator holds the stylus upright; a person may lean it.
+Each pose is checked once, however often it is repeated. The stage's travel is an argument. What
+can't be checked is reported. The emulated operator holds the stylus upright; a person may lean it.
 """
 
 from __future__ import annotations
@@ -30,43 +29,14 @@ from instruments.world.objects import make_object
 from instruments.world.phantom import Phantom, PlatePose
 from instruments.world.solids import clearance_mm
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """One camera: its name, its lens, and where it stands."""
-
-    name: str
-    camera: Camera
-    camera_from_world: Motion
-
-    def room_px(self, points_mm: Floats, radii_mm: Floats) -> Floats:
-        """(n,) px from the rim of balls at ``points_mm`` (n, 3), world frame, to the picture's
-        nearest edge; negative where a rim is beyond it, not-a-number behind the camera.
-        """
-        seen = self.camera_from_world.apply(points_mm)
-        pixels = self.camera.project(seen)
-        rim = radii_mm * max(self.camera.fc) / seen[:, 2]
-        sides = np.column_stack([pixels + 0.5, np.array(self.camera.image_size) - 0.5 - pixels])
-        return np.asarray(sides.min(axis=1) - rim)
-
-
-def _views_of(calibration: Calibration) -> tuple[View, ...]:
-    """Left, right, and thermal where its lens and its place are calibrated."""
-    c, right_from_world = calibration, calibration.world_from_right.inverse()
-    left_from_world = c.right_from_left.inverse() @ right_from_world
-    pair = (View("left", c.left, left_from_world), View("right", c.right, right_from_world))
-    if c.thermal.lens is None or c.thermal_from_left is None:
-        return pair
-    return (*pair, View("thermal", c.thermal.lens, c.thermal_from_left @ left_from_world))
-
+Floats = NDArray[np.float64]
+View = tuple[str, Camera, Motion]  # name, lens, camera_from_world
 
 MARGIN_PX = 4.0  # between a teat's rounded end and the picture's edge
 PLAY_MM = 0.01  # two teats may touch
 USUAL_ARM = "40937"  # the one that ships
 KEYS = {"x_mm": "X", "y_mm": "Y", "z_mm": "Z", "a_deg": "A"}
 STYLUS_UP = np.array([0.0, 0.0, 1.0])
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,52 +48,45 @@ class Finding:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class DryRun:
-    """What was found, how many poses were looked at, and what couldn't be checked."""
-
-    poses: int
-    findings: tuple[Finding, ...]
-    unchecked: tuple[str, ...]
-
-
 def dry_run(
     rig: LoadedRig,
     script: LoadedScript,
     travel: Mapping[str, AxisLimits] | None,
     why_no_travel: str = "its controller doesn't answer",
-) -> DryRun:
-    """Look at each pose of ``script``. ``travel`` is the stage's, in machine coordinates, None
-    where nobody could ask, and why.
+) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
+    """What is wrong with the poses of ``script``, and what can't be checked. ``travel`` is the
+    stage's, in machine coordinates; None where it is unknown, and why.
     """
-    distinct = list({(one.name, one.side): one for one in script.planned}.values())
-    poses = list({one.name: one for one in distinct}.values())
-    views, to_touch = _views_of(rig.calibration), _touched(rig, script)
+    distinct = {(one.name, one.side): one for one in script.planned}.values()
+    views = _views_of(rig.calibration)
     places = [(one.name, pose) for one in distinct for pose in (one.approach, one.pose) if pose]
     places += [(f"registration at {told(pose)}", pose) for pose in registered_at(rig, script)]
     findings = (
-        *(found for name, pose in places for found in _beyond(rig, name, pose, travel)),
-        *(found for one in poses for found in _unseen(one, views)),
+        *(found for name, pose in places for found in _beyond(rig, name, pose, travel or {})),
+        *(found for one in {o.name: o for o in distinct}.values() for found in _unseen(one, views)),
         *(found for one in distinct for found in _collisions(one)),
-        *(found for name, phantom in to_touch for found in _out_of_reach(rig, name, phantom)),
+        *_out_of_reach(rig, script),
     )
-    unchecked = _unchecked(rig, views, why_no_travel if travel is None else None)
-    return DryRun(len(poses), findings, tuple(unchecked))
+    unchecked = {
+        f"the stage's travel: {why_no_travel}": rig.rig.stage and travel is None,
+        "the thermal picture: the calibration has no lens or place of the thermal camera": (
+            len(views) < 3
+        ),
+        "this very arm's reach: that of an arm of the usual size was taken": (
+            rig.arm_unit is None and rig.rig.arm.url != EMULATED
+        ),
+    }
+    return findings, tuple(what for what, missing in unchecked.items() if missing)
 
 
-def _touched(rig: LoadedRig, script: LoadedScript) -> Iterator[tuple[str, Phantom]]:
-    """The phantoms, as they stand, whose ends the arm has to reach, and what for."""
-    planned, truth = script.planned, script.script.truth
-    if truth.mode == "touch":
-        yield from {one.name: (one.name, one.phantom.moved(one.pose)) for one in planned}.values()
-        return
-    axes, first = rig.rig.stage.axes if rig.rig.stage else "", planned[0]
-    for pose in registered_at(rig, script):
-        stands = first.phantom.moved(shared(first.pose, axes)[1].carried(pose))
-        teat = stands.teats[truth.registration_teat - 1 :][:1]
-        yield f"registration at {told(pose)}", replace(stands, teats=teat)
-    for index in carry_touches(planned, axes, truth.check_every):
-        yield planned[index].name, planned[index].phantom.moved(planned[index].pose)
+def _views_of(calibration: Calibration) -> list[View]:
+    """Left, right, and thermal where its lens and its place are calibrated."""
+    c, right_from_world = calibration, calibration.world_from_right.inverse()
+    left_from_world = c.right_from_left.inverse() @ right_from_world
+    views = [("left", c.left, left_from_world), ("right", c.right, right_from_world)]
+    if c.thermal.lens is not None and c.thermal_from_left is not None:
+        views.append(("thermal", c.thermal.lens, c.thermal_from_left @ left_from_world))
+    return views
 
 
 def registered_at(rig: LoadedRig, script: LoadedScript) -> tuple[PlatePose, ...]:
@@ -135,23 +98,12 @@ def registered_at(rig: LoadedRig, script: LoadedScript) -> tuple[PlatePose, ...]
     return named or around(shared(one.pose, axes)[0] for one in script.planned)
 
 
-def _unchecked(rig: LoadedRig, views: Sequence[View], why_no_travel: str | None) -> Iterator[str]:
-    if rig.rig.stage and why_no_travel:
-        yield f"the stage's travel: {why_no_travel}"
-    if len(views) < 3:
-        yield "the thermal picture: the calibration has no lens or place of the thermal camera"
-    if rig.arm_unit is None and rig.rig.arm.url != EMULATED:
-        yield "this very arm's reach: that of an arm of the usual size was taken"
-
-
 def _beyond(
-    rig: LoadedRig, name: str, pose: PlatePose, travel: Mapping[str, AxisLimits] | None
+    rig: LoadedRig, name: str, pose: PlatePose, travel: Mapping[str, AxisLimits]
 ) -> Iterator[Finding]:
     """Axes of the stage that can't go where ``pose`` needs them."""
     stage = rig.rig.stage
-    if stage is None or travel is None:
-        return
-    for key, value in stage.machine(shared(pose, stage.axes)[0]).items():
+    for key, value in stage.machine(shared(pose, stage.axes)[0]).items() if stage else ():
         limits = travel.get(KEYS[key])
         if limits is not None and not limits.hold(value):
             text = f"{told(pose)} needs the stage's {KEYS[key]} axis at {value:g}, which goes from"
@@ -159,12 +111,17 @@ def _beyond(
 
 
 def _unseen(one: PlannedTrial, views: Sequence[View]) -> Iterator[Finding]:
+    """Teat ends whose rim, that of a ball, comes too near to the edge of a picture."""
     phantom = one.phantom.moved(one.pose)
     radii = np.array([teat.shape.radius_mm for teat in phantom.teats])
-    for view in views:
-        for teat, room_px in enumerate(view.room_px(phantom.ends_mm, radii)):
+    for name, camera, camera_from_world in views:
+        seen = camera_from_world.apply(phantom.ends_mm)
+        pixels = camera.project(seen)
+        sides = np.column_stack([pixels + 0.5, np.array(camera.image_size) - 0.5 - pixels])
+        rooms_px = sides.min(axis=1) - radii * max(camera.fc) / seen[:, 2]  # nan: behind the camera
+        for teat, room_px in enumerate(rooms_px):
             if not room_px >= MARGIN_PX:
-                text = f"the end of {_name(phantom, teat)} isn't whole in the {view.name} picture:"
+                text = f"the end of {_name(phantom, teat)} isn't whole in the {name} picture:"
                 lack = f"it lacks {MARGIN_PX - room_px:.0f} px to the edge"
                 lack = "behind the camera" if np.isnan(room_px) else lack
                 yield Finding(one.name, "view", f"{text} {lack}")
@@ -174,41 +131,50 @@ def _collisions(one: PlannedTrial) -> Iterator[Finding]:
     for pose in dict.fromkeys((one.approach or one.pose, one.pose)):
         phantom = one.phantom.moved(pose)
         teats = phantom.teat_hulls()
-        solids, names = (
-            (*teats, *phantom.flange_hulls()),
-            [_name(phantom, i) for i in range(len(teats))],
-        )
+        names = [_name(phantom, teat) for teat in range(len(teats))]
         for i, j in combinations(range(len(teats)), 2):
             if (gap := clearance_mm(teats[i], teats[j])) < -PLAY_MM:
                 text = f"{names[i]} and {names[j]} stand {-gap:.1f} mm inside each other"
                 yield Finding(one.name, "collision", text)
+        solids = [*zip(names, teats, strict=True)]
+        flanges = zip(names, phantom.flange_hulls(), strict=True)
+        solids += [(f"{name}'s flange", hull) for name, hull in flanges]
         # objects don't move with the plate
         things = [make_object(**table) for table in one.trial.objects]
         for number, thing in enumerate((*things, *(one.scene.objects if one.scene else ())), 1):
             gaps = [
-                min((clearance_mm(solid, hull) for hull in thing.hulls), default=np.inf)
-                for solid in solids
+                (clearance_mm(solid, hull), name) for name, solid in solids for hull in thing.hulls
             ]
-            worst = int(np.argmin(gaps)) if gaps else 0
-            if gaps and gaps[worst] < -PLAY_MM:
-                part = (
-                    names[worst] if worst < len(names) else f"{names[worst % len(names)]}'s flange"
-                )
-                text = f"{part} stands {-gaps[worst]:.1f} mm inside object {number} ({thing.name})"
+            gap, part = min(gaps, default=(0.0, ""))
+            if gap < -PLAY_MM:
+                text = f"{part} stands {-gap:.1f} mm inside object {number} ({thing.name})"
                 yield Finding(one.name, "collision", text)
 
 
-def _out_of_reach(rig: LoadedRig, name: str, phantom: Phantom) -> Iterator[Finding]:
+def _out_of_reach(rig: LoadedRig, script: LoadedScript) -> Iterator[Finding]:
     """Teat ends that the arm can't reach where it has to."""
+    planned, truth = script.planned, script.script.truth
+    axes = rig.rig.stage.axes if rig.rig.stage else ""
+    at: Sequence[int] = range(len(planned))
+    to_touch: list[tuple[str, Phantom]] = []
+    if truth.mode != "touch":
+        at = carry_touches(planned, axes, truth.check_every)
+        for pose in registered_at(rig, script):
+            stands = planned[0].phantom.moved(shared(planned[0].pose, axes)[1].carried(pose))
+            touched = replace(stands, teats=stands.teats[truth.registration_teat - 1 :][:1])
+            to_touch.append((f"registration at {told(pose)}", touched))
+    distinct = {planned[index].name: planned[index] for index in at}
+    to_touch += [(name, one.phantom.moved(one.pose)) for name, one in distinct.items()]
     unit, placed = rig.arm_unit or shipped_unit(USUAL_ARM), rig.rig.emulation.arm_placed
     frame = rig.frame.world_from_arm if rig.frame else Motion.from_vectors(placed.om, placed.T)
     arm_from_world, upright_only = frame.inverse(), rig.rig.operator.url == EMULATED
     up = arm_from_world.R @ STYLUS_UP
-    for teat, end in enumerate(arm_from_world.apply(phantom.ends_mm)):
-        if way_to(unit, end, up, upright_only=upright_only) is None:
-            where = np.round(phantom.ends_mm[teat]).astype(int).tolist()
-            text = f"the arm doesn't reach the end of {_name(phantom, teat)} at {where} mm"
-            yield Finding(name, "reach", text)
+    for name, phantom in to_touch:
+        for teat, end in enumerate(arm_from_world.apply(phantom.ends_mm)):
+            if way_to(unit, end, up, upright_only=upright_only) is None:
+                where = np.round(phantom.ends_mm[teat]).astype(int).tolist()
+                text = f"the arm doesn't reach the end of {_name(phantom, teat)} at {where} mm"
+                yield Finding(name, "reach", text)
 
 
 def way_to(

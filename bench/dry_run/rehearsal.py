@@ -1,9 +1,10 @@
-"""Goes through a script on the twin of a rig, in a temporary run folder, by the bench's own engine:
-every trial is set up, moved to, settled, touched and stored. Then the record and the events are
-read back, as of any run: what was done, what went wrong where, and what the time went to.
+"""Goes through a script on the emulated twin of a rig, in a temporary run folder, by the engine of
+runs: every trial is set up, moved to, settled, touched and stored. Then the events are read back.
 
-It stops where the run would stop. Not gone through are most frames, and all detections but one a
-detector.
+The twin has the rig's tables with emulators at every address, in a world as like the lab as is
+known: the stage's own settings, the table frame, the registration, the room's temperature, the
+bath's family. A rig that is emulated already is its own twin. It stops where the run would stop.
+Not gone through are most frames, and all detections but one a detector.
 """
 
 from __future__ import annotations
@@ -12,38 +13,64 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
+from math import atan2
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from bench.dry_run.pose_checks import Finding
-from bench.dry_run.twin import (
-    CountedAnswers,
-    ReachingHands,
-    StandInCameras,
-    lenient,
-    to_render,
-    twin_of,
-)
+import numpy as np
+
+from bench.dry_run.pose_checks import USUAL_ARM, Finding, Floats, registered_at, way_to
 from bench.files import Picture
 from bench.record.reader import read_run
 from bench.record.schema import SCRIPT as SCRIPT_FILE
 from bench.record.schema import Row
 from bench.record.writer import Store
+from bench.results.answers import Examiner
+from bench.rig.devices import Cameras as OpenCameras
 from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
+from bench.rig.model import Cameras, Checks, EmulatedStage, Emulation, FocusTable, Placed
 from bench.rig.opening import open_instruments
 from bench.rig.scripted_answers import load_answers
-from bench.rig.urls import CONSOLE, SCRIPT
+from bench.rig.urls import CONSOLE, EMULATED, SCRIPT
 from bench.run.context import RunContext
 from bench.run.engine import Engine
-from bench.run.estimate import ASSUMED, PREPARING, SET_UPS, SETTLING, TOUCHES, needs, spent_of
 from bench.run.events import Events, read_events
 from bench.script.model import LoadedScript
-from bench.script.planned_trials import PlannedTrial
-from detector.protocol import Detector
+from bench.script.planned_trials import PlannedTrial, shared
+from detector.geometry import Motion
+from detector.protocol import Detector, Outcome
+from instruments.camera.frame import FrameSet
 from instruments.clock import VirtualClock
+from instruments.errors import DeviceError
+from instruments.microscribe.unit import shipped_unit
+from instruments.operators.operator import (
+    Answer,
+    CheckPoint,
+    OperatorAbort,
+    OperatorSkip,
+    Request,
+    Touch,
+    no_check,
+)
+from instruments.stage.emulator.store import DEFAULTS, ROTARY_DEFAULTS
+from instruments.stage.protocol import AXES
 from instruments.stage.settings import StageSettings
+
+MOST_SETS = 12  # rendered; a second or so each on a busy machine
+DARK, LIGHT = 60, 180  # of a picture that passes for one
+ROOM_MM = 10.0  # beyond the furthest place, where a stage's travel is unknown
+# for pictures that are all alike: nothing is compared, and no edge is measured
+LENIENT = Checks(
+    frozen=False,
+    swapped=False,
+    focus_px=FocusTable(),
+    flat_dn=0,
+    saturated_share=1.0,
+    black_dn=0,
+)
 
 BEFORE, AFTER = "before the trials", "after the trials"
 INTERRUPTED = "the run was interrupted"
@@ -71,26 +98,14 @@ class NoTwinError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
-    """What going through came to. ``trials`` were done of ``planned``; ``spent`` is the bench's
-    time in s by `estimate.KINDS`.
-
-    ``prompts``: how often the operator was asked. ``disk_mb`` is for the run's record and frames.
-    ``rendered``: frame sets that were; ``recovered`` counts what the run got over by itself.
+    """``trials`` were done; ``recovered`` counts what the run recovered from; ``rendered`` frame
+    sets passed.
     """
 
-    planned: int
     trials: int
     findings: tuple[Finding, ...]
     recovered: Mapping[str, int]
-    spent: Mapping[str, float]
-    prompts: int
-    disk_mb: float
     rendered: int
-
-    @property
-    def total_s(self) -> float:
-        """The bench's time, all of it."""
-        return sum(self.spent.values())
 
 
 class PicturelessStore(Store):
@@ -106,27 +121,25 @@ class PicturelessStore(Store):
 
 
 class Course:
-    """The screen of a rehearsal: tells ``cameras`` which trial is now, and ``shown`` how many were
-    begun, of how many.
+    """The screen of a rehearsal: sets ``trial``, the id of the trial now; ``shown`` gets how many
+    were begun, of how many.
     """
 
     def __init__(self, planned: Sequence[PlannedTrial], shown: Callable[[int, int], None]) -> None:
         self._ids = {one.number: one.id for one in planned}
         self._begun = 0
         self._shown = shown
-        self.cameras: StandInCameras | None = None
+        self.trial_id = ""
 
-    def state(self, text: str) -> None:
-        """Nobody reads along."""
+    def state(self, text: str) -> None: ...
 
     def trial(self, done: int, total: int, name: str) -> None:  # noqa: ARG002
-        if self.cameras:
-            self.cameras.trial = self._ids[done + 1] if name else ""
+        self.trial_id = self._ids[done + 1] if name else ""
         self._shown(self._begun, len(self._ids))
         self._begun += 1
 
     def warn(self, text: str) -> None:
-        """An event says the same."""
+        """An event has the same text."""
 
     def aside(self) -> AbstractContextManager[None]:
         return nullcontext()
@@ -138,21 +151,15 @@ def rehearse(
     detectors: Sequence[Detector],
     *,
     stage: StageSettings | None = None,
-    learnt: Mapping[str, float] | None = None,
     seed: int | None = None,
     shown: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> Rehearsal:
-    """Go through ``script`` on the twin of ``rig``; ``stage`` is what its controller says,
-    ``learnt`` what earlier runs took.
+    """Go through ``script`` on the twin of ``rig``; ``stage`` is what its controller reports.
 
     ``shown`` gets how many trials are done, of how many. Raises NoTwinError, and KeyboardInterrupt
-    where somebody ended it.
+    for Ctrl-C.
     """
-    figures, emulated = {**ASSUMED, **(learnt or {})}, bool(rig.rig.emulated)
-    in_person, url = rig.rig.operator.url == CONSOLE, rig.rig.operator.url
-    file = rig.path.parent / url.removeprefix(SCRIPT)
-    operator = CountedAnswers(load_answers(file) if url.startswith(SCRIPT) else None)
-    clock, twin_rig = VirtualClock(), twin_of(rig, script, stage)
+    clock, twin_rig, url = VirtualClock(), twin_of(rig, script, stage), rig.rig.operator.url
     course = Course(script.planned, shown)
     events = Events(course)
     with TemporaryDirectory(prefix="teatbench-dry-run-") as folder:
@@ -162,44 +169,27 @@ def rehearse(
         with (
             closing(PicturelessStore.create(run, files)) as store,
             events.kept_in(run),
-            _twin(twin_rig, clock, used_seed, by_hand=not emulated) as twin,
+            _emulated(twin_rig, clock, used_seed, by_hand=not rig.rig.emulated) as twin,
         ):
             store.fact("detectors", [])
-            takes_s, due = 0.0 if emulated else figures["capture"], to_render(script.planned)
-            cameras = StandInCameras(twin, twin_rig, events.event, due, detectors, takes_s)
-            course.cameras, placed = cameras, twin_rig.rig.emulation.arm_placed
-            operator.hands = ReachingHands(twin, placed, events.event, leans=in_person)
-            tested = lenient(twin_rig)
+            cameras = StandInCameras(twin, twin_rig, events, script.planned, detectors, course)
+            hands = ReachingHands(
+                twin, twin_rig.rig.emulation.arm_placed, events, leans=url == CONSOLE
+            )
+            table = twin_rig.rig.cameras.model_copy(update={"checks": LENIENT})
+            tested = replace(twin_rig, rig=twin_rig.rig.model_copy(update={"cameras": table}))
             with open_instruments(tested, ("arm", "bath", "stage"), clock, twin=twin) as opened:
-                devices = replace(opened, cameras=cameras, operator=operator)
+                devices = replace(opened, cameras=cameras, operator=hands)
+                if url.startswith(SCRIPT):
+                    answers = load_answers(rig.path.parent / url.removeprefix(SCRIPT))
+                    answers.hands = hands
+                    devices = replace(devices, operator=answers)
                 ctx = RunContext(tested, script, devices, store, events)
                 Engine(ctx, (), exact_ends=twin.world.ends_mm).run()
         lines = list(read_events(run))
         if any(e.get("kind") == "aborted" and e["text"].startswith(INTERRUPTED) for e in lines):
             raise KeyboardInterrupt
-        trials = len(read_run(run).trials)
-        written = sum(path.stat().st_size for path in run.rglob("*") if path.is_file())
-    findings, recovered = _findings(lines)
-    spent = spent_of(lines)
-    wanted = needs(rig, script, figures if in_person else learnt).time
-    if in_person:  # on the twin a prompt takes no time
-        spent[PREPARING] += operator.asked["homing"] * figures["placing"]
-        spent[SET_UPS] += wanted.set_ups_s
-        touches = operator.asked["touch"] + operator.asked["check point"]
-        spent[TOUCHES] += touches * figures["touch"]
-    if learnt and "heating" in learnt and not emulated:
-        # the time that the real bath takes to heat, where earlier runs told
-        spent[SETTLING] += wanted.settling_s - spent_of(lines, first_settling=True)[SETTLING]
-    return Rehearsal(
-        planned=len(script.planned),
-        trials=trials,
-        findings=findings,
-        recovered=recovered,
-        spent=spent,
-        prompts=operator.asked.total(),
-        disk_mb=(written + cameras.bytes_of(len(script.planned))) / 1e6,
-        rendered=cameras.rendered,
-    )
+        return Rehearsal(len(read_run(run).trials), *_findings(lines), cameras.rendered)
 
 
 def _findings(lines: Sequence[Mapping[str, Any]]) -> tuple[tuple[Finding, ...], Mapping[str, int]]:
@@ -233,10 +223,10 @@ def _findings(lines: Sequence[Mapping[str, Any]]) -> tuple[tuple[Finding, ...], 
 
 
 @contextmanager
-def _twin(
+def _emulated(
     rig: LoadedRig, clock: VirtualClock, seed: int, *, by_hand: bool
 ) -> Iterator[EmulatedRig]:
-    """``by_hand``: a pump that no instrument turns on is turned on by somebody, as in a lab."""
+    """``by_hand``: a pump that no instrument turns on is turned on by a person, as in a lab."""
     if by_hand:
         still = rig.rig.emulation.model_copy(update={"prompt_s": 0.0})
         rig = replace(rig, rig=rig.rig.model_copy(update={"emulation": still}))
@@ -249,3 +239,194 @@ def _twin(
         twin.world.plant.pump = "on"
     with twin:
         yield twin
+
+
+def twin_of(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -> LoadedRig:
+    """``rig`` with an emulator at each address; ``stage`` is what its controller reports, None
+    where it has none or can't be asked.
+    """
+    r = rig.rig
+    checks = r.cameras.checks
+    if not r.emulated:  # emulated cameras can't show how sharp the real ones are
+        checks = checks.model_copy(update={"focus_px": FocusTable()})
+    kept = r.cameras.model_dump(include={"settle_s", "max_skew_s", "retries", "retry_s"})
+    tables: dict[str, object] = {
+        "cameras": Cameras(url=EMULATED).model_copy(update={**kept, "checks": checks}),
+        "operator": r.operator.model_copy(update={"url": EMULATED}),
+    }
+    if r.emulated:
+        return replace(rig, rig=r.model_copy(update=tables))
+    pump_url = EMULATED if r.bath.pump_url else ""
+    tables |= {
+        "arm": r.arm.model_copy(update={"url": EMULATED}),
+        "bath": r.bath.model_copy(update={"url": EMULATED, "pump_url": pump_url}),
+        "stage": r.stage.model_copy(update={"url": EMULATED}) if r.stage else None,
+        "emulation": _world(rig, script, stage),
+    }
+    unit = rig.arm_unit or shipped_unit(USUAL_ARM)
+    if made_with := rig.frame or script.registration:
+        names = replace(unit.names, serial_number=made_with.serial_number)
+        unit = replace(unit, names=names)
+    return replace(rig, rig=r.model_copy(update=tables), arm_unit=unit)
+
+
+def _world(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -> Emulation:
+    """The lab as far as it is known, without planned faults."""
+    room_c = max(0.0, rig.rig.bath.room_c)
+    update: dict[str, object] = {
+        "ambient_c": room_c,
+        "bath_start_c": room_c,
+        "hand_error_mm": 0.0,
+        "faults": (),
+        "mistakes": (),
+    }
+    if rig.frame is not None:
+        motion = rig.frame.world_from_arm
+        place = {"om": tuple(motion.om.tolist()), "T": tuple(motion.T.tolist())}
+        update["arm_placed"] = Placed().model_copy(update=place)
+    if rig.rig.stage is not None:
+        turned = script.registration.world_from_stage.R if script.registration else np.eye(3)
+        table = {
+            "dialect": "grblHAL" if "A" in rig.rig.stage.axes else "grbl",
+            "settings": _stage_settings(rig, script, stage),
+            "yaw_rad": atan2(turned[1, 0], turned[0, 0]),
+        }
+        update["stage"] = EmulatedStage().model_copy(update=table)
+    return rig.rig.emulation.model_copy(update=update)
+
+
+def _stage_settings(
+    rig: LoadedRig, script: LoadedScript, known: StageSettings | None
+) -> dict[int, float]:
+    """Grbl's settings: those ``known``, or a travel that no place of the script exceeds."""
+    table = rig.rig.stage
+    if known is not None:
+        each = (known.steps_per_mm, known.rate_mm_min, known.accel_mm_s2, known.travel_mm)
+        numbered = {
+            first + axis: value
+            for first, values in zip((100, 110, 120, 130), each, strict=True)
+            for axis, value in enumerate(values)
+        }
+        homing = {24: known.homing_feed_mm_min, 25: known.homing_seek_mm_min}
+        return numbered | homing | {27: known.pull_off_mm}
+    if table is None:
+        return {}
+    poses = [pose for one in script.planned for pose in (one.approach, one.pose) if pose]
+    sent = [shared(pose, table.axes)[0] for pose in (*poses, *registered_at(rig, script))]
+    lowest = np.min([list(table.machine(pose).values()) for pose in sent], axis=0).tolist()
+    return {
+        number: max((DEFAULTS | ROTARY_DEFAULTS)[number], ROOM_MM - low)
+        for number, low in zip((130 + AXES.index(a) for a in table.axes), lowest, strict=True)
+    }
+
+
+def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozenset[str]:
+    """Ids of the trials whose frames are rendered: the first of each of the script's tables, and
+    evenly spaced poses; at most ``most``.
+    """
+    tables = list({one.trial.name: one.id for one in reversed(planned)}.values())[::-1][:most]
+    poses = list({one.name: one.id for one in reversed(planned)}.values())[::-1]
+    left = [one for one in poses if one not in tables]
+    room = min(most - len(tables), len(left))
+    return frozenset([*tables, *(left[int((at + 0.5) * len(left) / room)] for at in range(room))])
+
+
+class StandInCameras:
+    """The cameras of ``twin`` render at some of the ``planned`` trials, and these frames have to
+    pass the checks of ``rig``; the first ``rendered`` set is shown to each detector. Otherwise they
+    give a set of ramps from dark to light.
+    """
+
+    def __init__(
+        self,
+        twin: EmulatedRig,
+        rig: LoadedRig,
+        events: Events,
+        planned: Sequence[PlannedTrial],
+        detectors: Sequence[Detector],
+        course: Course,
+    ) -> None:
+        c = rig.calibration
+        self._cameras: OpenCameras = twin.cameras
+        self._taker = FrameTaker(
+            twin.cameras, rig.rig.cameras, c, twin.world.clock.sleep, lambda _kind, _text: None
+        )
+        left, right, thermal = (
+            np.tile(np.linspace(DARK, LIGHT, width).astype(np.uint8), (height, 1))
+            for width, height in (one.image_size for one in (c.left, c.right, c.thermal))
+        )
+        self._stand_in = FrameSet(left, right, thermal)
+        self._events, self._course = events, course
+        self._due = set(to_render(planned))
+        self._detectors = detectors
+        self._examiner = Examiner(c, rig.rig.limits.detection_timeout_s)
+        self.rendered = 0
+
+    @property
+    def identity(self) -> Mapping[str, str]:
+        """As the cameras report it."""
+        return self._cameras.identity
+
+    def capture(self) -> FrameSet:
+        """At a trial that is due, its frames are rendered and checked first."""
+        if self._course.trial_id in self._due:
+            self._due.remove(self._course.trial_id)
+            self._look()
+        return self._stand_in
+
+    def close(self) -> None:
+        self._cameras.close()
+
+    def _look(self) -> None:
+        try:
+            frames = self._taker.take()
+        except DeviceError as fault:
+            self._events.event("frames", str(fault))
+            return
+        self.rendered += 1
+        for detector in self._detectors if self.rendered == 1 else ():
+            answer = self._examiner.ask(detector, frames)
+            if answer.outcome is not Outcome.ANSWERED:
+                self._events.event("detector", f"{detector.name}: {answer.detection.reason}")
+
+
+class ReachingHands:
+    """The operator of ``twin``, who checks the arm's reach first: an emulated arm that is pulled
+    too far hangs up, as if it had lost its cable. A person ``leans`` the stylus where that helps.
+    """
+
+    def __init__(self, twin: EmulatedRig, placed: Placed, events: Events, *, leans: bool) -> None:
+        self._twin, self._events, self._leans = twin, events, leans
+        self._arm_from_world = Motion.from_vectors(placed.om, placed.T).inverse()
+        # by place to within a millimetre, how the stylus was held: no pose is solved twice
+        self._reached: dict[bytes, Floats] = {}
+
+    def ask(self, request: Request, check: Callable[[], None] = no_check) -> Answer:
+        """Raises OperatorAbort for a check point out of reach, OperatorSkip for a teat's end."""
+        answer = self._twin.operator.ask(request, check)
+        if isinstance(request, CheckPoint) and (why := self._out_of_reach("the check point")):
+            raise OperatorAbort(why)
+        if isinstance(request, Touch):
+            name = self._twin.world.phantom().teats[request.teat - 1].name or request.teat
+            if why := self._out_of_reach(f"the end of teat {name}"):
+                raise OperatorSkip(why)
+        return answer
+
+    def _out_of_reach(self, what: str) -> str:
+        """Empty where the arm gets there, leaning if need be; else the tip is let go of."""
+        world, held = self._twin.world, self._twin.world.arm_target()
+        if held is None:
+            return ""
+        point, axis = held
+        key = np.round(point).tobytes() + axis.tobytes()
+        if key not in self._reached:
+            there, R = self._arm_from_world.apply(point), self._arm_from_world.R
+            way = way_to(self._twin.arm.unit, there, R @ axis, upright_only=not self._leans)
+            if way is None:
+                world.hold(None)
+                why = f"the arm doesn't reach {what} at {np.round(point).astype(int).tolist()} mm"
+                self._events.event("reach", why)
+                return why
+            self._reached[key] = np.asarray(R.T @ way)
+        world.hold(point, self._reached[key])
+        return ""

@@ -47,8 +47,7 @@ def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> 
 
     On record may stand all of it, or a part that only this camera has, as its serial number.
     """
-    on_record = record.cameras if record else {}
-    for camera, recorded in on_record.items():
+    for camera, recorded in (record.cameras if record else {}).items():
         seen = identity.get(camera)
         if seen is not None and recorded.strip().lower() not in seen.lower():
             raise LimitError(

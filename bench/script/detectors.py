@@ -30,9 +30,7 @@ _DEFAULT = Limits()
 
 
 class DetectorFile(Section):
-    """A program that is a detector: ``[detector]``'s keys. The
-    command is run in the file's folder.
-    """
+    """A program that is a detector. The command is run in the file's folder."""
 
     name: Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,60}$")] = ""
     about: str = ""
@@ -94,40 +92,27 @@ def declared() -> dict[str, str]:
 
 
 def _make(name: str, folder: Path) -> Detector:
-    if name.startswith(EXEC):
-        return _of_command(name.removeprefix(EXEC))
-    if name.endswith(FILE):
+    if name.endswith(FILE) and not name.startswith(EXEC):
         return _of_file(folder / name)
+    if not name.startswith(EXEC):
+        try:
+            check_named((name,))
+        except ValueError as error:
+            raise ConfigError.plain(str(error)) from error
+        shipped = name in registry.available()
+        return registry.create(name) if shipped else _of_file(DECLARED / f"{name}{FILE}")
     try:
-        check_named((name,))
+        command = taken_apart(name.removeprefix(EXEC), windows=os.name == "nt")
     except ValueError as error:
-        raise ConfigError.plain(str(error)) from error
-    shipped = name in registry.available()
-    return registry.create(name) if shipped else _of_file(DECLARED / f"{name}{FILE}")
-
-
-def _of_command(text: str) -> Detector:
-    try:
-        command = taken_apart(text, windows=os.name == "nt")
-    except ValueError as error:
-        raise ConfigError.plain(
-            f"{EXEC}{text}: the command can't be taken apart: {error}"
-        ) from error
+        raise ConfigError.plain(f"{name}: the command can't be taken apart: {error}") from error
     if not command:
         raise ConfigError.plain(f"{EXEC} needs a command, such as {EXEC}python3 my_detector.py")
     _find_program(command[0], Path())
-    return ExternalDetector(f"exec-{_called(command)}", command, stopwatch_s)
-
-
-def _called(command: Sequence[str]) -> str:
-    """A command's name: that of the first file among its words after the program, or of the module
-    after -m, or of the program.
-    """
-    file = next((Path(part).stem for part in command[1:] if Path(part).is_file()), None)
-    module = next(
-        (part.rpartition(".")[2] for before, part in pairwise(command) if before == "-m"), None
-    )
-    return _plain(file or module or Path(command[0]).stem)
+    # called as the first file among its words after the program, the module after -m, the program
+    files = (Path(part).stem for part in command[1:] if Path(part).is_file())
+    modules = (part.rpartition(".")[2] for flag, part in pairwise(command) if flag == "-m")
+    called = [*files, *modules, Path(command[0]).stem][0]
+    return ExternalDetector(f"exec-{_plain(called)}", command, stopwatch_s)
 
 
 def _plain(name: str) -> str:

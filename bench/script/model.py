@@ -1,29 +1,34 @@
 """The trial script: what is to be shown, how it is decided, how the truth of its trials is had, and
 the trials that show it.
 
-A script is fixed before the run and copied into it. Reading it opens no instrument.
+A script is fixed before the run and copied into it. Reading it opens no instrument. One in Python
+has `SCRIPT`, what stands above the trials, and `trials()`, a generator of the tables of
+`[[trials]]`: it is run once, and what it gives becomes the TOML that a run keeps beside it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import traceback
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from bench.config import Positive, Section, located, parse_config, read_text
+from bench.config import ConfigError, Positive, Section, located, parse_config, read_text
 from bench.rig.loading import find_shipped
 from bench.script.detectors import check_named
 from bench.script.phantom import Layout, find_layout, load_layout
-from bench.script.planned_trials import PlannedTrial, plan
-from bench.script.python_script import ENDING, script_text
-from bench.script.trial_table import Published, Trial
+from bench.script.planned_trials import PlannedTrial, Published, Trial, plan
+from bench.toml import toml_text
 from bench.truth.registration import Registration, load_registration
 
 FIRST = "first"
+ENDING, MOST = ".py", 100_000
+HEADING = "Made by {}, which lies beside this file."
 Shift = Annotated[float, Field(ge=-2000, le=2000)]
 
 
@@ -81,7 +86,6 @@ class TruthTable(Section):
 
     @property
     def file(self) -> str:
-        """The registration's file, beside the script; empty where there is none."""
         return "" if self.registration == FIRST else self.registration
 
 
@@ -243,7 +247,6 @@ class Rules(Section):
 
     @property
     def published(self) -> dict[str, Published]:
-        """The thesis's own figures by situation."""
         return {}
 
 
@@ -269,7 +272,9 @@ class Script(Rules):
 
 @dataclass(frozen=True, slots=True)
 class LoadedScript:
-    """A script as read, with its trials in the order of the run, and the layouts that they name."""
+    """A script as read, with its trials in the order of the run, and the layouts that they name.
+    ``*_files``: the texts of what lies beside it and belongs into the run's folder, by name.
+    """
 
     path: Path
     text: str
@@ -280,17 +285,14 @@ class LoadedScript:
 
     @property
     def name(self) -> str:
-        """The file's name without its ending."""
         return self.path.name.removesuffix(".toml").removesuffix(".py")
 
     @property
     def source_files(self) -> dict[str, str]:
-        """The Python that made the script, where one did; for the run's folder."""
         return {self.path.name: read_text(self.path)} if self.path.suffix == ENDING else {}
 
     @property
     def layout_files(self) -> dict[str, str]:
-        """The text of each layout of the script's own, by its name; for the run's folder."""
         return {
             name: read_text(self.path.parent / name)
             for name in self.layouts
@@ -299,9 +301,6 @@ class LoadedScript:
 
     @property
     def truth_files(self) -> dict[str, str]:
-        """The text of the stage's registration, where the script
-        names one; for the run's folder.
-        """
         name = self.script.truth.file
         return {Path(name).name: read_text(self.path.parent / name)} if name else {}
 
@@ -327,6 +326,81 @@ def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> 
     layouts = layouts_of(script, path.parent)
     registration = load_registration(path.parent / script.truth.file) if script.truth.file else None
     return LoadedScript(path, text, script, planned_of(script, layouts), layouts, registration)
+
+
+def script_text(path: Path) -> str:
+    """The TOML of the script at ``path``: its text, or what its Python gives. Raises ConfigError
+    that names file and line.
+    """
+    text = read_text(path)
+    if path.suffix != ENDING:
+        return text
+    names: dict[str, Any] = {"__name__": "trial_script", "__file__": str(path)}
+    try:
+        exec(compile(text, str(path), "exec"), names)  # noqa: S102 - the file that the user asked to be run
+        head, made = names.get("SCRIPT"), names.get("trials")
+        if not isinstance(head, Mapping) or not callable(made):
+            raise ConfigError.plain(
+                f"{path}: a script in Python has SCRIPT, a dictionary, and trials(), a generator of"
+                " dictionaries"
+            )
+        return toml_text(
+            _as_toml({**head, "trials": list(_tables(path, made()))}, path),
+            HEADING.format(path.name),
+        )
+    except ConfigError:
+        raise
+    except (Exception, SystemExit) as error:  # anyone's code: it may fail in any way
+        raise ConfigError.plain(
+            f"{path}{_line_of(path, error)}: {type(error).__name__}: {error}"
+        ) from error
+
+
+def _tables(path: Path, made: Any) -> Iterator[Mapping[str, Any]]:
+    """Its trials. Raises ConfigError for what is none, and where they don't end."""
+    if not isinstance(made, Iterable):
+        raise ConfigError.plain(
+            f"{path}: trials() gives a {type(made).__name__}; it has to yield dictionaries"
+        )
+    number = 0
+    for number, table in enumerate(islice(made, MOST + 1), 1):
+        if not isinstance(table, Mapping):
+            raise ConfigError.plain(
+                f"{path}: trial {number} of trials() is a {type(table).__name__}; each is a"
+                " dictionary"
+            )
+        yield table
+    if number > MOST:
+        raise ConfigError.plain(f"{path}: trials() gives more than {MOST} trials; does it end?")
+
+
+def _as_toml(value: Any, path: Path, at: str = "") -> Any:
+    """``value`` as TOML has it; numpy's numbers and arrays become Python's. Raises ConfigError for
+    what TOML has no words for.
+    """
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {
+            str(name): _as_toml(one, path, f"{at}.{name}" if at else str(name))
+            for name, one in value.items()
+        }
+    if isinstance(value, list | tuple):
+        return [_as_toml(one, path, f"{at}[{number}]") for number, one in enumerate(value, 1)]
+    if value is None or isinstance(value, str | int | float):
+        return value
+    raise ConfigError.plain(
+        f"{path}: {at} is a {type(value).__name__}; it has to be text, a number, true or false, a"
+        " list or a table"
+    )
+
+
+def _line_of(path: Path, error: BaseException) -> str:
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == str(path)]
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        lines = [error.lineno]
+    return f", line {lines[-1]}" if lines else ""
 
 
 def layouts_of(script: Script, folder: Path) -> dict[str, Layout]:

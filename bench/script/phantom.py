@@ -56,7 +56,7 @@ class TeatTable(Section):
         return self
 
     def teat(self) -> Teat:
-        """The teat. Raises ValueError for a shape that can't be."""
+        """Raises ValueError for a shape that can't be."""
         x, y = np.radians(self.tilt_deg)
         return Teat(
             self.base_mm, TeatShape(self.length_mm, self.radius_mm), (float(x), float(y)), self.name
@@ -116,9 +116,7 @@ class Envelope(Section):
 
 
 class PhantomFile(Section):
-    """What a phantom description file says: ``teats``, or an
-    ``envelope`` that they are drawn from.
-    """
+    """``teats``, or an ``envelope`` that they are drawn from."""
 
     about: str
     emissivity: Annotated[float, Field(gt=0, le=1)] = 0.95
@@ -153,7 +151,6 @@ class Layout:
 
     @property
     def drawn(self) -> bool:
-        """Whether the teats are drawn."""
         return self.file.envelope is not None
 
     def phantom(self, *seed: int) -> Phantom:

@@ -1,11 +1,8 @@
-"""The sensitivity of stereo to picking errors: known points, known pixel offsets, every direction
-(the thesis's section 5.1.2).
+"""The sensitivity of stereo to picking errors (the thesis's section 5.1.2): known points, projected
+into both pictures, put off by some pixels, and triangulated again through the same calibration.
 
-A known point is projected into both pictures, put off by so many pixels, and triangulated again
-through the same calibration; what comes out differs by nothing but the offset. The thesis doesn't
-say in which direction its offsets lay, so all are tried: evenly spaced around each picture's point,
-and where both pictures are put off, each direction of one with each of the other. Pure but for
-reading the script. May not know of instruments or frames.
+The thesis doesn't say in which direction its offsets lay, so all are tried: evenly spaced around
+each picture's point, and each direction of one picture with each of the other.
 """
 
 from __future__ import annotations
@@ -21,7 +18,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from bench.config import ConfigError, Section, located, parse_config, read_text
 from bench.script.phantom import Layout, find_layout, load_layout
-from bench.script.trial_table import layout_of
+from bench.script.planned_trials import layout_of
 from detector.calibration import Calibration
 from detector.geometry import triangulate
 
@@ -92,17 +89,15 @@ class Outcome:
 
     @property
     def distances_mm(self) -> Floats:
-        """(n,) how far each error reaches."""
+        """(n,)"""
         return np.asarray(np.linalg.norm(self.errors_mm, axis=1))
 
     @property
     def worst_mm(self) -> float:
-        """In the worst direction."""
         return float(self.distances_mm.max())
 
     @property
     def median_mm(self) -> float:
-        """Over all directions."""
         return float(np.median(self.distances_mm))
 
     @property
@@ -127,18 +122,18 @@ def load_offsets(path: Path) -> LoadedOffsets:
     script = parse_config(path, text, OffsetScript)
     layout = load_layout(find_layout(script.layout, path.parent))
     points = layout.phantom(0).ends_mm
-    what = f"the layout has {len(points)} teats"
-    many = [offset.teat > len(points) for offset in script.offsets]
-    if any(many):
-        wrong = [(("offsets", i, "teat"), what, False) for i, one in enumerate(many) if one]
+    wrong = [
+        (("offsets", i, "teat"), f"the layout has {len(points)} teats", False)
+        for i, offset in enumerate(script.offsets)
+        if offset.teat > len(points)
+    ]
+    if wrong:
         raise located(path, text, wrong)
     return LoadedOffsets(path, text, script, layout, points)
 
 
 def outcomes(loaded: LoadedOffsets, calibration: Calibration) -> tuple[Outcome, ...]:
-    """What each offset of the script does. Raises ConfigError for
-    a point that a camera can't see.
-    """
+    """What each offset of the script does. Raises ConfigError for a point outside a picture."""
     many, points = loaded.script.directions, loaded.points_mm
     return tuple(
         Outcome(
@@ -166,7 +161,12 @@ def offset_errors(
                 f"the point at {np.round(point_mm, 1).tolist()} mm is outside the {name} picture"
                 f" (pixel {pixel.round(1).tolist()[0]})"
             )
-    a, b = _around(left, left_px, directions), _around(right, right_px, directions)
+    angle = 2.0 * np.pi * np.arange(directions) / directions
+    ways = np.column_stack([np.cos(angle), np.sin(angle)])  # itself alone where there is no offset
+    a, b = (
+        pixel + px * (ways if px else np.zeros((1, 2)))
+        for pixel, px in ((left, left_px), (right, right_px))
+    )
     pairs_left, pairs_right = np.repeat(a, len(b), axis=0), np.tile(b, (len(a), 1))
     found, _ = triangulate(
         pairs_left, pairs_right, calibration.left, calibration.right, calibration.right_from_left
@@ -178,13 +178,3 @@ def offset_errors(
             " cameras"
         )
     return np.asarray(errors)
-
-
-def _around(pixel: Floats, offset_px: float, directions: int) -> Floats:
-    """``pixel`` (1, 2) put off by ``offset_px`` in each direction, (directions, 2); itself alone
-    where there is no offset.
-    """
-    if offset_px == 0.0:
-        return pixel
-    angle = 2.0 * np.pi * np.arange(directions) / directions
-    return np.asarray(pixel + offset_px * np.column_stack([np.cos(angle), np.sin(angle)]))

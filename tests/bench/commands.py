@@ -1,12 +1,17 @@
-"""Commands as a person writes them: words, and ``{}`` for each value, which may be several."""
+"""Commands as a person writes them: words, and ``{}`` for each value, which may be several; and the
+example of a real rig, with its instruments elsewhere.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
 from bench.cli.main import main
+from bench.rig.loading import RIGS
 
 
 def words(text: str, *values: object) -> list[str]:
@@ -47,3 +52,17 @@ class Said:
         assert found == code, written.err
         assert "Traceback" not in written.err
         return written
+
+
+NO_CAMERA = {'"opencv:0"  ': '"opencv:none1.avi"  '}
+
+
+def lab_rig(folder: Path, changes: Mapping[str, str]) -> Path:
+    """The example of a real rig in ``folder``, with each of ``changes`` made in its text."""
+    text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "lab.toml").write_text(text, encoding="utf-8")
+    (folder / "calibration.toml").write_bytes((RIGS / "calibration.toml").read_bytes())
+    return folder / "lab.toml"

@@ -33,10 +33,10 @@ def rig_with(tmp_path: Path, change: dict[str, str]) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["emulated", "lab.example"])
-def test_shipped_rigs_load(name: str) -> None:
-    loaded = load_rig(find_rig(name))
-    assert bool(loaded.rig.emulated) == (name == "emulated")
+def test_shipped_rigs_load_and_have_the_same_keys() -> None:
+    emulated, lab = (load_rig(find_rig(name)).rig for name in ("emulated", "lab.example"))
+    assert (bool(emulated.emulated), bool(lab.emulated)) == (True, False)
+    assert set(emulated.urls) == set(lab.urls)
 
 
 def test_the_lab_example_explains_every_key() -> None:
@@ -49,11 +49,6 @@ def test_the_lab_example_explains_every_key() -> None:
             place, exact = nearest(places, path)
             assert exact, f"{path} is not in lab.example.toml"
             assert "#" in lines[place.line - 1], f"{path} is not explained"
-
-
-def test_an_emulated_and_a_real_rig_have_the_same_keys() -> None:
-    emulated, lab = (load_rig(find_rig(name)).rig for name in ("emulated", "lab.example"))
-    assert set(emulated.urls) == set(lab.urls)
 
 
 def test_all_faults_come_at_once_each_with_its_line(tmp_path: Path) -> None:
@@ -177,6 +172,13 @@ def test_a_wrong_script_says_where(tmp_path: Path, old: str, new: str, message: 
     before = path.read_text(encoding="utf-8").partition(new)[0]
     line = 1 + before.count("\n") + new.count("\n")
     assert any(abs(fault.line - line) <= 2 for fault in error.faults)
+
+
+def test_a_default_that_no_longer_fits_is_a_fault(tmp_path: Path) -> None:
+    text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
+    path = tmp_path / "script.toml"
+    path.write_text(text.replace("mean_k = 0.10", "leave_k = 0.05"), encoding="utf-8")
+    assert "bath.mean_k: 0.1 K is above leave_k = 0.05 K" in str(refused(load_script, path))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import math
 import re
 import signal
 import sys
-import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -24,7 +23,7 @@ from bench.rig.model import Arm
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.clock import RealClock
 from tests.bench.calibrate.arm_terminal import ENTER, Terminal, answer, at_terminal
-from tests.bench.commands import Said, teatbench, words
+from tests.bench.commands import Said, words
 from tests.bench.run.test_end_to_end import started
 from tests.conftest import ROOT
 
@@ -59,14 +58,6 @@ def in_hand(
         arm(f"{text} --answer-s 60 --port {trying.url}", *values) as terminal,
     ):
         yield trying, terminal
-
-
-def wait_for_packets(trying: TryingArm, n: int = 10) -> None:
-    """Wait until the command has asked for ``n`` more packets: it watches the pedals then."""
-    end, deadline = trying.emulator.packets + n, time.monotonic() + 60.0
-    while trying.emulator.packets < end:
-        assert time.monotonic() < deadline, "nobody asks the arm for packets"
-        time.sleep(0.005)
 
 
 # At a terminal
@@ -118,7 +109,7 @@ def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("command", "prompts"), [("frame", 0), ("frame", 3), ("verify", 2)])
+@pytest.mark.parametrize(("command", "prompts"), [("frame", 3), ("verify", 0)])
 def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> None:
     out = tmp_path / "arm.toml"
     with arm(f"{command} {OWN} --out {{}}", out) as terminal:
@@ -129,33 +120,6 @@ def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> 
     assert "the operator aborted the run; nothing was written" in terminal.text
     assert "Traceback" not in terminal.text
     assert not out.exists()
-
-
-@pytest.mark.slow
-def test_what_is_not_understood_is_asked_again(tmp_path: Path) -> None:
-    with arm(f"read {OWN}") as terminal:
-        answer(terminal, HOMING, "yes")
-        answer_all(terminal, "Not understood: 'yes'")
-    assert "tip 54.20, -51.84, 212.20 mm in the arm's frame" in terminal.text
-
-
-@pytest.mark.slow
-def test_a_pedal_is_as_good_as_enter(tmp_path: Path) -> None:
-    """Both hands are on the arm: nothing is typed but the answer on homing, which asks for Enter
-    alone.
-    """
-    out = tmp_path / "frame.toml"
-    with in_hand("frame --out {} --plane-checks 0", out) as (trying, terminal):
-        answer(terminal, HOMING)
-        for what in ("origin", "x axis", "plane"):
-            terminal.expect("Enter or a pedal to go on")
-            trying.go(Step(what, 0, ""))
-            wait_for_packets(trying)
-            trying.emulator.buttons = 1
-            terminal.expect("read ")
-            trying.emulator.buttons = 0
-        assert terminal.code() == 0, terminal.text
-    assert np.allclose(load_frame(out).world_from_arm.T, PLACED.T, atol=1.0)
 
 
 @pytest.mark.slow
@@ -191,17 +155,6 @@ def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path, limit: 
         r"a check point is [56]\.\d\d mm off, limit 1.5 mm; nothing was written", terminal.text
     )
     assert not out.exists()
-
-
-@pytest.mark.slow
-def test_touches_that_are_all_at_one_place_are_asked_for_again() -> None:
-    """Nobody moves the arm: it says why that is no frame, and an abort ends it."""
-    with in_hand("frame --out none.toml --homed") as (_, terminal):
-        for _ in range(3):
-            answer(terminal, ENTER)
-        terminal.expect("the touch on the x axis is 0.0 mm from the origin; 100 mm are needed")
-        answer(terminal, "Touch a point on the x axis", "abort")
-        assert terminal.code() == 3
 
 
 @pytest.mark.slow
@@ -261,8 +214,10 @@ def test_read_gives_one_json_object(said: Said) -> None:
 @pytest.mark.slow
 def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, said: Said) -> None:
     out = tmp_path / "frame.toml"
-    with arm(f"frame {OWN} --out {{}} --homed --plane-checks 0", out) as terminal:
+    out.write_text("old", encoding="utf-8")
+    with arm(f"frame {OWN} --out {{}} --homed --plane-checks 0 --replace", out) as terminal:
         answer_all(terminal, *TOUCHES)
+    assert "No check point was touched" in terminal.text
     line = json.loads(said(0, "arm read --port emulator: --homed --json --frame {}", out).out)
     assert line["world_mm"] == pytest.approx(PLACED.apply(line["tip_mm"]).tolist(), abs=1.5)
     out.write_text(out.read_text(encoding="utf-8").replace('"40937"', '"11111"'), encoding="utf-8")
@@ -271,31 +226,6 @@ def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, said:
         f"{out}:5: serial_number: this file is of the arm 11111, but the arm that answers is 40937"
         in seen
     )
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
-def test_it_reads_the_arm_of_a_bench_that_only_emulates(capsys: pytest.CaptureFixture[str]) -> None:
-    with started(["emulate"]) as child:
-        assert child.stdout is not None
-        urls = dict(child.stdout.readline().split() for _ in range(3))
-        assert teatbench("arm read --port {} --homed --json", urls["arm"]) == 0
-        assert teatbench("arm watch --port {} --homed --seconds 0.5", urls["arm"]) == 0
-        child.send_signal(signal.SIGINT)
-        child.communicate(timeout=60)
-    seen = capsys.readouterr().out.strip().split("\n")
-    assert json.loads(seen[0])["tip_mm"][2] == pytest.approx(212.2, abs=0.01)
-    assert "packets/s" in seen[1]
-
-
-@pytest.mark.slow
-def test_writing_over_has_to_be_asked_for(tmp_path: Path) -> None:
-    out = tmp_path / "frame.toml"
-    out.write_text("old", encoding="utf-8")
-    with arm(f"frame {OWN} --out {{}} --homed --plane-checks 0 --replace", out) as terminal:
-        answer_all(terminal, *TOUCHES)
-    assert load_frame(out).residual_mm is None
-    assert "No check point was touched" in terminal.text
 
 
 # The page for the lab

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.report.comparison import notes
-from bench.results.comparison import compare_folders, judge_folders, scored_together
+from bench.results.comparison import compare_folders, scored_together
 from bench.scoring.decisions import Verdict
 from detector import registry
 from detector.calibration import Calibration
@@ -118,9 +118,9 @@ def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
 
 
 def test_of_too_few_poses_the_gate_says_how_many_it_takes(
-    recording: Path, baseline: Path, tmp_path: Path, said: Said
+    baseline: Path, tmp_path: Path, said: Said
 ) -> None:
-    again = score(recording, tmp_path, "fused")
+    again = changed(baseline, tmp_path / "again")
     told = " ".join(said(4, "compare {} {} --gate", baseline, again).out.split())
     assert (
         "in 3 poses; poses that were not run may hide that it grew by 3.538 mm (margin 0.25 mm): 72"
@@ -213,11 +213,6 @@ def test_what_else_differs_is_told(baseline: Path, tmp_path: Path) -> None:
     assert "also differ" not in " ".join(notes(compare_folders([baseline, baseline])[0]))
 
 
-def test_a_run_without_results(baseline: Path, tmp_path: Path, said: Said) -> None:
-    empty = changed(baseline, tmp_path / "empty", "DELETE FROM scores")
-    assert "no scored trial in common" in said(2, "compare {} {} --gate", baseline, empty).err
-
-
 def test_one_recording_scored_twice_is_the_same_poses_and_not_twice_as_many(
     baseline: Path, tmp_path: Path
 ) -> None:
@@ -246,26 +241,24 @@ def test_runs_are_judged_together_by_their_counts(
     assert "of 6 poses succeeded" in seen
 
 
-def test_what_cannot_be_judged_together(baseline: Path, tmp_path: Path) -> None:
-    wider = changed(baseline, tmp_path / "wider", WIDER)
-    with pytest.raises(ConfigError, match="different limits"):
-        judge_folders([baseline, wider])
-    with pytest.raises(ConfigError, match="no detector of those named is in all runs"):
-        judge_folders([baseline, wider], ["thesis"])
-
-
 @pytest.mark.parametrize(
-    ("arguments", "says"),
-    [([], "name a second run"), (["--detector", "fusedd"], 'did you mean "fused"')],
+    ("others", "options", "says"),
+    [
+        ([], "", "name a second run"),
+        ([], "--detector fusedd", 'did you mean "fused"'),
+        (["empty"], "--gate", "no scored trial in common"),
+        (["nowhere"], "", "is no run"),
+        (["same"], "--detector thesis", "no detector of those named is in both runs"),
+        (["wider"], "--together", "different limits"),
+        (["wider"], "--together --detector thesis", "no detector of those named is in all runs"),
+    ],
 )
 def test_what_cannot_be_compared(
-    baseline: Path, arguments: list[str], says: str, said: Said
+    baseline: Path, others: list[str], options: str, says: str, tmp_path: Path, said: Said
 ) -> None:
-    assert says in said(2, "compare {} {}", baseline, arguments).err
-
-
-def test_no_run_and_no_common_detector(baseline: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="is no run"):
-        compare_folders([baseline, tmp_path])
-    with pytest.raises(ConfigError, match="no detector of those named is in both runs"):
-        compare_folders([baseline, baseline], ["thesis"])
+    made = {"same": (), "wider": (WIDER,), "empty": ("DELETE FROM scores",)}
+    runs = [
+        changed(baseline, tmp_path / name, *made[name]) if name in made else tmp_path / name
+        for name in others
+    ]
+    assert says in said(2, f"compare {{}} {{}} {options}", baseline, runs).err

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.loading import RIGS, find_rig, load_rig
+from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedStage
 from bench.script.model import find_script
 from instruments.clock import RealClock
-from tests.bench.commands import Said
+from tests.bench.commands import Said, lab_rig
 
 
 @pytest.mark.slow
@@ -48,7 +48,7 @@ def test_a_clean_script_exits_with_0(short_script: Path, tmp_path: Path, said: S
         " checked"
     )
     assert first == "6 trials at 6 poses: nothing wrong. Nothing was moved."
-    assert time.startswith("about 12 min of the bench's time: preparing 12 s, settling 12 min, ")
+    assert time.startswith("about 12 min of the bench's time: settling 12 min, ")
     assert room.endswith(" MB and the report, 89 prompts")
     assert not (tmp_path / "runs").exists()
 
@@ -75,7 +75,9 @@ def one(folder: Path, pose: str = "") -> tuple[Path, Path]:
 def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
     tmp_path: Path, said: Said
 ) -> None:
-    seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path), lab(tmp_path, NO_STAGE)).out
+    seen = said(
+        0, f"{DRY} --rig {{}}", *one(tmp_path), lab_rig(tmp_path, {"/dev/ttyACM0": NO_STAGE})
+    ).out
     assert "not checked: the stage's travel: its controller doesn't answer" in seen
     assert "1 trials at 1 poses: nothing wrong." in seen
     assert "; the operator's by assumed times, see 'teatbench trials show'" in seen
@@ -83,7 +85,7 @@ def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
 
 @pytest.mark.slow
 def test_what_a_run_is_refused_for_is_told_by_its_dry_run(tmp_path: Path, said: Said) -> None:
-    rig = lab(tmp_path, NO_STAGE)
+    rig = lab_rig(tmp_path, {"/dev/ttyACM0": NO_STAGE})
     (tmp_path / "lab.tripped.json").write_text(
         '{"rule": "bath too hot", "why": "38 degC"}', encoding="utf-8"
     )
@@ -99,7 +101,7 @@ def test_what_a_run_is_refused_for_is_told_by_its_dry_run(tmp_path: Path, said: 
 @pytest.mark.slow
 def test_a_stage_is_not_asked_while_a_run_has_its_rig(tmp_path: Path, said: Said) -> None:
     """Opening its port resets most boards."""
-    rig = lab(tmp_path, NO_STAGE)
+    rig = lab_rig(tmp_path, {"/dev/ttyACM0": NO_STAGE})
     held = {"host": "another machine", "pid": 1, "since": "2026-11-01T12:00:00", "run": "runs/o"}
     (tmp_path / "lab.lock.json").write_text(json.dumps(held), encoding="utf-8")
     seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path), rig).out
@@ -122,20 +124,9 @@ def test_a_controllers_own_settings_are_asked_for_and_rehearsed_with(
     wide = rig.rig.emulation.model_copy(update={"stage": EmulatedStage(settings={130: 640.0})})
     twin = replace(rig, rig=rig.rig.model_copy(update={"emulation": wide}))
     with closing(RealClock()) as clock, EmulatedRig(twin, clock, 1) as there:
-        path = lab(tmp_path, there.urls["stage"], reference="reference_mm = [-320.0, -137.5]")
+        elsewhere = {"/dev/ttyACM0": there.urls["stage"], "[-150.0, -137.5]": "[-320.0, -137.5]"}
+        path = lab_rig(tmp_path, elsewhere)
         seen = said(0, f"{DRY} --rig {{}}", *one(tmp_path, FAR), path).out
     assert "limits" not in seen
     assert "the stage's travel" not in seen
     assert "1 of 1 trials" in seen
-
-
-def lab(folder: Path, stage: str, reference: str = "") -> Path:
-    """The example of a real rig, with its stage elsewhere."""
-    text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
-    assert '"/dev/ttyACM0"' in text
-    known = "reference_mm = [-150.0, -137.5]"
-    (folder / "lab.toml").write_text(
-        text.replace("/dev/ttyACM0", stage).replace(known, reference or known), encoding="utf-8"
-    )
-    (folder / "calibration.toml").write_bytes((RIGS / "calibration.toml").read_bytes())
-    return folder / "lab.toml"

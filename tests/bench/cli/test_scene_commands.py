@@ -114,9 +114,6 @@ def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
     assert (thermal.netd_k, thermal.drift.every_s) == (0.05, 60.0)
     assert EmulatedThermal().sensor({}).width_px == 160
     assert EmulatedOptical().sensor().full_well_e == 13000.0
-    taken = renderer.render(warm(situation("ideal", 0)), np.random.default_rng(1))
-    assert taken.thermal_ck.shape == (60, 80)
-    assert taken.thermal_8bit.shape == (480, 640)
     rig.write_text(text + "\n[emulation.thermal]\nnetd = 0.05\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"did you mean .netd_k"):
         read_config(rig, Rig)

@@ -22,7 +22,7 @@ LAST_WORDS = "? = explain, a = abort the run): "
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("columns", [37, 80, 200])
+@pytest.mark.parametrize("columns", [37, 80])
 def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
     columns: int, tmp_path: Path
 ) -> None:

@@ -24,9 +24,8 @@ from instruments.captures.reader import Capture, read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import RealClock, VirtualClock
 from instruments.link import Link
-from tests.bench.commands import Said, teatbench, words
+from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench, words
 from tests.bench.run.test_end_to_end import content, run_command, started
-from tests.conftest import ROOT
 
 pytestmark = pytest.mark.slow
 
@@ -117,20 +116,12 @@ def test_a_whole_check_is_replayed_to_a_check(
     check_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with playing(str(check_capture), "--once", "--fast") as (child, urls):
-        rig = (ROOT / "bench" / "rigs" / "lab.example.toml").read_text(encoding="utf-8")
-        for real, far_end in {
+        far_ends = {
             '"/dev/ttyUSB0"            #': f'"{urls["arm"]}" #',
             '"tcp://192.168.0.40:502"': f'"{urls["bath"]}"',
             '"/dev/ttyACM0"            #': f'"{urls["stage"]}" #',
-            '"opencv:0"  ': '"opencv:none1.avi"  ',
-        }.items():
-            assert real in rig
-            rig = rig.replace(real, far_end)
-        (tmp_path / "lab.toml").write_text(rig, encoding="utf-8")
-        (tmp_path / "calibration.toml").write_bytes(
-            (ROOT / "bench" / "rigs" / "calibration.toml").read_bytes()
-        )
-        teatbench("check {}", tmp_path / "lab.toml")
+        }
+        teatbench("check {}", lab_rig(tmp_path, far_ends | NO_CAMERA))
         seen = capsys.readouterr().out
         output, _ = child.communicate(timeout=60)
     for text in (
@@ -161,18 +152,6 @@ def test_a_mismatch_gives_1_and_its_place(tmp_path: Path) -> None:
         " 03, got C2)" in output
     )
     assert "arm: connection 1: 0 of 1 requests as recorded, then a mismatch" in output
-
-
-def test_once_is_not_content_with_half_of_it(tmp_path: Path) -> None:
-    path = tmp_path / "bug.jsonl"
-    path.write_text(HEAD + TALK, encoding="utf-8")
-    with playing(str(path), "--once") as (child, urls):
-        Link(urls["arm"], RealClock(), who="arm").close()
-        output, _ = child.communicate(timeout=60)
-    assert (child.returncode, output.strip()) == (
-        1,
-        "arm: connection 1: the host left after 0 of 1 requests",
-    )
 
 
 @posix

@@ -13,8 +13,7 @@ from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.run.estimate import carry_touches
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.phantom import Layout, PhantomFile, find_layout, load_layout
-from bench.script.planned_trials import plan
-from bench.script.trial_table import Trial
+from bench.script.planned_trials import Trial, plan
 from instruments.stage.settings import AxisLimits
 
 TRAVEL = {"X": AxisLimits(-300.0, 0.0), "Y": AxisLimits(-275.0, 0.0), "Z": AxisLimits(-50.0, 0.0)}
@@ -39,16 +38,14 @@ def script(**table: object) -> LoadedScript:
 def kinds(rig: LoadedRig, loaded: LoadedScript) -> dict[str, str]:
     return {
         finding.kind: f"{finding.trial}: {finding.text}"
-        for finding in dry_run(rig, loaded, TRAVEL).findings
+        for finding in dry_run(rig, loaded, TRAVEL)[0]
     }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["six-situations", "plane-map", "repeatability", "random-udder"])
 def test_what_ships_is_clean(rig: LoadedRig, name: str) -> None:
-    result = dry_run(rig, load_script(find_script(name)), TRAVEL)
-    assert result.findings == ()
-    assert result.unchecked == ()
+    assert dry_run(rig, load_script(find_script(name)), TRAVEL) == ((), ())
 
 
 ROD = ({"kind": "rod", "x_mm": -150.0, "y_mm": 284.0},)
@@ -92,7 +89,7 @@ def test_a_registration_that_goes_beyond_the_travel(rig: LoadedRig) -> None:
         update={"registration_at_mm": ((-150.0, 0.0), (151.0, 0.0), (0.0, 90.0))}
     )
     wide = replace(loaded, script=loaded.script.model_copy(update={"truth": truth}))
-    found = [finding for finding in dry_run(rig, wide, TRAVEL).findings if finding.kind == "limits"]
+    found = [finding for finding in dry_run(rig, wide, TRAVEL)[0] if finding.kind == "limits"]
     assert [finding.trial for finding in found] == ["registration at x +151 mm, y +0 mm"]
 
 
@@ -117,12 +114,12 @@ def test_teats_that_stand_in_each_other_are_found_even_where_no_file_says_so(
 
 def test_what_cannot_be_checked_is_said(rig: LoadedRig) -> None:
     blind = replace(rig, made_calibration=replace(rig.calibration, thermal_from_left=None))
-    result = dry_run(blind, script(pose={"x_mm": -160.0, "y_mm": 0.0}), None)
-    assert [text.split(":")[0] for text in result.unchecked] == [
+    findings, unchecked = dry_run(blind, script(pose={"x_mm": -160.0, "y_mm": 0.0}), None)
+    assert [text.split(":")[0] for text in unchecked] == [
         "the stage's travel",
         "the thermal picture",
     ]
-    assert "limits" not in {finding.kind for finding in result.findings}
+    assert "limits" not in {finding.kind for finding in findings}
 
 
 def test_a_real_arm_may_be_held_at_a_slant(rig: LoadedRig) -> None:

@@ -1,6 +1,4 @@
-"""The twin that a rehearsal is made on: as like the real rig as anybody knows, and its person as
-slow as persons are.
-"""
+"""The twin that a rehearsal is made on: as like the real rig as is known."""
 
 from __future__ import annotations
 
@@ -12,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.dry_run.rehearsal import NoTwinError, rehearse
-from bench.dry_run.twin import to_render, twin_of
+from bench.dry_run.rehearsal import NoTwinError, rehearse, to_render, twin_of
 from bench.rig.arm_files import TableFrame, TouchedPoint
 from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
-from bench.run.estimate import ASSUMED, KINDS, needs, spent_of
+from bench.run.estimate import KINDS, spent_of
 from bench.script.model import LoadedScript, find_script, load_script
 from bench.truth.registration import Registration, StageAccuracy, Station
 from detector.geometry import Motion
@@ -114,24 +111,6 @@ def test_a_registration_of_a_turned_stage_holds_on_the_twin(lab: LoadedRig, tmp_
     rehearsal = rehearse(lab, replace(flat, registration=registration), ())
     assert rehearsal.findings == (), "check touches find the ends where the stage carried them"
     assert rehearsal.trials == 3
-
-
-@pytest.mark.slow
-def test_a_person_takes_the_time_that_persons_took(lab: LoadedRig, tmp_path: Path) -> None:
-    poses = script(tmp_path, SCRIPT.replace(", z_mm = 6.0, yaw_deg = 4.0", ""))
-    usual = rehearse(lab, poses, ())
-    touches = 3 * 4 * lab.rig.arm.touches + 2 * lab.rig.arm.check_touches
-    assert usual.spent["set-ups"] == pytest.approx(ASSUMED["set-up"])
-    assert usual.spent["touches"] == pytest.approx(touches * ASSUMED["touch"], rel=0.02)
-    assert usual.spent["captures"] == pytest.approx(
-        3 * (lab.rig.cameras.settle_s + ASSUMED["capture"])
-    )
-    learnt = {"touch": 2.0 * ASSUMED["touch"], "set-up": 100.0, "heating": 0.2}
-    slower = rehearse(lab, poses, (), learnt=learnt)
-    assert slower.spent["touches"] == pytest.approx(2.0 * usual.spent["touches"], rel=0.02)
-    assert slower.spent["set-ups"] == pytest.approx(100.0)
-    assert slower.spent["settling"] == pytest.approx(needs(lab, poses, learnt).time.settling_s)
-    assert usual.prompts == slower.prompts == 1 + 3 + touches
 
 
 @pytest.mark.slow

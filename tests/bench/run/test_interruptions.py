@@ -475,7 +475,7 @@ def test_a_run_that_waits_at_a_prompt_hears_what_another_terminal_says(
         terminal.expect("[trial 1 of 3")
         terminal.expect("abort the run): ")
         run = only_run(tmp_path, "runs")
-        assert "taken" in said(0, "control {} skip the hose leaks", run).out
+        assert "request accepted" in said(0, "control {} skip the hose leaks", run).out
         terminal.expect("As told: skip the hose leaks")
         terminal.expect("[trial 2 of 3")
         terminal.expect("abort the run): ")

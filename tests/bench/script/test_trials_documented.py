@@ -5,16 +5,13 @@ write.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 from pydantic import BaseModel
 
-from bench.script.model import load_script
-from bench.script.phantom import Envelope, PhantomFile, TeatTable, layout_names, load_layout
+from bench.script.phantom import Envelope, PhantomFile, TeatTable, layout_names
 from bench.script.pixel_offsets import Offset, OffsetScript
-from bench.script.trial_table import Draw, Grid, PoseTable, Trial
-from tests.bench.script.test_planned_trials import SCRIPT
+from bench.script.planned_trials import Draw, Grid, PoseTable, Trial
 from tests.conftest import ROOT
 
 PAGE = (ROOT / "docs" / "trials.md").read_text(encoding="utf-8")
@@ -43,16 +40,3 @@ def test_no_key_is_there_twice() -> None:
 
 def test_every_layout_that_ships_is_there() -> None:
     assert [name for name in layout_names() if f"`{name}`" not in PAGE] == []
-
-
-def test_the_examples_are_read(tmp_path: Path) -> None:
-    trial, *layouts = EXAMPLES
-    (tmp_path / "script.toml").write_text(
-        SCRIPT[: SCRIPT.index("[[trials]]")] + trial, encoding="utf-8"
-    )
-    assert len(load_script(tmp_path / "script.toml").planned) == 10
-    assert len(layouts) == 2
-    for number, text in enumerate(layouts):
-        path = tmp_path / f"layout-{number}.toml"
-        path.write_text(text, encoding="utf-8")
-        assert len(load_layout(path).phantom(1).teats) in (2, 4)

@@ -1,0 +1,188 @@
+"""`stage status|home|move|jog|recover` and `camera list|show|focus|grab`: the stage or the cameras
+alone, of a rig or by their URLs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Callable
+
+from bench.cli.arguments import CODES, complain
+from bench.config import ConfigError
+from bench.rig import alone as rig_alone
+from bench.rig.alone import open_alone, open_stage, shown
+from bench.rig.frame_capture import FrameTaker
+from bench.rig.model import Stage as StageTable
+from instruments.camera.quality import edge_blur_px
+from instruments.camera.recording import RecordingWriter
+from instruments.errors import LimitError
+from instruments.stage.driver import Stage
+
+
+def _at(given: argparse.Namespace) -> StageTable:
+    if given.rig is None:
+        return StageTable(url=given.port, axes=given.axes or "XY")
+    if given.axes:
+        raise ConfigError.plain(
+            "--axes goes with --port; a rig file says itself which axes its stage has"
+        )
+    return rig_alone.stage_of_rig(given.rig)
+
+
+def status(given: argparse.Namespace) -> int:
+    with open_stage(_at(given), given.capture) as stage:
+        figures = rig_alone.described(stage)
+    if given.json:
+        print(json.dumps(figures))
+    else:
+        for key, value in figures.items():
+            print(f"{key}: {value}")
+    return CODES.met
+
+
+def home(given: argparse.Namespace) -> int:
+    return _work(given, _home)
+
+
+def move(given: argparse.Namespace) -> int:
+    def go(stage: Stage) -> None:
+        target = given.x_mm, given.y_mm
+        rig_alone.check_target(stage, *target, z_mm=given.z_mm, a_deg=given.a_deg)
+        _home(stage)
+        stage.move_to(*target, z_mm=given.z_mm, a_deg=given.a_deg, feed_mm_min=given.feed)
+        print(f"moved: {shown(stage)}")
+
+    return _work(given, go)
+
+
+def jog(given: argparse.Namespace) -> int:
+    def go(stage: Stage) -> None:
+        _home(stage)
+        for way in given.steps:
+            rig_alone.jog(stage, way, given.feed)
+            print(f"moved: {shown(stage)}", flush=True)
+
+    return _work(given, go)
+
+
+def _home(stage: Stage) -> None:
+    stage.home()
+    print(f"homed: {shown(stage)}", flush=True)
+
+
+def _work(given: argparse.Namespace, go: Callable[[Stage], None]) -> int:
+    """``go`` with the stage; what the driver refuses to send is wrong use."""
+    try:
+        with open_stage(_at(given), given.capture) as stage:
+            go(stage)
+    except LimitError as error:
+        return complain(str(error), CODES.wrong_use)
+    return CODES.met
+
+
+def recover(given: argparse.Namespace) -> int:
+    with open_stage(_at(given), given.capture) as stage:
+        stage.recover()
+        print(
+            f"restarted, in state {stage.status().name}; its position is unknown until 'teatbench"
+            " stage home'"
+        )
+    return CODES.met
+
+
+def attached(given: argparse.Namespace) -> int:
+    rows = list(rig_alone.cameras_of_rig(given.rig) if given.rig else rig_alone.attached())
+    for name, what in rows:
+        print(f"{name}  {what}")
+    if not rows:
+        print("no camera answers on this machine's USB or network")
+    return CODES.met
+
+
+def show(given: argparse.Namespace) -> int:
+    faults: list[str] = []
+    with open_alone(given.sources) as alone:
+        if alone.frame_set is None:
+            taken = alone.look()
+        else:
+            frames = rig_alone.patient(alone.frame_set.capture)()
+            taken = rig_alone.pictures(frames)
+            faults = [str(one) for one in alone.checks.notice(frames)]
+        seen = {name: rig_alone.figures(picture) for name, picture in taken.items()}
+        identity = dict(alone.identity())
+    if given.json:
+        print(json.dumps({"identity": identity, "cameras": seen, "faults": faults}))
+    else:
+        for name, values in seen.items():
+            print(f"{name}: {identity.get(name, '')}")
+            for key, value in values.items():
+                print(f"  {key}: {'none seen' if value is None else value}")
+    for sentence in faults:
+        complain(sentence, CODES.fault)
+    return CODES.fault if faults else CODES.met
+
+
+def focus(given: argparse.Namespace) -> int:
+    """Print the blur of each camera's edges; smaller is sharper. Ends with the smallest."""
+    best: dict[str, float] = {}
+    live = sys.stdout.isatty()
+    with open_alone(given.sources) as alone:
+        end_s = alone.clock.now() + (given.seconds or math.inf)
+        try:
+            while alone.clock.now() < end_s:
+                parts = []
+                for name, picture in alone.look().items():
+                    blur_px = edge_blur_px(picture)
+                    if blur_px is None:
+                        parts.append(f"{name} no edge")
+                        continue
+                    least = best[name] = min(best.get(name, math.inf), blur_px)
+                    # full where the picture is as sharp as it has ever been
+                    bar = "#" * round(10 * (least + 0.1) / (blur_px + 0.1))
+                    parts.append(f"{name} {blur_px:5.2f} px (best {least:.2f}) {bar}")
+                print("  ".join(parts), end="\r" if live else "\n", flush=True)
+                alone.clock.sleep(given.every)
+        except KeyboardInterrupt:
+            live = True
+        if live:
+            print()
+    if best:
+        values = ", ".join(f"{name} = {px:.2f}" for name, px in best.items())
+        print(f"focus_px = {{ {values} }}  # of [cameras.checks] in the rig file")
+    return CODES.met
+
+
+def grab(given: argparse.Namespace) -> int:
+    with open_alone(given.sources) as alone:
+        if alone.frame_set is None:
+            raise ConfigError.plain(
+                "one camera alone makes no frame set: name left, right and perhaps thermal, or"
+                " a rig"
+            )
+        writer = RecordingWriter(given.out)
+        calibration = rig_alone.calibration_text(alone)
+        if calibration is not None:
+            writer.add_calibration(calibration)
+        taker = FrameTaker(
+            alone.frame_set,
+            alone.table,
+            None,
+            alone.clock.sleep,
+            lambda _, text: print(f"teatbench: {text}", file=sys.stderr),
+            checks=alone.checks,
+        )
+        for number in range(given.count):
+            name = f"{len(list((given.out / 'frames').iterdir())):04d}"
+            writer.add(name, taker.take())
+            print(f"{given.out / 'frames' / name}", flush=True)
+            if number + 1 < given.count:
+                alone.clock.sleep(alone.table.settle_s)
+    if calibration is None:
+        print(
+            "there is no calibration: put calibration.toml into the folder before it is scored",
+            file=sys.stderr,
+        )
+    return CODES.met
