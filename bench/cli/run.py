@@ -140,7 +140,7 @@ def score(given: argparse.Namespace) -> int:
 
 def _run_offsets(rig: LoadedRig, path: Path, out: Path, *, dry: bool) -> int:
     """A sensitivity script: no instrument takes part."""
-    from bench.report.pixel_offsets import run_offsets
+    from bench.report.thesis import run_offsets
 
     if dry:
         outcomes(load_offsets(path), rig.calibration)
@@ -150,7 +150,7 @@ def _run_offsets(rig: LoadedRig, path: Path, out: Path, *, dry: bool) -> int:
 
 
 def _offsets_reported(folder: Path) -> int:
-    from bench.report.pixel_offsets import offset_told, report_offsets
+    from bench.report.thesis import offset_told, report_offsets
 
     page, loaded, found, verdict = report_offsets(folder)
     for one in found:
@@ -164,7 +164,7 @@ def _offsets_reported(folder: Path) -> int:
 
 
 def report(given: argparse.Namespace) -> int:
-    from bench.report.pixel_offsets import is_offset_run
+    from bench.report.thesis import is_offset_run
     from reports.pdf import find_browser
 
     browser = None if given.no_pdf else find_browser()
