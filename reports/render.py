@@ -118,6 +118,10 @@ class Press:
         different = dict.fromkeys(map(_view, shown))
         views = {view: f"v{number}" for number, view in enumerate(different)}
         style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
+        by_style, by_script = (
+            base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+            for text in (style, self._script)
+        )
         return self._environment.get_template(template).render(
             page=self._page,
             place=place,
@@ -129,7 +133,11 @@ class Press:
             signs=_SIGNS,
             style=Markup(style),  # noqa: S704 our own file and numbers
             script=Markup(self._script),  # noqa: S704 our own file
-            policy=_policy(style, self._script),
+            policy=(
+                "default-src 'none'; img-src 'self' data: file:; "
+                f"style-src 'sha256-{by_style}'; script-src 'sha256-{by_script}'; "
+                "base-uri 'none'; form-action 'none'"
+            ),
             **values,
         )
 
@@ -223,18 +231,6 @@ def _assets(*names: str) -> str:
     if unfit:
         raise PageError(f"reports/templates/{unfit[0]} holds '</', which would end its own element")
     return "".join(texts)
-
-
-def _policy(style: str, script: str) -> str:
-    by_style, by_script = (
-        base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
-        for text in (style, script)
-    )
-    return (
-        "default-src 'none'; img-src 'self' data: file:; "
-        f"style-src 'sha256-{by_style}'; script-src 'sha256-{by_script}'; "
-        "base-uri 'none'; form-action 'none'"
-    )
 
 
 def _printable(value: Any) -> Any:

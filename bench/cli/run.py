@@ -46,7 +46,7 @@ def run(given: argparse.Namespace) -> int:
             outcomes(load_offsets(path), rig.calibration)
             print("nothing wrong. This script opens no instrument.")
             return CODES.met
-        from bench.report.pixel_offsets import run_offsets
+        from bench.report.thesis import run_offsets
 
         return _offsets_reported(run_offsets(rig, path, given.out))
     script = load_script(path, rig.rig.limits.set_point_c)
@@ -137,7 +137,7 @@ def score(given: argparse.Namespace) -> int:
 
 
 def _offsets_reported(folder: Path) -> int:
-    from bench.report.pixel_offsets import offset_told, report_offsets
+    from bench.report.thesis import offset_told, report_offsets
 
     page, loaded, found, verdict = report_offsets(folder)
     for one in found:
@@ -152,7 +152,7 @@ def _offsets_reported(folder: Path) -> int:
 
 def report(given: argparse.Namespace) -> int:
     from bench.report.page import PDF, REPORT, write_run_report
-    from bench.report.pixel_offsets import is_offset_run
+    from bench.report.thesis import is_offset_run
     from reports.pdf import find_browser, print_pdf
     from reports.trust import PageError
 

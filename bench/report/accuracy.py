@@ -49,7 +49,14 @@ def accuracy_tables(
     yield _axes(pool, detector, limit_mm, u_mm, camera_from_world)
     rows = error_rows(run, detector)
     if len(rows.teat_names) > 1:
-        yield _axes_by_teat(rows, detector, camera_from_world)
+        lines = []
+        for teat in rows.teat_names:
+            own = rows.of_teat(teat)
+            poses = len(set(own.of_found(own.poses)))
+            six = _six(summarise(own.errors_mm), summarise(own.errors_mm, camera_from_world))
+            lines += [(teat, name, poses, *figures) for name, _, figures in six]
+        caption = f"Errors along each axis by teat, detector {detector}"
+        yield table(caption, ("teat | axis | >poses | >n", MM), lines)
     yield _distances(run, rows, pool, detector, u_mm)
     yield _tolerance(pool, detector)
 
@@ -80,17 +87,6 @@ def _axes(
     )
     heads = ("axis | >n", MM, "max |e| is # against the limit along this axis alone")
     return table(f"Errors along each axis, detector {detector}", heads, rows, note)
-
-
-def _axes_by_teat(rows: ErrorRows, detector: str, camera_from_world: Floats) -> Table:
-    lines = []
-    for teat in rows.teat_names:
-        own = rows.of_teat(teat)
-        poses = len(set(own.of_found(own.poses)))
-        six = _six(summarise(own.errors_mm), summarise(own.errors_mm, camera_from_world))
-        lines += [(teat, name, poses, *figures) for name, _, figures in six]
-    caption = f"Errors along each axis by teat, detector {detector}"
-    return table(caption, ("teat | axis | >poses | >n", MM), lines)
 
 
 def _six(
@@ -349,7 +345,16 @@ def _pairs(ends: Errors, detector: str) -> Part:
     ]
     lines = []
     for a, b in pairs[:MOST_ROWS]:
-        off = _distance_errors(ends[a], ends[b], same_trial=several)
+        # of the same trials, or of the k-th of each pose
+        both = [(ends[a][trial], ends[b][trial]) for trial in ends[a] if trial in ends[b]]
+        if not several:
+            both = list(zip(ends[a].values(), ends[b].values(), strict=False))
+        points = np.array(both, dtype=np.float64).reshape(
+            -1, 2, 2, 3
+        )  # pair, a or b, error or place
+        true = np.linalg.norm(points[:, 0, 1] - points[:, 1, 1], axis=1)
+        seen = np.linalg.norm(points.sum(axis=2)[:, 0] - points.sum(axis=2)[:, 1], axis=1)
+        off = np.asarray(seen - true)
         if len(off) >= CYCLES_FROM:
             found = distance_accuracy(off, 0.0)
             what = f"{a[0]}: teat {a[1]} to {b[1]}" if several else f"{a[0]} to {b[0]}"
@@ -365,21 +370,6 @@ def _pairs(ends: Errors, detector: str) -> Part:
     )
     heads = "distance | >n | >AD [mm] | >RD [mm]"
     return table(f"Distance accuracy and repeatability, {detector} (ISO 9283)", heads, lines, note)
-
-
-def _distance_errors(
-    a: Mapping[str, Floats], b: Mapping[str, Floats], *, same_trial: bool
-) -> Floats:
-    """Distance found less true distance (n,), of the same trials or of the k-th of each."""
-    both = (
-        [(a[trial], b[trial]) for trial in a if trial in b]
-        if same_trial
-        else list(zip(a.values(), b.values(), strict=False))
-    )
-    ends = np.array(both, dtype=np.float64).reshape(-1, 2, 2, 3)  # pair, a or b, error or place
-    true = np.linalg.norm(ends[:, 0, 1] - ends[:, 1, 1], axis=1)
-    seen = np.linalg.norm(ends.sum(axis=2)[:, 0] - ends.sum(axis=2)[:, 1], axis=1)
-    return np.asarray(seen - true)
 
 
 def _left_out(of: int) -> str:

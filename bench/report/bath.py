@@ -30,7 +30,13 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     captured = [trial for trial in run.trials if trial.head["captured_s"] is not None]
     captures = [trial.head["captured_s"] for trial in captured]
     band_k = rules.bath.leave_k if isinstance(rules, Script) else 0.15
-    svg = bath_curve(times_s, temps_c, set_point, band_k, captures, _stable_spans(run))
+    spans: list[tuple[float, float]] = []
+    for t_s, state in zip(run.bath[:, 0].tolist(), run.bath_states, strict=True):
+        if state == "stable":
+            joined = spans and t_s - spans[-1][1] < 5.0
+            start = spans.pop()[0] if joined else t_s
+            spans.append((start, t_s))
+    svg = bath_curve(times_s, temps_c, set_point, band_k, captures, spans)
     caption = "Bath temperature over the run's time; captures are marked"
     yield Figure(svg, caption, f"{len(run.bath)} readings, {len(captures)} captures", wide=True)
     temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
@@ -216,13 +222,3 @@ def _trip_table(trip: dict[str, Any]) -> Table:
     note = f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}"
     caption = f"Readings that led to the trip: {trip['rule']}"
     return table(caption, " | ".join(READINGS.values()), rows, note)
-
-
-def _stable_spans(run: RunRecord) -> list[tuple[float, float]]:
-    spans: list[tuple[float, float]] = []
-    for t_s, state in zip(run.bath[:, 0].tolist(), run.bath_states, strict=True):
-        if state == "stable":
-            joined = spans and t_s - spans[-1][1] < 5.0
-            start = spans.pop()[0] if joined else t_s
-            spans.append((start, t_s))
-    return spans

@@ -1,4 +1,6 @@
-"""The whole report of a run as a page, from the banner to the trials."""
+"""The whole report of a run as a page, from the banner to the trials, and its provenance: item,
+bench, run, calibration, checksums, faults, command.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.config import read_calibration, read_config
+from bench.files import sha256_of
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, read_run
 from bench.record.schema import RULES, SCRIPT
@@ -15,12 +18,11 @@ from bench.report import tables
 from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
 from bench.report.bath import bath_parts
 from bench.report.comparison import detectors_section
-from bench.report.provenance import fault_parts, provenance_parts, record_parts
 from bench.report.spread import pose_parts, spread_parts
 from bench.report.thesis import published_counts, thesis_chapter
 from bench.report.trials import first_looks, trial_id, trial_parts, trial_table, worst_trials
 from bench.report.truth import arm_parts, deviation_parts, truth_parts
-from bench.report.wording import headline, id_of, table
+from bench.report.wording import headline, id_of, key_values, table
 from bench.results.exports import write_exports
 from bench.results.verdicts import (
     LATENCY_RULE,
@@ -33,11 +35,23 @@ from bench.results.verdicts import (
 )
 from bench.scoring.guard_band import acceptance_limit_mm
 from bench.scoring.rates import zero_failure_n
+from bench.script.calibration_age import CALIBRATION_FACT
 from bench.script.model import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
 from reports import figures
 from reports.mail import write_single_file
-from reports.page import Banner, Figure, Page, Paragraph, Part, Section
+from reports.page import (
+    Banner,
+    Cell,
+    Code,
+    Figure,
+    KeyValues,
+    Notes,
+    Page,
+    Paragraph,
+    Part,
+    Section,
+)
 from reports.render import write_report
 
 REPORT, SINGLE_FILE, PDF = "report", "single-file.html", "report.pdf"
@@ -103,13 +117,17 @@ def build_page(
         confidence=_confidence(run, rules, poses),
         next_action=then,
     )
+    requirements: tuple[Part, ...] = tuple(tables.requirements(j, rules) for j in judgements)
+    if not judgements:
+        nothing = "Nothing was scored, so no requirement was decided."
+        requirements = (Paragraph(nothing, tone="warn"),)
     accuracy = _accuracy_parts(run, rules, calibration)
     reference = (*truth_parts(run), *gage_parts(run, limit_mm), *arm_parts(run), *record_parts(run))
     deviations = (*deviation_parts(run), *fault_parts(run))
     listed: tuple[Part, ...] = (*([looks] if looks else []), trial_table(run))
     results = (*_result_parts(run, rules), *tables.attribution_parts(run))
     sections = (
-        Section("requirements", "Requirements", tuple(_requirement_parts(judgements, rules))),
+        Section("requirements", "Requirements", requirements),
         Section("results", "Results by situation", results),
         *thesis_chapter(run, rules, calibration),
         *chapters,
@@ -165,12 +183,6 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
     if known:
         told += f" The truth is known to ± {2 * max(known):.2f} mm (k = 2)."
     return told
-
-
-def _requirement_parts(judgements: Sequence[Judgement], rules: Rules) -> Iterator[Part]:
-    if not judgements:
-        yield Paragraph("Nothing was scored, so no requirement was decided.", tone="warn")
-    yield from (tables.requirements(judgement, rules) for judgement in judgements)
 
 
 def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
@@ -266,3 +278,116 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     )
     note = f"Real time of the detector alone, on the machine named under Provenance. {LATENCY_RULE}"
     yield table("Detection time", heads, rows, note)
+
+
+FAULTS = {
+    "camera faults": "Frames that were refused and taken again",
+    "retries": "Asks that were repeated",
+}
+MOST_EVENTS = 60  # at either end
+FILES = {
+    SCRIPT: "the trials and the rules, as used",
+    RULES: "the rules, as used",
+    "rig.toml": "the rig, as used",
+    "calibration.toml": "the calibration, as used",
+}
+BESIDE = {
+    "../run.sqlite": "every reading, touch, detection, score and event; its digest stands above",
+    "trials.csv": "a line a trial and detector",
+    "run.json": "facts, verdicts and scores",
+    "junit.xml": "a test case a requirement",
+}
+
+
+def provenance_parts(run: RunRecord) -> Iterator[Part]:
+    """Who was tested, with what, when, and by which data."""
+    facts = run.facts
+    for name, item in facts["items"].items():
+        yield key_values(f"Item under test: {name}", item)
+    yield key_values(
+        "Bench and run",
+        {
+            "folder": run.folder.name,
+            "ending": run.ending,
+            "started": facts["wall_started"],
+            "ended": facts.get("wall_ended"),
+            **{name: facts.get(name) for name in ("seed", "rig", "script")},
+            **{f"version, {name}": version for name, version in facts["versions"].items()},
+            "bench's commit": facts.get("commit"),
+            **_chain(run),
+        },
+    )
+    for name, identity in facts.get("identities", {}).items():
+        yield key_values(f"Instrument: {name}", identity)
+    # each file that the run used, with its checksum now; frames are in the record's chain
+    rows = [
+        (Cell(name, href=f"../{name}"), what, Cell(sha256_of(run.folder / name), mono=True))
+        for name, what in FILES.items()
+        if (run.folder / name).is_file()
+    ]
+    frames = sum(len(trial.frames) for trial in run.trials)
+    note = (
+        f"The calibration's at the start was {run.facts['calibration_sha256']}. {frames} pictures"
+        " of frames and stages: each one's SHA-256 is in the record."
+    )
+    yield table("Files as used", "file | what | SHA-256", rows, note)
+    there = {
+        path: what
+        for path, what in BESIDE.items()
+        if not path.startswith("..") or (run.folder / path.removeprefix("../")).is_file()
+    }
+    links = ((what, Cell(path.removeprefix("../"), href=path)) for path, what in there.items())
+    yield KeyValues("Raw data and exports", tuple(links))
+    yield Code("The command that repeats it", str(facts["command"]))
+    # all of them, or of many the first and the last
+    told = []
+    for event in run.events:
+        time = "" if event["t_s"] is None else f"{event['t_s']:.0f} s: "
+        told.append(f"{time}{event['kind']}: {event['text']}")
+    if len(told) > 2 * MOST_EVENTS:
+        told[MOST_EVENTS:-MOST_EVENTS] = [f"… {len(told) - 2 * MOST_EVENTS} more, in run.sqlite …"]
+    yield Notes("Events", tuple(told))
+
+
+def fault_parts(run: RunRecord) -> Iterator[Part]:
+    """Frames taken again and requests repeated; nothing where there were none."""
+    for fact, title in FAULTS.items():
+        counts = sorted((run.facts.get(fact) or {}).items())
+        if counts:
+            yield Notes(title, tuple(f"{name}: {count} times" for name, count in counts))
+
+
+def record_parts(run: RunRecord) -> Iterator[Part]:
+    """Who calibrated the cameras, when and with what; nothing where the run has no record."""
+    fact = run.facts.get(CALIBRATION_FACT)
+    if fact is None:
+        return
+    if fact["made"] is None:
+        emulated = fact["emulated"]
+        yield Paragraph(
+            "The calibration has no record of who made it, when and with what."
+            f" {'The emulated cameras are made from it.' if emulated else 'Its age is not known.'}",
+            tone="plain" if emulated else "warn",
+        )
+        return
+    yield key_values(
+        "Calibration",
+        {
+            "made": fact["made"],
+            "age": f"{fact['age_days']} days on the day of the run",
+            "by": fact["by"] or None,
+            "with": fact["with_what"],
+            **{f"{name} camera": who for name, who in fact["cameras"].items()},
+        },
+    )
+
+
+def _chain(run: RunRecord) -> dict[str, str]:
+    """The record's chain, by which `teatbench store check` tells whether it was changed."""
+    if run.head is None or not run.head.number:
+        return {"record's digest": "none: the bench that wrote the record made no chain"}
+    return {
+        "record's chain": f"{run.head.number} links",
+        "record's digest": run.head.wall_digest,
+        "record's digest without real time (repeats with the seed)": run.head.digest,
+    }

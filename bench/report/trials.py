@@ -1,20 +1,46 @@
-"""The report's part for each trial: frames, teats, readings; and which trials are the worst."""
+"""The report's part for each trial: pictures, teats, readings; and which trials are the worst.
+
+The pictures are JPEG of the frames, cut to the teats at first sight, with truth, the detector's
+stages and found points over them. Any stage of a trace with `left_px`, `right_px` or
+`thermal_px` (n, 2) is drawn by its name. Coordinates are the image's pixels. The pictures can be
+made again at any time, so nothing is synced to the disk.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import Row
 from bench.report.bath import capture_told, surface_at, surface_told
-from bench.report.frames import IMAGES, pictures
+from bench.report.tables import covariance_of
 from bench.report.truth import trial_truth
 from bench.report.wording import number, table, xyz
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration
+from detector.fused.model import COUNT, Outline, contours, pixels_of
+from detector.geometry import Motion
 from detector.protocol import Outcome
+from reports.frames import (
+    Circle,
+    Cross,
+    Ellipse,
+    ImageView,
+    Label,
+    LayerTone,
+    Overlay,
+    Polyline,
+    Rect,
+    Shape,
+)
 from reports.page import Cell, KeyValues, Table, Tone, TrialPart
 
 AT_ONCE = 4  # trials: decoding and encoding pictures lets others work
@@ -179,3 +205,244 @@ def _teats(trial: TrialRecord, detector: str) -> Table:
         " | >dy [mm] ~+.2f | >dz [mm] ~+.2f | >distance [mm] ~.2f | is"
     )
     return table(f"Teat ends, detector {detector}", heads, rows)
+
+
+Points = NDArray[np.float64]
+
+JPEG_QUALITY = 80
+MARGIN_PX = 90  # round the teats, in the enlarged view of the optical frames
+IMAGES = "images"
+# 95 % of a plane's normal distribution lies within this Mahalanobis distance squared
+CHI2_95_OF_2 = 5.991
+OUTLINE = Outline.of(60.0, 4, 9)  # of a model, as far as it is drawn
+STEP_MM = 0.05  # for the slope of a projection
+NAMES: dict[LayerTone, str] = {
+    "truth": "truth",
+    "nomination": "thermal nomination",
+    "region": "search region",
+    "point": "final point",
+    "model": "fitted model",
+    "spread": "95 % region stated",
+    "other": "other stages",
+}
+FINAL = {"ends"}  # stages that repeat the answer
+
+
+def pictures(
+    run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path
+) -> Iterator[ImageView]:
+    """Every view of a trial; its files are written into ``folder``/images, which must be there."""
+    ends = [[r["x_mm"], r["y_mm"], r["z_mm"]] for r in trial.truth]
+    truth = project_all(calibration, np.array(ends).reshape(-1, 3))
+    paths = {row["camera"]: row["path"] for row in trial.frames}
+    for camera, points in truth.items():
+        image = grey(run.folder / paths[camera]) if camera in paths else None
+        if image is None:
+            continue  # the store's check names a frame that is gone; the page does without
+        label = camera
+        if camera == "thermal" and calibration.thermal.mirrored:
+            image = np.ascontiguousarray(image[:, ::-1])  # as the detector and the overlays count
+            label = f"{camera}, un-mirrored"
+        name = f"{IMAGES}/{trial.id}-{camera}.jpg"
+        _write(image, folder / name, cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
+        height, width = image.shape
+        yield ImageView(
+            label=label,
+            src=name,
+            width=width,
+            height=height,
+            alt=f"{label} frame of trial {trial.id}",
+            overlays=overlays(trial, camera, points, calibration),
+            view_box=None if camera == "thermal" else round_teats(points, width, height),
+            original=f"../{paths[camera]}",
+        )
+    for detection in trial.detections:
+        # the detector's edge picture, where it has one, with the points that were taken from it
+        path = paths.get(f"{detection['detector']}-edges")
+        image = None if path is None else grey(run.folder / path)
+        if image is None:
+            continue
+        name = f"{IMAGES}/{trial.id}-{detection['detector']}-edges.png"
+        _write(255 - image, folder / name, cv2.IMWRITE_PNG_BILEVEL, 1)
+        height, width = image.shape
+        label = f"{detection['detector']}: edges in the thermal frame"
+        alt = f"{label}, trial {trial.id}"
+        layers = stage_overlays(detection)
+        yield ImageView(label, name, width, height, alt, layers, original=f"../{path}")
+
+
+def round_teats(points: Points | None, width: int, height: int) -> tuple[int, int, int, int] | None:
+    """A 4:3 part of the frame around the teat ends; the whole frame where it has none."""
+    if (
+        points is None
+        or not np.isfinite(points).all()
+        or not ((points >= 0) & (points < (width, height))).all(axis=1).any()
+    ):
+        return None
+    low, high = points.min(axis=0) - MARGIN_PX, points.max(axis=0) + MARGIN_PX
+    view_width = int(min(width, max(high[0] - low[0], (high[1] - low[1]) * 4 / 3)))
+    view_height = int(min(height, view_width * 3 / 4))
+    if min(view_width, view_height) < 1:  # a frame of a few pixels has no part
+        return None
+    middle = (low + high) / 2
+    x = int(np.clip(middle[0] - view_width / 2, 0, width - view_width))
+    y = int(np.clip(middle[1] - view_height / 2, 0, height - view_height))
+    return x, y, view_width, view_height
+
+
+def grey(path: Path) -> NDArray[np.uint8] | None:
+    """A frame as 8-bit grey or None; read through memory: OpenCV wants ASCII paths on Windows."""
+    if not path.is_file():
+        return None
+    data = np.frombuffer(path.read_bytes(), np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    return None if image is None else np.asarray(image, dtype=np.uint8)
+
+
+def _write(image: NDArray[np.uint8], path: Path, setting: int, value: int) -> None:
+    done, data = cv2.imencode(path.suffix, image, [setting, value])
+    if not done:
+        raise ValueError(f"OpenCV can't write {path.name}")
+    path.write_bytes(bytes(data))
+
+
+def project_all(calibration: Calibration, world_mm: Points) -> dict[str, Points | None]:
+    """Pixels (n, 2) of world points (n, 3) by camera, thermal un-mirrored; None without a pose."""
+    left, right = calibration.project(world_mm)
+    in_right = calibration.world_from_right.inverse().apply(world_mm)
+    lens, pose = calibration.thermal.lens, calibration.thermal_from_right
+    thermal = lens.project(pose.apply(in_right)) if lens and pose else None
+    return {"left": left, "right": right, "thermal": thermal}
+
+
+def overlays(
+    trial: TrialRecord, camera: str, truth_px: Points | None, calibration: Calibration
+) -> tuple[Overlay, ...]:
+    """All layers over one camera's frame; ``truth_px`` (n, 2) is the truth in its pixels."""
+    shapes: dict[LayerTone, list[Shape]] = {tone: [] for tone in NAMES}
+    if truth_px is not None:
+        for row, (x, y) in zip(trial.truth, truth_px, strict=True):
+            if np.isfinite([x, y]).all():
+                hidden = "" if row["visible"] else " (hidden)"
+                shapes["truth"].append(Circle(x, y, 7, f"truth {row['teat']}{hidden}"))
+                shapes["truth"].append(Label(x + 9, y - 5, str(row["teat"])))
+    for detection in trial.detections:
+        trace, name = json.loads(detection["trace"]), str(detection["detector"])
+        for tone, shape in (
+            *_stages(trace, camera, name),
+            *_models(trace, camera, calibration, name),
+        ):
+            shapes[tone].append(shape)
+        for row in trial.found:
+            if row["detector"] == name:
+                shapes["point"] += _final(row, camera)
+                shapes["spread"] += _spread(row, camera, calibration)
+    return tuple(
+        Overlay(tone, NAMES[tone], tuple(found)) for tone, found in shapes.items() if found
+    )
+
+
+def stage_overlays(detection: Row) -> tuple[Overlay, ...]:
+    """Over the thesis's picture of edges: the points taken from it, and those nominated."""
+    trace = json.loads(detection["trace"])
+    taken = tuple(
+        Circle(x, y, 4, stage)
+        for stage in ("vertical ends", "horizontal middles")
+        for x, y in points_of(trace, stage, "points_px")
+    )
+    ends = points_of(trace, "teat ends", "points_px")
+    nominated = tuple(Cross(x, y, 6, title="nominated") for x, y in ends)
+    other = Overlay("other", NAMES["other"], taken)
+    layers = (other, Overlay("nomination", NAMES["nomination"], nominated))
+    return tuple(layer for layer in layers if layer.shapes)
+
+
+def points_of(trace: Mapping[str, Any], stage: str, key: str) -> Points:
+    """The finite points (n, 2) of a stage; none where it has no such thing."""
+    points = _rows(trace.get(stage, {}).get(key), 2)
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _rows(value: Any, width: int) -> Points:
+    """A stage's numbers as rows (n, width); none where they have another shape."""
+    try:
+        array = np.array(value if isinstance(value, list) else [], dtype=np.float64)
+    except (TypeError, ValueError):  # text, or rows of different lengths
+        return np.empty((0, width))
+    return array.reshape(-1, width) if array.size % width == 0 else np.empty((0, width))
+
+
+def _stages(
+    trace: Mapping[str, Any], camera: str, detector: str
+) -> Iterator[tuple[LayerTone, Shape]]:
+    """Points of stages in this camera's picture; the thesis's own stages by their names."""
+    for stage in trace:
+        tone: LayerTone = "nomination" if stage == "nominations" else "other"
+        if stage not in FINAL:
+            for x, y in points_of(trace, stage, f"{camera}_px"):
+                yield tone, Cross(x, y, 6, title=f"{detector}: {stage}")
+    if camera == "thermal":
+        for x, y in points_of(trace, "teat ends", "points_px"):
+            yield "nomination", Cross(x, y, 6, title=f"{detector}: nominated")
+        return
+    region = trace.get("regions", {}).get(camera)
+    if isinstance(region, dict) and len(region["shape"]) >= 2:
+        high, wide = region["shape"][-2:]
+        for x, y in np.round(points_of(trace, "nominations", f"{camera}_px")):
+            title = f"{detector}: search region"
+            yield "region", Rect(x - wide / 2, y - high / 2, wide, high, title)
+
+
+def _models(
+    trace: Mapping[str, Any], camera: str, calibration: Calibration, detector: str
+) -> Iterator[tuple[LayerTone, Shape]]:
+    """The outlines of fused's fitted teats (right camera), reasons of rejection, thermal ends."""
+    if camera == "thermal":
+        # fused nominates in the sensor's pixels, of which the picture may have several each
+        size = calibration.thermal.image_size[0] / calibration.thermal.sensor_size[0]
+        for what in ("end", "bar"):
+            for x, y in (points_of(trace, "thermal", f"{what}_px") + 0.5) * size - 0.5:
+                yield "nomination", Cross(x, y, 6, title=f"{detector}: warm {what}")
+    decided = trace.get("decisions", {})
+    teats = _rows(decided.get("teats"), COUNT)
+    reasons = decided.get("reasons") if isinstance(decided.get("reasons"), list) else []
+    lens, from_right = {
+        "left": (calibration.left, calibration.right_from_left.inverse()),
+        "right": (calibration.right, Motion.identity()),
+        "thermal": (calibration.thermal.lens, calibration.thermal_from_right),
+    }[camera]
+    if not len(teats) or lens is None or from_right is None:
+        return
+    lines = pixels_of(contours(teats, from_right, OUTLINE).points, lens)
+    for line, reason in zip(lines, reasons, strict=False):
+        if np.isfinite(line).all():
+            told = f"{detector}: rejected, {reason}" if reason else f"{detector}: fitted teat"
+            tone: LayerTone = "other" if reason else "model"
+            yield tone, Polyline(tuple((float(x), float(y)) for x, y in line), title=told)
+
+
+def _final(row: Row, camera: str) -> Iterator[Shape]:
+    at = row.get(f"{camera}_px")
+    if at:
+        x, y = json.loads(at)
+        if np.isfinite([x, y]).all():
+            yield Cross(x, y, 6, turned=True, title=f"{row['detector']}: end")
+
+
+def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:
+    """The stated covariance in this camera: an ellipse for 95 % of cases."""
+    covariance = covariance_of(row)
+    if covariance is None:
+        return
+    end = np.array([row["x_mm"], row["y_mm"], row["z_mm"]])
+    around = np.vstack([end, end + STEP_MM * np.eye(3), end - STEP_MM * np.eye(3)])
+    seen = project_all(calibration, around)[camera]
+    if seen is None or not np.isfinite(seen).all():
+        return
+    slope = (seen[1:4] - seen[4:7]).T / (2 * STEP_MM)  # px / mm, (2, 3)
+    sizes, directions = np.linalg.eigh(slope @ covariance @ slope.T)
+    minor, major = np.sqrt(CHI2_95_OF_2 * np.clip(sizes, 0.0, None)).tolist()
+    turn_deg = float(np.degrees(np.arctan2(directions[1, 1], directions[0, 1])))
+    told = f"{row['detector']}: stated 95 % region, {major:.1f} by {minor:.1f} px"
+    x, y = seen[0].tolist()
+    yield Ellipse(x, y, major, minor, turn_deg, told)

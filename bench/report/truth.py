@@ -123,12 +123,41 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
         " correct for it.",
         tone="info",
     )
-    yield from _budgets(run)
+    ends = [row for trial in run.counted for row in trial.truth]
+    for how in How:
+        budgets = [json.loads(row["budget"]) for row in ends if row["how"] == how and row["budget"]]
+        if not budgets:
+            continue
+        worst = max(budgets, key=lambda budget: budget["u_mm"])
+        lines = [(c["name"], c["u_mm"], c["source"]) for c in worst["components"]]
+        lines.append(("combined, along one axis", worst["u_mm"], "root of the sum of squares"))
+        yield table(
+            f"Uncertainty budget of the {how} truth: the worst of {len(budgets)} ends",
+            "component | >u [mm] ~.3f | source",
+            lines,
+            f"Each trial has its own, per teat; {U_NOTE}.",
+        )
+    known = [row["u_mm"] for row in ends if row["u_mm"] is not None]
+    if known:
+        yield Paragraph(
+            "Every decision's guard band is that of the largest uncertainty in the run: u ="
+            f" {max(known):.3f} mm along an axis."
+        )
     registration = registration_from_facts(run.facts)
     if registration is not None:
         yield from _registration(run, registration)
     if run.checks:
-        yield _check_touches(run)
+        heads = (
+            ">check | after trial | teat | >touched x, y, z [mm] | >carried x, y, z [mm]"
+            " | >apart [mm] ~.2f | >limit [mm] ~g | carry"
+        )
+        states = (Cell("lost", "bad"), Cell("held", "good"))
+        rows = []
+        for row in run.checks:
+            places = (xyz(row), xyz(row, "carried_"))
+            who = (row["number"], str(row["after_trial"]), str(row["teat"]))
+            rows.append((*who, *places, row["off_mm"], row["limit_mm"], states[bool(row["held"])]))
+        yield table("Check touches of the carried truth", heads, rows)
     exact = [row for trial in run.counted for row in trial.truth if row["exact_mm"]]
     if exact:
         yield Paragraph(_truth_error(exact), tone="info")
@@ -196,29 +225,6 @@ def trial_truth(trial: TrialRecord) -> Table | None:
     )
 
 
-def _budgets(run: RunRecord) -> Iterator[Part]:
-    ends = [row for trial in run.counted for row in trial.truth]
-    for how in How:
-        budgets = [json.loads(row["budget"]) for row in ends if row["how"] == how and row["budget"]]
-        if not budgets:
-            continue
-        worst = max(budgets, key=lambda budget: budget["u_mm"])
-        lines = [(c["name"], c["u_mm"], c["source"]) for c in worst["components"]]
-        lines.append(("combined, along one axis", worst["u_mm"], "root of the sum of squares"))
-        yield table(
-            f"Uncertainty budget of the {how} truth: the worst of {len(budgets)} ends",
-            "component | >u [mm] ~.3f | source",
-            lines,
-            f"Each trial has its own, per teat; {U_NOTE}.",
-        )
-    known = [row["u_mm"] for row in ends if row["u_mm"] is not None]
-    if known:
-        yield Paragraph(
-            "Every decision's guard band is that of the largest uncertainty in the run: u ="
-            f" {max(known):.3f} mm along an axis."
-        )
-
-
 def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
     for fault in found.faults:
         yield Paragraph(fault, tone="warn")
@@ -271,20 +277,6 @@ def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
             else ", which the carry's uncertainty is made of."
         ),
     )
-
-
-def _check_touches(run: RunRecord) -> Table:
-    heads = (
-        ">check | after trial | teat | >touched x, y, z [mm] | >carried x, y, z [mm]"
-        " | >apart [mm] ~.2f | >limit [mm] ~g | carry"
-    )
-    states = (Cell("lost", "bad"), Cell("held", "good"))
-    rows = []
-    for row in run.checks:
-        places = (xyz(row), xyz(row, "carried_"))
-        who = (row["number"], str(row["after_trial"]), str(row["teat"]))
-        rows.append((*who, *places, row["off_mm"], row["limit_mm"], states[bool(row["held"])]))
-    return table("Check touches of the carried truth", heads, rows)
 
 
 def _truth_error(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -137,7 +137,15 @@ def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None])
             transparent=True,
             metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
         )
-    return _for_a_page(written.getvalue(), name)
+    svg = written.getvalue()
+    body = svg[svg.index("<svg") :]
+    body = re.sub(r"<(style|metadata)\b.*?</\1>", "", body, flags=re.DOTALL)
+    wanted = set(re.findall(r'(?:url\(|xlink:href=")#([^")]+)', body))
+    known = dict.fromkeys(found for found in re.findall(r'\bid="([^"]*)"', body) if found in wanted)
+    # short: every point of a cloud names one
+    defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}
+    body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
+    return _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
 
 
 def not_measured(name: str, inches: tuple[float, float], why: str) -> str:
@@ -233,17 +241,6 @@ def one_each(function: str, links: Sequence[str] | None, points: int) -> None:
     """Raises ValueError where there are links, and not one for each point."""
     if links is not None and len(links) != points:
         raise ValueError(f"{function}: {len(links)} links for {points} points; give one a point")
-
-
-def _for_a_page(svg: str, name: str) -> str:
-    body = svg[svg.index("<svg") :]
-    body = re.sub(r"<(style|metadata)\b.*?</\1>", "", body, flags=re.DOTALL)
-    wanted = set(re.findall(r'(?:url\(|xlink:href=")#([^")]+)', body))
-    known = dict.fromkeys(found for found in re.findall(r'\bid="([^"]*)"', body) if found in wanted)
-    # short: every point of a cloud names one
-    defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}
-    body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
-    return _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
 
 
 def _grouped(run: re.Match[str]) -> str:

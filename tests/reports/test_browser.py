@@ -87,8 +87,12 @@ def test_overlay_lies_over_its_pixel_in_both_views(seen: Seen) -> None:
     assert close[2] == pytest.approx(1.6 * whole[2], rel=0.01)
 
 
-def test_keys_walk_through_the_trials(seen: Seen) -> None:
-    page = seen.page
+def test_keys_walk_through_the_trials_and_show_their_help(seen: Seen) -> None:
+    page, dialog = seen.page, seen.page.locator("#keys")
+    page.keyboard.press("?")
+    expect(dialog).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(dialog).to_be_hidden()
     for key, expected in (("j", "001"), ("j", "002"), ("j", "003"), ("k", "002")):
         page.keyboard.press(key)
         expect(page).to_have_url(re.compile(f"#trial-{expected}$"))
@@ -106,7 +110,7 @@ def test_filter_narrows_the_list_and_the_trials(seen: Seen) -> None:
     expect(page.locator("article.trial:visible")).to_have_count(6)
 
 
-def test_columns_sort_by_number_and_back(seen: Seen) -> None:
+def test_columns_sort_by_number_and_back_and_points_open_trials(seen: Seen) -> None:
     head = seen.page.locator("#trial-list th").nth(4).get_by_role("button")
     cells = seen.page.locator("#trial-list tbody tr td:last-child")
     head.click()
@@ -115,26 +119,16 @@ def test_columns_sort_by_number_and_back(seen: Seen) -> None:
     falling = [float(text) for text in cells.all_inner_texts()]
     assert rising == sorted(rising)
     assert falling == rising[::-1]
-
-
-def test_help_opens_and_closes(seen: Seen) -> None:
-    dialog = seen.page.locator("#keys")
-    seen.page.keyboard.press("?")
-    expect(dialog).to_be_visible()
-    seen.page.keyboard.press("Escape")
-    expect(dialog).to_be_hidden()
-
-
-def test_a_point_of_the_plot_opens_its_trial(seen: Seen) -> None:
+    # a point of the plot opens its trial
     seen.page.locator("#accuracy .plot a").first.click()
     expect(seen.page).to_have_url(re.compile("#trial-001$"))
 
 
-@pytest.mark.parametrize("width", [1440, 1153, 1150, 961, 820, 390, 320])
-def test_nothing_sticks_out_of_the_page(seen: Seen, width: int) -> None:
-    seen.page.set_viewport_size({"width": width, "height": 844})
-    assert seen.page.evaluate("() => document.documentElement.scrollWidth") <= width
-    expect(seen.page.locator("#verdict .next")).to_be_visible()
+def test_nothing_sticks_out_of_the_page(seen: Seen) -> None:
+    for width in (1440, 1153, 1150, 961, 820, 390, 320):
+        seen.page.set_viewport_size({"width": width, "height": 844})
+        assert seen.page.evaluate("() => document.documentElement.scrollWidth") <= width, width
+        expect(seen.page.locator("#verdict .next")).to_be_visible()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -195,15 +189,10 @@ def test_a_frame_is_enlarged_and_back(seen: Seen) -> None:
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    few, many = tmp_path_factory.mktemp("few"), tmp_path_factory.mktemp("many")
-    write_report(sample_page(few), few)
-    write_report(sample_page(many, 7), many)
-    return {
-        "page": few / "index.html",
-        "list": many / "index.html",
-        "trial": many / "trials" / "trial-004.html",
-    }
+def folders(report: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    many = tmp_path_factory.mktemp("many")
+    listed = write_report(sample_page(many, 7), many)
+    return {"page": report, "list": listed, "trial": many / "trials" / "trial-004.html"}
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

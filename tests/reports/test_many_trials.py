@@ -151,21 +151,19 @@ def test_keys_follow_the_filter_into_the_files(seen: Seen) -> None:
 
 
 @pytest.mark.browser
-def test_keys_walk_the_list_and_enter_opens(seen: Seen) -> None:
+def test_points_and_keys_open_a_trial_s_file(seen: Seen) -> None:
     page = seen.page
+    link = page.locator("#accuracy .plot a").first
+    anchor = str(link.get_attribute("href"))
+    link.click()
+    page.wait_for_url(f"**/trials/{anchor[1:]}.html")
+    page.go_back()
+    page.wait_for_url("**/index.html")
     page.keyboard.press("j")
     page.keyboard.press("j")
     expect(page.locator("tr.here")).to_have_id("trial-002")
     page.keyboard.press("Enter")
     page.wait_for_url("**/trials/trial-002.html")
-
-
-@pytest.mark.browser
-def test_a_point_of_the_plot_opens_its_trial_s_file(seen: Seen) -> None:
-    link = seen.page.locator("#accuracy .plot a").first
-    anchor = str(link.get_attribute("href"))
-    link.click()
-    seen.page.wait_for_url(f"**/trials/{anchor[1:]}.html")
 
 
 @pytest.mark.browser

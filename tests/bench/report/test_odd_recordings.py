@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.report.frames import round_teats
+from bench.report.trials import round_teats
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import record
 from tests.bench.commands import Said

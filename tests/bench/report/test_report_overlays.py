@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from bench.record.reader import TrialRecord
-from bench.report.frames import NAMES, overlays, project_all
+from bench.report.trials import NAMES, overlays, project_all
 from bench.rig.loading import find_rig, load_rig
 from detector.calibration import Calibration
 from reports.frames import Ellipse, Overlay, Polyline, Rect

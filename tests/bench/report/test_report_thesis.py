@@ -18,11 +18,11 @@ from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import RunRecord, read_run
 from bench.report.page import stored_rules
-from bench.report.pixel_offsets import offset_page
 from bench.report.thesis import (
     PLANE,
     elsewhere_table,
     largest_region_mm,
+    offset_page,
     places_of,
     published_counts,
     thesis_chapter,

@@ -14,7 +14,7 @@ import pytest
 
 from bench.record.reader import RunRecord
 from bench.report.accuracy import limit_table
-from bench.report.provenance import record_parts
+from bench.report.page import record_parts
 from bench.rig.loading import RIGS
 from bench.script.calibration_age import CALIBRATION_FACT, calibration_fact
 from detector.calibration import Calibration, ParameterCovariance, Record, load_calibration
