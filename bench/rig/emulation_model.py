@@ -16,9 +16,9 @@ from bench.rig.urls import beside_if_named
 from instruments.camera import emulator as camera_faults
 from instruments.microscribe import faults as arm_faults
 from instruments.operators.emulated import Mistake
-from instruments.world.microbolometer import Drift, ThermalSensor
 from instruments.world.scene import Renderer
 from instruments.world.sensor import Focus, OpticalSensor
+from instruments.world.thermal_camera import Drift, ThermalSensor
 
 _Kelvin = Annotated[float, Field(ge=0, le=20)]
 _Pixels = Annotated[float, Field(ge=0, le=20)]

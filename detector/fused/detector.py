@@ -22,9 +22,8 @@ from detector.fused.depth_search import (
     sweep_bars,
     sweep_ends,
 )
-from detector.fused.fit import View
+from detector.fused.fit import Parameters, View
 from detector.fused.model import apexes, axes
-from detector.fused.parameters import Parameters
 from detector.fused.refine import (
     OPTICAL_FINE,
     OPTICAL_FLOOR_PX,

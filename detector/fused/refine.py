@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.fused.edges import LEAST_CLEAR, Profile
-from detector.fused.fit import Seen, View, look, step, weights
+from detector.fused.fit import Parameters, Seen, View, look, step, weights
 from detector.fused.model import (
     COUNT,
     CX,
@@ -30,7 +30,6 @@ from detector.fused.model import (
     apexes,
     axes,
 )
-from detector.fused.parameters import Parameters
 from detector.fused.pictures import UnusableError
 from detector.geometry import Array
 

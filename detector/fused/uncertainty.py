@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from detector.calibration import Calibration
-from detector.fused.fit import apex_jacobian, normal_equations
+from detector.fused.fit import Parameters, apex_jacobian, normal_equations
 from detector.fused.model import END, SIDE_A, SIDE_B, axes
-from detector.fused.parameters import Parameters
 from detector.fused.refine import FINE_OUTLINE, THERMAL_FLOOR_PX, Fitted
 from detector.geometry import Array
 

@@ -17,11 +17,11 @@ from bench.results.sensitivity_limits import Outline, outline_of
 from bench.rig.loading import RIGS
 from bench.rig.scenes import warm
 from detector.calibration import Calibration, ParameterCovariance, load_calibration
-from instruments.world.microbolometer import ThermalSensor
 from instruments.world.scene import Renderer
 from instruments.world.sensor import OpticalSensor
 from instruments.world.situations import situation
 from instruments.world.state import SceneState
+from instruments.world.thermal_camera import ThermalSensor
 
 
 @pytest.fixture(scope="module")

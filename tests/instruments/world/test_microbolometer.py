@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from instruments.world.microbolometer import Drift, ThermalReadout, ThermalSensor, celsius
+from instruments.world.thermal_camera import Drift, ThermalReadout, ThermalSensor, celsius
 
 STEADY = Drift(level_k_per_min=0.0, pattern_k_per_min=0.0)
 PUT_IN = {
