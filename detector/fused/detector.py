@@ -31,6 +31,7 @@ from detector.fused.refine import (
     THERMAL,
     THERMAL_FLOOR_PX,
     Fitted,
+    end_covariances,
     fine,
     hidden_points,
     one_sided,
@@ -38,9 +39,9 @@ from detector.fused.refine import (
     refine_again,
     refine_slid,
     slide_ends,
+    world_covariances,
 )
 from detector.fused.thermal import Nominations, bars, nominate, unexplained
-from detector.fused.uncertainty import end_covariances, world_covariances
 from detector.geometry import Array, Camera, Motion
 from detector.protocol import Detection, Frames, Stage, Teat
 

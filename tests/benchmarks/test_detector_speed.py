@@ -1,5 +1,5 @@
-"""The bench's own detector beside the thesis's on the same frame sets, one core, and the
-triangulation: printed, not asserted.
+"""The bench's own detector beside the thesis's on the same frame sets, one core: printed, not
+asserted.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import record
 from detector import registry
 from detector.calibration import Calibration
-from detector.geometry import triangulate
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import Recording
 from tests.benchmarks.figures import figure
@@ -73,14 +72,3 @@ def calibration_of_rig() -> Calibration:
     rig = load_rig(find_rig(None))
     assert Path(rig.calibration_path).is_file()
     return rig.calibration
-
-
-def test_triangulation_of_100_000_pairs(benchmark: BenchmarkFixture) -> None:
-    rig = calibration_of_rig()
-    points = np.random.default_rng(2).uniform([-200, -150, 1000], [150, 100, 1200], (100_000, 3))
-    left_px, right_px = (
-        rig.left.project(rig.right_from_left.inverse().apply(points)),
-        rig.right.project(points),
-    )
-    found, _ = benchmark(triangulate, left_px, right_px, rig.left, rig.right, rig.right_from_left)
-    assert np.abs(found - points).max() < 1e-6

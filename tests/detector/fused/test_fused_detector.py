@@ -12,8 +12,7 @@ from scipy.stats import chi2
 
 from detector.calibration import Calibration, ParameterCovariance
 from detector.fused.detector import FusedDetector
-from detector.fused.fit import Parameters
-from detector.protocol import Detection, Detector, Teat
+from detector.protocol import Detection, Teat
 from tests.detector.fused.conftest import Body, Draw, Find
 
 Array = NDArray[np.float64]
@@ -43,13 +42,6 @@ def refused(found: Detection) -> str:
 def covariance(teat: Teat) -> Array:
     assert teat.covariance_mm2 is not None
     return teat.covariance_mm2
-
-
-def test_it_is_a_detector() -> None:
-    detector: Detector = FusedDetector()
-    assert (detector.name, detector.version) == ("fused", "2")
-    assert detector.parameters["prior"]["radius_mm"] == 11.0
-    assert FusedDetector(Parameters(most_bars=0)).parameters != detector.parameters
 
 
 def test_teats_of_any_lean_and_shape_are_found(
