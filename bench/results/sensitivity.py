@@ -29,17 +29,23 @@ from detector.calibration import Calibration
 from detector.geometry import Array
 from detector.protocol import Detector, Outcome
 from instruments.camera.frame import FrameSet
-from instruments.world.microbolometer import ThermalSensor
 from instruments.world.objects import make_object
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import FLANGE_HEIGHT_MM, Phantom, PlatePose, Teat
 from instruments.world.scene import Renderer
 from instruments.world.sensor import Image, OpticalSensor
 from instruments.world.shading import Lighting, Paint
-from instruments.world.situations import Situation, collisions, situation
-from instruments.world.situations.families import Draw, apart, udder
-from instruments.world.situations.situation import EYES_MM
+from instruments.world.situations import (
+    EYES_MM,
+    Draw,
+    Situation,
+    apart,
+    collisions,
+    situation,
+    udder,
+)
 from instruments.world.state import SceneState
+from instruments.world.thermal_camera import ThermalSensor
 
 SetUp = Callable[[float, int, Renderer], Situation]
 

@@ -42,10 +42,10 @@ from instruments.camera.frame import Channel, Conversion, Flip, Radiometry, Turn
 from instruments.camera.settings import Settings, Trigger, Value
 from instruments.microscribe import faults as arm_faults
 from instruments.operators.emulated import Mistake
-from instruments.world.microbolometer import Drift, ThermalSensor
 from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer
 from instruments.world.sensor import Focus, OpticalSensor
+from instruments.world.thermal_camera import Drift, ThermalSensor
 
 Baud = Literal[9600, 14400, 19200, 28800, 38400, 57600, 115200]
 

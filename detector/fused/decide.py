@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.fused.edges import CLEAR
+from detector.fused.fit import Parameters
 from detector.fused.model import CZ, END, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, axes
-from detector.fused.parameters import Parameters
 from detector.fused.refine import FINE_OUTLINE, Fitted, on_one_bar
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
-from detector.fused.fit import View
+from detector.fused.fit import Parameters, View
 from detector.fused.model import COUNT, HEIGHT, LEAN_X, RADIUS, Rows, axes
-from detector.fused.parameters import Parameters
 from detector.fused.thermal import Field, Nominations, joined, strengths
 from detector.geometry import Array, Camera, Motion
 

@@ -22,9 +22,8 @@ from detector.fused.depth_search import (
     sweep_bars,
     sweep_ends,
 )
-from detector.fused.fit import View
+from detector.fused.fit import Parameters, View
 from detector.fused.model import apexes, axes
-from detector.fused.parameters import Parameters
 from detector.fused.refine import (
     OPTICAL_FINE,
     OPTICAL_FLOOR_PX,
@@ -32,6 +31,7 @@ from detector.fused.refine import (
     THERMAL,
     THERMAL_FLOOR_PX,
     Fitted,
+    end_covariances,
     fine,
     hidden_points,
     one_sided,
@@ -39,9 +39,9 @@ from detector.fused.refine import (
     refine_again,
     refine_slid,
     slide_ends,
+    world_covariances,
 )
 from detector.fused.thermal import Nominations, bars, nominate, unexplained
-from detector.fused.uncertainty import end_covariances, world_covariances
 from detector.geometry import Array, Camera, Motion
 from detector.protocol import Detection, Frames, Stage, Teat
 

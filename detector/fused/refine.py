@@ -1,5 +1,5 @@
 """From starts to fitted teats: a rough pass for many, a fine one for the rest, and further fits
-where needed.
+where needed; and the covariances of the ends.
 
 The rough pass looks far for plain steps; the fine pass looks close with the full edge model. Then:
 a fit that may bridge two teats is begun again on one side; an end seen in part is slid up its
@@ -13,8 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from detector.calibration import Calibration
 from detector.fused.edges import LEAST_CLEAR, Profile
-from detector.fused.fit import Seen, View, look, step, weights
+from detector.fused.fit import (
+    Parameters,
+    Seen,
+    View,
+    apex_jacobian,
+    look,
+    normal_equations,
+    step,
+    weights,
+)
 from detector.fused.model import (
     COUNT,
     CX,
@@ -30,7 +40,6 @@ from detector.fused.model import (
     apexes,
     axes,
 )
-from detector.fused.parameters import Parameters
 from detector.fused.pictures import UnusableError
 from detector.geometry import Array
 
@@ -304,3 +313,72 @@ def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
         right = from_start[..., 0] < way[:, 0] * from_start[..., 1] / way[:, 1]
     result[near] = beside | ((crossed & right).sum(axis=1) % 2 == 1)
     return result
+
+
+_SUPPORT_PX = 0.3
+_LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
+_STRETCH = 4  # points of an outline that share a shift: some 10 px
+
+
+def end_covariances(fitted: Fitted, p: Parameters) -> Array:
+    """(m, 3, 3) mm^2 of the ends, right camera's frame, without the calibration's share.
+
+    First order (JCGM 102:2011), through the fit's gain, from: each edge's noise; what neighbouring
+    edges share (paint, shadow, sampling), by the scatter of stretches about the outline; the limb
+    correction; the end's deviation from half an ellipsoid; the unseen part of the end.
+    """
+    m, k = fitted.weight.shape
+    optical = 2 * len(FINE_OUTLINE.part)
+    # how the ends move with each edge (m, 3, k), mm a px
+    H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
+    j = np.where(fitted.weight[..., None] > 0, fitted.seen.jacobian, 0.0) * fitted.weight[..., None]
+    gain = apex_jacobian(fitted.teats) @ np.linalg.solve(H, j.transpose(0, 2, 1))
+    noise = gain * np.where(fitted.weight > 0, np.nan_to_num(fitted.seen.sd_px), 0.0)[:, None]
+    limb = gain[..., :optical] * fitted.seen.limb_px[:, None, :optical]
+    # both pictures show the same light
+    part = np.tile(FINE_OUTLINE.part, 2)
+    by_part = np.stack([limb[..., part == q].sum(axis=2) for q in (SIDE_A, END, SIDE_B)], axis=2)
+    stretches = gain.reshape(m, 3, k // _STRETCH, _STRETCH).sum(axis=3)
+    shift = np.full((m, 1, k // _STRETCH), THERMAL_FLOOR_PX)
+    shift[..., : optical // _STRETCH] = _stretch_shift(fitted, p)[:, None, None]
+    axis = axes(fitted.teats)[..., None]
+    near = np.abs(np.nan_to_num(fitted.seen.offset_px[:, :optical], nan=9.0)) < 2 * _SUPPORT_PX
+    shown = (near & (fitted.weight[:, :optical] > 0))[:, part == END].mean(axis=1)
+    unseen = (1.0 - shown) * p.unseen_end_sd_mm
+    moves = [
+        noise,
+        stretches * shift,
+        p.limb_share * by_part,
+        p.limb_share_of_stretch * limb.reshape(m, 3, optical // _STRETCH, _STRETCH).sum(axis=3),
+        np.hypot(p.end_shape_sd_mm, unseen)[:, None, None] * axis,
+    ]
+    return np.asarray(
+        sum(np.einsum("mik,mjk->mij", move, move) for move in moves) + _LEAST_MM2 * np.eye(3)
+    )
+
+
+def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
+    """Common sd (m,) px of a stretch of the optical outlines; larger where a part is unseen."""
+    k = 2 * len(FINE_OUTLINE.part)
+    used = fitted.weight[:, :k] > 0
+    offset = np.where(used, np.clip(np.nan_to_num(fitted.seen.offset_px[:, :k]), -1, 1), 0.0)
+    count = used.reshape(len(used), -1, _STRETCH).sum(axis=2)
+    mean = offset.reshape(*count.shape, _STRETCH).sum(axis=2) / np.maximum(count, 1)
+    whole = count >= _STRETCH - 1
+    scatter = np.where(
+        whole.any(axis=1), (mean**2 * whole).sum(axis=1) / np.maximum(whole.sum(axis=1), 1), 1.0
+    )
+    near = np.abs(np.nan_to_num(fitted.seen.offset_px[:, :k], nan=9.0)) < _SUPPORT_PX
+    support = np.maximum((used & near).mean(axis=1), 0.2)
+    return np.asarray(np.sqrt(p.stretch_least_px**2 + p.stretch_share**2 * scatter) / support)
+
+
+def world_covariances(own: Array, ends_mm: Array, calibration: Calibration) -> Array:
+    """(m, 3, 3) mm^2, world: ``own`` (right camera's frame) and calibration's at ``ends_mm``."""
+    R = calibration.world_from_right.R
+    total = R @ own @ R.T
+    if calibration.covariance is None or len(own) == 0:
+        return np.asarray(total)
+    return np.asarray(
+        total + calibration.covariance_of(calibration.world_from_right.apply(ends_mm))
+    )

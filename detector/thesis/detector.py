@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -176,12 +177,20 @@ def _locate(
     nominated = nominate(maps.left, thermal_px), nominate(maps.right, thermal_px)
     trace.append(Stage("nominations", {"left_px": nominated[0], "right_px": nominated[1]}))
     look = refine if p.refinement else keep
-    refined = [look(left, n, p) for n in nominated[0]], [look(right, n, p) for n in nominated[1]]
-    trace.append(Stage("regions", {**_seen("left", refined[0]), **_seen("right", refined[1])}))
-    left_px, right_px = (np.array([r.end_px for r in side]) for side in refined)
-    left_moved, right_moved = (np.array([r.moved for r in side]) for side in refined)
-    moved = {"left_moved": left_moved, "right_moved": right_moved}
-    trace.append(Stage("ends", {"left_px": left_px, "right_px": right_px, **moved}))
+    refined = {
+        "left": [look(left, n, p) for n in nominated[0]],
+        "right": [look(right, n, p) for n in nominated[1]],
+    }
+    seen = {
+        name: {side: np.array([getattr(r, name) for r in found]) for side, found in refined.items()}
+        for name in Refined.__slots__
+    }
+    bright = {f"{side}_bright": seen["bright"][side] for side in refined}
+    trace.append(Stage("regions", {**seen["region"], **bright}))
+    ends = {f"{side}_px": seen["end_px"][side] for side in refined}
+    moved = {f"{side}_moved": seen["moved"][side] for side in refined}
+    trace.append(Stage("ends", {**ends, **moved}))
+    left_px, right_px = ends.values()
     right_mm, gap_mm = triangulate(
         left_px, right_px, calibration.left, calibration.right, calibration.right_from_left
     )
@@ -219,26 +228,14 @@ def _inside(points_px: Array, picture: Grey) -> NDArray[np.bool_]:
         )
 
 
-def _seen(camera: str, refined: list[Refined]) -> dict[str, NDArray[Any]]:
-    return {
-        camera: np.array([r.region for r in refined]),
-        f"{camera}_bright": np.array([r.bright for r in refined]),
-    }
-
-
-def published_homography() -> ThesisDetector:
-    """The printed homographies: right at 1168 mm, some 6 px off at the teats."""
-    return ThesisDetector(Parameters(homographies="published"), "thesis-published-homography")
-
-
-def no_refinement() -> ThesisDetector:
-    """Thermal picture and homography alone, without the optical pictures."""
-    return ThesisDetector(Parameters(refinement=False), "thesis-no-refinement")
-
-
-def published_homography_no_refinement() -> ThesisDetector:
-    """Both: the printed homographies and nothing after them."""
-    return ThesisDetector(
-        Parameters(homographies="published", refinement=False),
-        "thesis-published-homography-no-refinement",
-    )
+# the printed homographies (right at 1168 mm, some 6 px off at the teats); without the optical
+# pictures; both
+published_homography = partial(
+    ThesisDetector, Parameters(homographies="published"), "thesis-published-homography"
+)
+no_refinement = partial(ThesisDetector, Parameters(refinement=False), "thesis-no-refinement")
+published_homography_no_refinement = partial(
+    ThesisDetector,
+    Parameters(homographies="published", refinement=False),
+    "thesis-published-homography-no-refinement",
+)

@@ -183,49 +183,34 @@ def poses(
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     cameras = sorted(cameras, key=lambda camera: camera.width_px / float(camera.fc[0]))
-    boards = []
+    camera, boards = cameras[0], list[Board]()
+    size = np.array([camera.width_px, camera.height_px])
     for number in range(count):
         part = np.array([number % GRID[0], number // GRID[0] % GRID[1]])
-        board = _held(pattern, cameras, depths_mm, rng, part, seen)
-        if board is None:
+        for attempt in range(ATTEMPTS):
+            # A part that can't hold the board is given up half-way, in favour of any.
+            share = (part + rng.random(2)) / GRID if attempt < ATTEMPTS / 2 else rng.random(2)
+            plane = camera.plane_from_pixels((size * share)[None, :])[0]
+            middle = camera.R.T @ (np.array([*plane, 1.0]) * rng.uniform(*depths_mm) - camera.t_mm)
+            most = np.array([TILT_DEG, TURN_DEG, TILT_DEG])
+            turn = cv2.Rodrigues(np.radians(rng.uniform(-most, most)))[0]
+            across, along = turn @ camera.R[0], turn @ camera.R[1]
+            width, height = pattern.size_mm
+            corner = middle - 0.5 * (width * across + height * along)
+            board = Board(as_point(corner), as_point(across), as_point(along), pattern)
+            outline = board.outline_mm
+            # held over the table, or before it
+            free = np.all((outline[:, 2] > 5.0) | (outline[:, 1] < TABLE_FRONT_MM))
+            if free and all(_seen(board, one) >= seen for one in cameras):
+                boards.append(board)
+                break
+        else:
             raise ValueError(
                 f"no place found for a board of {pattern.size_mm} mm at {depths_mm} mm where"
                 f" {', '.join(c.name for c in cameras)} see {seen:.0%} of it: take a smaller board,"
                 " or hold it farther away"
             )
-        boards.append(board)
     return tuple(boards)
-
-
-def _held(
-    pattern: Pattern,
-    cameras: Sequence[CameraModel],
-    depths_mm: tuple[float, float],
-    rng: np.random.Generator,
-    part: Floats,
-    seen: float,
-) -> Board | None:
-    camera = cameras[0]
-    size = np.array([camera.width_px, camera.height_px])
-    for attempt in range(ATTEMPTS):
-        # A part that can't hold the board is given up half-way, in favour of any.
-        aim = size * ((part + rng.random(2)) / GRID if attempt < ATTEMPTS / 2 else rng.random(2))
-        ray = np.array([*camera.plane_from_pixels(aim[None, :])[0], 1.0]) * rng.uniform(*depths_mm)
-        middle = camera.R.T @ (ray - camera.t_mm)
-        angles = np.radians(
-            rng.uniform([-TILT_DEG, -TURN_DEG, -TILT_DEG], [TILT_DEG, TURN_DEG, TILT_DEG])
-        )
-        turn = cv2.Rodrigues(angles)[0]
-        across, along = turn @ camera.R[0], turn @ camera.R[1]
-        width, height = pattern.size_mm
-        corner = middle - 0.5 * (width * across + height * along)
-        board = Board(as_point(corner), as_point(across), as_point(along), pattern)
-        outline = board.outline_mm
-        # held over the table, or before it
-        free = np.all((outline[:, 2] > 5.0) | (outline[:, 1] < TABLE_FRONT_MM))
-        if free and all(_seen(board, one) >= seen for one in cameras):
-            return board
-    return None
 
 
 def _seen(board: Board, camera: CameraModel) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.world.optics import CameraModel, Floats
-from instruments.world.solids import Bools, Ints, Solids
+from instruments.world.solids import Ints, Solids
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,25 +89,20 @@ def _lay_mixed(
     image[pixel[alone]] += share[alone] * (value[alone] - image[pixel[alone]])
     shared = np.flatnonzero(~alone)
     if len(shared):
-        stack = _stacked(pixel[shared], share[shared], depth[shared], owner[shared], value[shared])
-        image[stack.pixel] = stack.light + stack.behind * image[stack.pixel]
+        at, light, behind, _ = _stacked(
+            pixel[shared], share[shared], depth[shared], owner[shared], value[shared]
+        )
+        image[at] = light + behind * image[at]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stack:
-    """Surfaces in pixels (m,): light, share seen past them, the nearest of each."""
-
-    pixel: Ints
-    light: Floats
-    behind: Floats
-    nearest: Ints
-
-
-def _stacked(pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]) -> _Stack:
+def _stacked(
+    pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDArray[Any]
+) -> tuple[Ints, Floats, Floats, Ints]:
+    """Surfaces in pixels (m,): pixel, light, share seen past them, the nearest of each."""
     # One key orders by pixel, then depth: a third of the time of two, and fine to 1e-4 mm.
     order = np.argsort(pixel + depth / (1.0 + 2.0 * depth.max()))
     sorted_pixel = pixel[order]
-    starts = _starts(sorted_pixel)
+    starts = np.append(True, sorted_pixel[1:] != sorted_pixel[:-1])
     place = np.cumsum(starts) - 1
     rank = np.arange(len(order)) - np.flatnonzero(starts)[place]
     nearest = order[starts]
@@ -123,7 +118,7 @@ def _stacked(pixel: Ints, share: Floats, depth: Floats, owner: Ints, value: NDAr
         after = np.maximum(before, share[now])
         light[here] += behind[here] * (after - before) * value[now]
         widest[here], last_owner[here] = after, owner[now]
-    return _Stack(sorted_pixel[starts], light, behind * (1.0 - widest), nearest)
+    return sorted_pixel[starts], light, behind * (1.0 - widest), nearest
 
 
 def merged(
@@ -135,20 +130,22 @@ def merged(
     along: Floats | None = None,
 ) -> Layer:
     """One object's layer from surfaces (n,) of which several may meet in a pixel."""
+    whole = Layer(row, column, share, depth_mm, value, along)
     if len(row) == 0:
-        return Layer(row, column, share, depth_mm, value, along)
+        return whole
     left, top = int(column.min()), int(row.min())
     pixel = (row - top) * (int(column.max()) - left + 1) + column - left
     often = np.bincount(pixel)[pixel] > 1
     many = np.flatnonzero(often)
     if len(many) == 0:
-        return Layer(row, column, share, depth_mm, value, along)
+        return whole
     once = np.flatnonzero(~often)
     owner = np.zeros(len(many), dtype=np.intp)
-    stack = _stacked(pixel[many], share[many], depth_mm[many], owner, value[many])
-    keep = np.concatenate([once, many[stack.nearest]])
-    seen = 1.0 - stack.behind
-    mean = np.concatenate([value[once], stack.light / np.maximum(seen, 1e-12)])
+    _, light, behind, nearest = _stacked(
+        pixel[many], share[many], depth_mm[many], owner, value[many]
+    )
+    keep, seen = np.concatenate([once, many[nearest]]), 1.0 - behind
+    mean = np.concatenate([value[once], light / np.maximum(seen, 1e-12)])
     return Layer(
         row[keep],
         column[keep],
@@ -157,13 +154,6 @@ def merged(
         mean.astype(value.dtype),
         None if along is None else along[keep],
     )
-
-
-def _starts(sorted_values: Ints) -> Bools:
-    """True where a run of equal values begins."""
-    starts = np.ones(len(sorted_values), dtype=np.bool_)
-    starts[1:] = sorted_values[1:] != sorted_values[:-1]
-    return starts
 
 
 STEP_PX = 8.0  # longest straight piece of an outline: the lens bends it by less than 1e-4 px
@@ -216,9 +206,23 @@ def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
 def _of_corners(corners: Sequence[Floats], owners: Sequence[int], camera: CameraModel) -> Cover:
     """Polygons (m, 2) in the ideal plane, each with the number of its solid."""
     owner = np.repeat(np.asarray(owners, dtype=np.intp), [len(outline) for outline in corners])
-    ends = np.concatenate([np.concatenate([outline[1:], outline[:1]]) for outline in corners])
-    pieces = _cut(owner, np.concatenate(corners), ends, camera)
-    return _areas(max(owners) + 1, *pieces, camera)
+    end = np.concatenate([np.roll(outline, -1, axis=0) for outline in corners])
+    start = np.concatenate(corners)
+    # edges in pieces of STEP_PX, those near the image kept, and distorted
+    length_px = np.linalg.norm((end - start) * camera.fc, axis=1)
+    pieces = np.maximum(np.ceil(length_px / STEP_PX), 1.0).astype(np.intp)
+    edge, part = _repeated(pieces)
+    way = (end - start)[edge] / pieces[edge][:, None]
+    begin = start[edge] + part[:, None] * way
+    low, high = _plane_window(camera)
+    first, last = (_bent(plane, camera, low, high) for plane in (begin, begin + way))
+    return _areas(max(owners) + 1, owner[edge], first, last, camera)
+
+
+def _repeated(counts: Ints) -> tuple[Ints, Ints]:
+    """Each place of ``counts`` so many times, and the number of each repetition from 0."""
+    which = np.repeat(np.arange(len(counts)), counts)
+    return which, np.arange(len(which)) - (np.cumsum(counts) - counts)[which]
 
 
 def _outlines(solids: Solids, camera: CameraModel) -> tuple[list[Floats], list[int]]:
@@ -258,21 +262,6 @@ def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
     return np.asarray(centre[:, None, :] + radius[:, None, None] * circle)
 
 
-def _cut(
-    owner: Ints, start: Floats, end: Floats, camera: CameraModel
-) -> tuple[Ints, Floats, Floats]:
-    """Cut edges in the ideal plane to STEP_PX, keep those near the image, and distort them."""
-    length_px = np.linalg.norm((end - start) * camera.fc, axis=1)
-    pieces = np.maximum(np.ceil(length_px / STEP_PX), 1.0).astype(np.intp)
-    edge = np.repeat(np.arange(len(owner)), pieces)
-    first = np.concatenate([[0], np.cumsum(pieces)[:-1]])
-    part = (np.arange(len(edge)) - first[edge])[:, None]
-    way = (end - start)[edge] / pieces[edge][:, None]
-    low, high = _plane_window(camera)
-    begin = start[edge] + part * way
-    return owner[edge], _bent(begin, camera, low, high), _bent(begin + way, camera, low, high)
-
-
 @lru_cache(maxsize=16)  # cameras are few and never change
 def _plane_window(camera: CameraModel) -> tuple[Floats, Floats]:
     """A part of the ideal plane with the image and its margin: a lens model may fold beyond it."""
@@ -309,13 +298,9 @@ def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraMo
     share = np.minimum(np.abs(np.cumsum(change)), 1.0)
     flat = np.flatnonzero(share > NOTHING)
     # both are in order, so each solid's cells are one run
-    cells = np.diff(np.searchsorted(flat, offset))
-    solid = np.repeat(np.arange(count), cells)
-    local = flat - np.repeat(offset[:-1], cells)
-    across = np.repeat(width, cells)
-    row = local // across
-    column = local - row * across + np.repeat(x0, cells)
-    row += np.repeat(y0, cells)
+    solid = np.repeat(np.arange(count), np.diff(np.searchsorted(flat, offset)))
+    row, column = np.divmod(flat - offset[solid], width[solid])
+    row, column = row + y0[solid], column + x0[solid]
     inside = (row >= 0) & (column >= 0) & (row < camera.height_px) & (column < camera.width_px)
     return Cover(solid[inside], row[inside], column[inside], share[flat[inside]])
 
@@ -323,16 +308,17 @@ def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraMo
 def _split_at_pixels(start: Floats, end: Floats) -> tuple[Ints, Floats, Floats]:
     """Cut edges (n, 2) where they cross from pixel to pixel: which edge, from, to."""
     edges = np.arange(len(start))
-    keys = [edges.astype(np.float64)]
+    keys: list[Floats] = [edges.astype(np.float64)]
     for axis in (0, 1):
         p, q = start[:, axis], end[:, axis]
         low, high = np.minimum(p, q), np.maximum(p, q)
         first = np.floor(low) + 1.0
         crossings = np.maximum(np.ceil(high) - first, 0.0).astype(np.intp)
-        edge = np.repeat(edges, crossings)
-        before = np.concatenate([[0], np.cumsum(crossings)[:-1]])
-        line = first[edge] + (np.arange(len(edge)) - before[edge])
-        keys.append(edge + np.minimum((line - p[edge]) / (q - p)[edge], 1.0 - 1e-9))
+        edge, number = _repeated(crossings)
+        line = first[edge] + number
+        keys.append(
+            edge.astype(np.float64) + np.minimum((line - p[edge]) / (q - p)[edge], 1.0 - 1e-9)
+        )
     # the edge's number and how far along it: one sort orders both
     key = np.sort(np.concatenate(keys))
     edge = np.minimum(key.astype(np.intp), len(start) - 1)

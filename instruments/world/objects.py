@@ -35,13 +35,6 @@ class SceneObject:
     temperature: Warmth
     offset_k: float = 0.0
 
-    def temperature_c(self, ambient_c: float, teat_c: float) -> float:
-        """degC, where the room and the teats have these."""
-        named = {"ambient": ambient_c, "teat": teat_c}
-        return (
-            named[self.temperature] if isinstance(self.temperature, str) else self.temperature
-        ) + self.offset_k
-
 
 def phantom_objects(
     phantom: Phantom, paint: Paint, teat_temps_c: Iterable[float], hose_c: float
@@ -165,7 +158,7 @@ KINDS = {
 
 def parameters(kind: str) -> tuple[str, ...]:
     """The parameters that a kind takes. Raises ValueError for a kind that isn't known."""
-    _known("kind of object", kind, KINDS)
+    check_known("kind of object", kind, KINDS)
     return (*inspect.signature(KINDS[kind][0]).parameters, *LOOK)
 
 
@@ -173,9 +166,9 @@ def make_object(kind: str, **params: Any) -> SceneObject:
     """An object by name. Raises ValueError with the wrong parameter and the likely one."""
     names = parameters(kind)
     for name, value in params.items():
-        _known(f"parameter of {kind}", name, names)
+        check_known(f"parameter of {kind}", name, names)
         if name == "temperature" and isinstance(value, str):
-            _known(f"temperature of {kind} (besides degC)", value, ("teat", "ambient"))
+            check_known(f"temperature of {kind} (besides degC)", value, ("teat", "ambient"))
         elif type(value) not in (int, float) or not math.isfinite(value):
             raise ValueError(f"{kind}: {name} must be a finite number, is {value!r}")
     shape, usual = KINDS[kind]
@@ -188,7 +181,8 @@ def make_object(kind: str, **params: Any) -> SceneObject:
         raise ValueError(f"{kind}: {fault}") from fault
 
 
-def _known(what: str, name: str, names: Iterable[str]) -> None:
+def check_known(what: str, name: str, names: Iterable[str]) -> None:
+    """Raises ValueError with the likely name where ``name`` is none of ``names``."""
     known = list(names)
     if name not in known:
         close = difflib.get_close_matches(name, known, n=1)

@@ -52,14 +52,14 @@ class Surfaces:
     ) -> list[Layer]:
         """A layer for each of ``count`` things, from a value for each pair."""
         ends = np.searchsorted(self.owner, np.arange(count + 1))
-        at = self.cover.row, self.cover.column, self.cover.share, self.depth_mm
-        layers = []
-        for start, end in pairwise(ends):
-            part = slice(start, end)
-            row, column, share, depth_mm = at[0][part], at[1][part], at[2][part], at[3][part]
-            place = None if along is None else along[part]
-            layers.append(merged(row, column, share, depth_mm, value[part], place))
-        return layers
+        at, depth_mm = self.cover, self.depth_mm
+        return [
+            merged(
+                at.row[part], at.column[part], at.share[part], depth_mm[part], value[part],
+                None if along is None else along[part],
+            )
+            for part in (slice(start, end) for start, end in pairwise(ends))
+        ]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -291,15 +291,11 @@ class OpticalCamera:
         )
 
     def _things(self, things: Sequence[SceneObject], lighting: Lighting) -> list[Layer]:
-        stage = Stage.of_things(things)
+        stage = Stage.of(things)
         seen = self.view.surfaces(stage)
-        return seen.by_thing(len(things), self._light(lighting, stage, seen))
-
-    def _light(self, lighting: Lighting, stage: Stage, seen: Surfaces) -> Image:
-        """Light from each surface towards this camera, (n,)."""
         turn = self.view.camera.R.T.astype(np.float32)
         eye = self.view.camera.centre_mm.astype(np.float32)[:, None]
-        looks = [(thing.paint.albedo, thing.paint.gloss) for thing in stage.things]
+        looks = [(thing.paint.albedo, thing.paint.gloss) for thing in things]
         paints = np.array(looks, dtype=np.float32).reshape(-1, 2).T
         light = np.empty(len(seen.owner), dtype=np.float32)
         for start in range(0, len(light), BLOCK):
@@ -308,7 +304,7 @@ class OpticalCamera:
             normals = turn @ seen.normals[:, part].astype(np.float32)
             albedo, gloss = paints[:, seen.owner[part]]
             light[part] = seen_light(lighting, points, normals, eye, albedo, gloss)
-        return light
+        return seen.by_thing(len(things), light)
 
     def _board(self, board: Board, lighting: Lighting) -> Layer:
         seen = self.view.board(board)

@@ -23,14 +23,11 @@ CONVERGED = 1e-13  # of the normalised image plane: below 1e-9 px for any focal 
 def rotation_from_vector(om: Floats) -> Floats:
     """Rotation matrix (3, 3) of a Rodrigues vector (3,), radians."""
     angle = float(np.linalg.norm(om))
+    x, y, z = (om / angle if angle >= 1e-12 else om).tolist()
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     if angle < 1e-12:
-        return np.eye(3) + _cross_matrix(om)
-    k = _cross_matrix(om / angle)
+        return np.asarray(np.eye(3) + k)
     return np.asarray(np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k))
-
-
-def _cross_matrix(v: Floats) -> Floats:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

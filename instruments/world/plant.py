@@ -218,7 +218,8 @@ class Plant:
         if self.pump_on:
             into_bath_w += k.pump_w - self._flow_w_per_k * (self.bath_c - self._circulate())
         else:
-            self._cool_teats()
+            share = k.teat_out_w_per_k * dt / k.teat_j_per_k
+            self._teats = [teat_c - share * (teat_c - self.ambient_c) for teat_c in self._teats]
         self.heater_c += (self.heat_w - film_w) * dt / k.heater_j_per_k
         self.bath_c += into_bath_w * dt / (self.level_l * HEAT_CAPACITY_J_PER_L_K)
         self.level_l = max(0.5, self.level_l - k.evaporation_g_per_h / 994.0 / 3600.0 * dt)
@@ -246,7 +247,11 @@ class Plant:
     def _control(self) -> float:
         """Output 0..1: parallel PID with the derivative on the measured value."""
         k, dt = self.constants, self.constants.step_s
-        self._ramp()
+        most, away = self.ramp_k_per_min / 60.0 * dt, self.set_point_c - self._working_c
+        ramped = 0.0 < most < abs(away)
+        self._working_c = (
+            self._working_c + math.copysign(most, away) if ramped else self.set_point_c
+        )
         if self.manual_output is not None:
             return min(max(self.manual_output, 0.0), self.output_max)
         error = self._working_c - self.pv_c
@@ -255,15 +260,6 @@ class Plant:
         if abs(error) < k.band_k and output == wanted and k.integral_s:
             self._integral += error * dt / (k.band_k * k.integral_s)
         return output
-
-    def _ramp(self) -> None:
-        most = self.ramp_k_per_min / 60.0 * self.constants.step_s
-        away = self.set_point_c - self._working_c
-        self._working_c = (
-            self.set_point_c
-            if not most or abs(away) <= most
-            else self._working_c + math.copysign(most, away)
-        )
 
     def _circulate(self) -> float:
         """One step of water through hoses and four teats side by side; the return, degC."""
@@ -281,11 +277,6 @@ class Plant:
         left_c = supply_c - given_w / self._flow_w_per_k
         self._return.append(room + (left_c - room) * self._hose_keeps)
         return back_c
-
-    def _cool_teats(self) -> None:
-        k = self.constants
-        share = k.teat_out_w_per_k * k.step_s / k.teat_j_per_k
-        self._teats = [teat_c - share * (teat_c - self.ambient_c) for teat_c in self._teats]
 
     def _measure(self) -> None:
         k = self.constants

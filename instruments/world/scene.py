@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 
 from instruments.world.backdrop import ShadowMap, shadow_map
 from instruments.world.boards import Board
-from instruments.world.microbolometer import ThermalSensor
 from instruments.world.optical_camera import OpticalCamera
 from instruments.world.optics import CameraModel, Floats, cameras_from_calibration
 from instruments.world.phantom import Phantom
 from instruments.world.sensor import OpticalSensor
 from instruments.world.solids import Bools, Solids, meet
 from instruments.world.state import SceneState, Stage
-from instruments.world.thermal_camera import ThermalCamera
+from instruments.world.thermal_camera import ThermalCamera, ThermalSensor
 
 LEAST_SEEN = 0.5  # of a rounded end's near side
 
@@ -91,7 +90,7 @@ class Renderer:
         if self._shadows[0] != (state.lighting, hulls):
             self._shadows = (
                 (state.lighting, hulls),
-                shadow_map(state.lighting, Stage.of(state).solids),
+                shadow_map(state.lighting, Stage.of(state.everything()).solids),
             )
         return self._shadows[1]
 
@@ -102,7 +101,7 @@ class Renderer:
         end's near side is free. The teat's own surface doesn't count: a camera below never sees an
         apex that points up.
         """
-        stage = Stage.of(state)
+        stage = Stage.of(state.everything())
         columns = [
             seen_share(state.phantom, stage.solids, camera, state.boards) >= LEAST_SEEN
             for camera in self.cameras
@@ -127,7 +126,21 @@ def seen_share(
     for i, (end, axis) in enumerate(zip(ends, phantom.axes, strict=True)):
         near = _near_side(end, axis, phantom.teats[i].shape.radius_mm, camera)
         points = np.concatenate([end[None, :], near])
-        free = _free(points, seen, i, camera) & _past_boards(points, boards, camera)
+        # no solid but the teat itself stands between
+        x, y, z = np.repeat(camera.camera_from_world(points), len(seen), axis=0).T
+        which = np.tile(np.arange(len(seen)), len(points))
+        depth, _, hit = meet(seen, which, x / z, y / z)
+        blocks = hit & (depth > 0.0) & (depth < z) & (which != i)
+        free = ~blocks.reshape(len(points), -1).any(axis=1)
+        away = points - camera.centre_mm
+        for board in boards:
+            towards, corner = away @ board.normal, np.asarray(board.corner_mm)
+            ahead = np.where(np.abs(towards) > 1e-9, towards, 1e-9)
+            part = ((corner - camera.centre_mm) @ board.normal) / ahead
+            met = camera.centre_mm + part[:, None] * away - corner
+            place = np.column_stack([met @ np.asarray(board.across), met @ np.asarray(board.along)])
+            on_it = np.all((place >= 0.0) & (place <= board.pattern.size_mm), axis=1)
+            free &= ~((part > 0.0) & (part < 1.0) & on_it)
         shares[i] = float(free[1:].mean()) if inside[i] and free[0] else 0.0
     return shares
 
@@ -145,32 +158,6 @@ def _near_side(end_mm: Floats, axis: Floats, radius_mm: float, camera: CameraMod
     return np.asarray(middle + radius_mm * outward[outward @ towards > 0.0])
 
 
-def _free(points_mm: Floats, solids: Solids, itself: int, camera: CameraModel) -> Bools:
-    """Whether only solid ``itself`` stands between the camera and each point (n, 3)."""
-    seen = camera.camera_from_world(points_mm)
-    count = len(solids)
-    which = np.tile(np.arange(count), len(seen))
-    x, y, z = np.repeat(seen, count, axis=0).T
-    depth, _, hit = meet(solids, which, x / z, y / z)
-    blocks = hit & (depth > 0.0) & (depth < z) & (which != itself)
-    return np.asarray(~blocks.reshape(len(seen), count).any(axis=1))
-
-
-def _past_boards(points_mm: Floats, boards: Sequence[Board], camera: CameraModel) -> Bools:
-    """Whether no board stands between the camera and each point (n, 3)."""
-    free = np.ones(len(points_mm), dtype=np.bool_)
-    away = points_mm - camera.centre_mm
-    for board in boards:
-        towards, corner = away @ board.normal, np.asarray(board.corner_mm)
-        ahead = np.where(np.abs(towards) > 1e-9, towards, 1e-9)
-        part = ((corner - camera.centre_mm) @ board.normal) / ahead
-        met = camera.centre_mm + part[:, None] * away - corner
-        place = np.column_stack([met @ np.asarray(board.across), met @ np.asarray(board.along)])
-        on_it = np.all((place >= 0.0) & (place <= board.pattern.size_mm), axis=1)
-        free &= ~((part > 0.0) & (part < 1.0) & on_it)
-    return free
-
-
 ROW_PX = 340
 LABEL_PX = 22
 CLOSE_UP_PX = (440, 340)
@@ -184,9 +171,17 @@ def contact_sheet(states: Mapping[str, SceneState], renderer: Renderer, seed: in
     rows = []
     for number, (name, state) in enumerate(states.items()):
         frames = renderer.render(state, np.random.Generator(np.random.SFC64([seed, number])))
-        marked, ends_px = _marked(frames.left, state, renderer)
-        whole = [_whole(image) for image in (frames.left, frames.right, frames.thermal_8bit)]
-        row = np.concatenate([*whole[:2], _close_up(marked, ends_px), whole[2]], axis=1)
+        parts = [
+            cv2.resize(
+                image,
+                (round(image.shape[1] * ROW_PX / image.shape[0]), ROW_PX),
+                interpolation=cv2.INTER_AREA,
+            )
+            for image in (frames.left, frames.right, frames.thermal_8bit)
+        ]
+        row = np.concatenate(
+            [*parts[:2], _close_up(frames.left, state, renderer), parts[2]], axis=1
+        )
         strip = np.full((LABEL_PX, row.shape[1]), 255, dtype=np.uint8)
         font = cv2.FONT_HERSHEY_SIMPLEX, 0.55, 0, 1, cv2.LINE_AA
         cv2.putText(strip, name, (6, LABEL_PX - 6), *font)
@@ -194,10 +189,8 @@ def contact_sheet(states: Mapping[str, SceneState], renderer: Renderer, seed: in
     return np.concatenate(rows)
 
 
-def _marked(
-    image: Grey8, state: SceneState, renderer: Renderer
-) -> tuple[Grey8, NDArray[np.float64]]:
-    """With its teat ends marked, and their pixels (n, 2)."""
+def _close_up(image: Grey8, state: SceneState, renderer: Renderer) -> Grey8:
+    """The part of the left picture about the teat ends, each marked."""
     marked, ends_px = image.copy(), renderer.cameras[0].project(state.phantom.ends_mm)
     seen = renderer.visible_ends(state)[:, 0]
     for (u, v), visible in zip(ends_px.round().astype(int).tolist(), seen, strict=True):
@@ -206,22 +199,10 @@ def _marked(
             cv2.drawMarker(marked, (u, v), grey, cv2.MARKER_CROSS, 7, 1)
         else:
             cv2.circle(marked, (u, v), 5, grey, 1, cv2.LINE_AA)
-    return marked, ends_px
-
-
-def _whole(image: Grey8) -> Grey8:
-    width = round(image.shape[1] * ROW_PX / image.shape[0])
-    return np.asarray(
-        cv2.resize(image, (width, ROW_PX), interpolation=cv2.INTER_AREA), dtype=np.uint8
-    )
-
-
-def _close_up(image: Grey8, ends_px: NDArray[np.float64]) -> Grey8:
-    width, height = CLOSE_UP_PX
-    middle = ends_px.mean(axis=0) if len(ends_px) else np.array(image.shape[::-1]) / 2.0
-    left = int(np.clip(round(middle[0] - width / 2), 0, max(image.shape[1] - width, 0)))
-    top = int(np.clip(round(middle[1] - height / 3), 0, max(image.shape[0] - height, 0)))
-    cut = image[top : top + height, left : left + width]
-    padded = np.zeros((height, width), dtype=np.uint8)
-    padded[: cut.shape[0], : cut.shape[1]] = cut
-    return padded
+    (width, height), size = CLOSE_UP_PX, image.shape[::-1]
+    middle = ends_px.mean(axis=0) if len(ends_px) else np.array(size) / 2.0
+    left = int(np.clip(round(middle[0] - width / 2), 0, max(size[0] - width, 0)))
+    top = int(np.clip(round(middle[1] - height / 2), 0, max(size[1] - height, 0)))
+    cut = marked[top : top + height, left : left + width]
+    bottom, right = height - cut.shape[0], width - cut.shape[1]
+    return np.pad(cut, ((0, bottom), (0, right)))

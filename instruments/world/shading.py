@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from instruments.world.microbolometer import KELVIN_AT_0_C
 from instruments.world.optics import Floats
 from instruments.world.solids import Point
 
+KELVIN_AT_0_C = 273.15
 BAND_EXPONENT = 4.8
 REFERENCE_K = 300.0
 GLOSS_EXPONENT = 32

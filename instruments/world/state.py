@@ -60,7 +60,16 @@ class SceneState:
                 raise ValueError(
                     f"the temperature of {what} must be from -60 to 200 degC, is {values}"
                 )
-        _refuse_outside(Stage.of(self), self.backdrop)
+        stage, behind_mm = Stage.of(self.everything()), self.backdrop.board_y_mm
+        low = np.flatnonzero(stage.solids.nearest_depth() < -LOWEST_MM)
+        if len(low):
+            raise ValueError(f"{stage.name_of(low)} reaches below the table (z = 0): raise it")
+        far = np.flatnonzero(np.maximum(stage.solids.a[:, 1], stage.solids.b[:, 1]) > behind_mm)
+        if len(far):
+            raise ValueError(
+                f"{stage.name_of(far)} stands behind the board (y = {behind_mm:g} mm), where no"
+                " camera sees it"
+            )
 
     @property
     def moves(self) -> bool:
@@ -101,28 +110,12 @@ class Stage:
     owner: Ints
 
     @classmethod
-    def of(cls, state: SceneState) -> Stage:
-        """What stands on the table in a state."""
-        return cls.of_things(state.everything())
-
-    @classmethod
-    def of_things(cls, things: Sequence[SceneObject]) -> Stage:
-        """Just these."""
+    def of(cls, things: Sequence[SceneObject]) -> Stage:
+        """What these things are made of."""
         solids = Solids.from_hulls([hull for thing in things for hull in thing.hulls])
         owner = np.repeat(np.arange(len(things)), [len(thing.hulls) for thing in things])
         return cls(tuple(things), solids, owner)
 
-
-def _refuse_outside(stage: Stage, backdrop: Backdrop) -> None:
-    low = np.flatnonzero(stage.solids.nearest_depth() < -LOWEST_MM)
-    if len(low):
-        raise ValueError(
-            f"{stage.things[stage.owner[low[0]]].name} reaches below the table (z = 0): raise it"
-        )
-    farthest = np.maximum(stage.solids.a[:, 1], stage.solids.b[:, 1])
-    far = np.flatnonzero(farthest > backdrop.board_y_mm)
-    if len(far):
-        raise ValueError(
-            f"{stage.things[stage.owner[far[0]]].name} stands behind the board"
-            f" (y = {backdrop.board_y_mm:g} mm), where no camera sees it"
-        )
+    def name_of(self, solids: Ints) -> str:
+        """The thing of the first of these solids (k,)."""
+        return self.things[int(self.owner[solids[0]])].name

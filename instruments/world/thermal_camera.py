@@ -1,23 +1,195 @@
-"""The thermal camera: radiance on a fine grid, lens, pixels and their time constant."""
+"""The thermal camera: radiance on a fine grid, lens, pixels with their time constant and noise.
+
+An uncooled array with the seven components of the three-dimensional noise model (Driggers, Cox and
+Edwards; NVESD's 3-D noise): of each pixel, row, column and the frame, fresh or fixed. Level and
+pattern drift between flat-field events. Fixed noise is from the camera's seed, fresh noise from the
+generator, drift from the time.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from instruments.world.backdrop import Backdrop, warmer
 from instruments.world.boards import Board
 from instruments.world.compositing import Layer, lay_over
-from instruments.world.microbolometer import ThermalReadout, ThermalSensor
 from instruments.world.objects import SceneObject
 from instruments.world.optical_camera import KeptLayers, View
 from instruments.world.optics import CameraModel, Floats
-from instruments.world.shading import directional_emissivity, kelvin_from_radiance, radiance_from_c
+from instruments.world.sensor import normal_noise
+from instruments.world.shading import (
+    KELVIN_AT_0_C,
+    directional_emissivity,
+    kelvin_from_radiance,
+    radiance_from_c,
+)
 from instruments.world.solids import dot
 from instruments.world.state import SceneState, Stage
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Drift between flat-field events, one sigma: ``level_k_per_min`` of all pixels,
+    ``pattern_k_per_min`` of each. An event comes every ``every_s`` and shows the shutter at
+    ``shutter_c`` for ``lasts_s``.
+    """
+
+    level_k_per_min: float = 0.03
+    pattern_k_per_min: float = 0.006
+    every_s: float = 300.0
+    lasts_s: float = 0.0
+    shutter_c: float = 30.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.lasts_s < self.every_s:
+            raise ValueError(
+                f"flat-field events must be over before the next one begins, are {self}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalSensor:
+    """An uncooled array of ``width_px`` x ``height_px``; temperatures and noises in kelvin, one
+    sigma.
+
+    Fresh: ``netd_k`` of a pixel, ``row_flicker_k``, ``column_flicker_k``, ``level_flicker_k``.
+    Fixed: ``fixed_k`` of a pixel, ``row_k``, ``column_k``. ``blur_px``: the lens's sigma in sensor
+    pixels; ``time_constant_s``: of a pixel. The 8-bit picture spans the 1st to the 99.5th
+    percentile, at least ``least_span_k`` upwards, plus ``headroom`` of that at both ends.
+    ``mirrored``, ``hot_is_black``: as delivered.
+    """
+
+    width_px: int = 160
+    height_px: int = 120
+    netd_k: float = 0.10
+    row_flicker_k: float = 0.02
+    column_flicker_k: float = 0.02
+    level_flicker_k: float = 0.02
+    fixed_k: float = 0.06
+    row_k: float = 0.03
+    column_k: float = 0.04
+    drift: Drift = field(default_factory=Drift)
+    time_constant_s: float = 0.012
+    blur_px: float = 0.45
+    oversample: int = 2
+    least_span_k: float = 10.0
+    headroom: float = 0.06
+    mirrored: bool = True
+    hot_is_black: bool = True
+
+    def __post_init__(self) -> None:
+        if min(self.width_px, self.height_px, self.oversample) < 1:
+            raise ValueError(
+                f"a thermal sensor needs at least one pixel each way, has {self.width_px} x"
+                f" {self.height_px}"
+            )
+
+    @classmethod
+    def from_calibration(cls, table: Mapping[str, Any]) -> ThermalSensor:
+        """A parsed calibration's thermal camera: size, mirroring, polarity. Raises ValueError."""
+        entry = table.get("cameras", {}).get("thermal", {})
+        width, height = entry.get("sensor_size", (cls().width_px, cls().height_px))
+        polarity = entry.get("polarity", "hot_is_black")
+        if polarity not in ("hot_is_black", "hot_is_white"):
+            raise ValueError(
+                'calibration: cameras.thermal.polarity must be "hot_is_black" or "hot_is_white",'
+                f" is {polarity!r}"
+            )
+        return cls(
+            int(width),
+            int(height),
+            mirrored=bool(entry.get("mirrored", cls().mirrored)),
+            hot_is_black=polarity == "hot_is_black",
+        )
+
+
+class ThermalReadout:
+    """One thermal camera's sensor: its fixed pattern, its centi-kelvin and its 8-bit picture."""
+
+    def __init__(self, sensor: ThermalSensor, seed: np.random.SeedSequence) -> None:
+        rng = np.random.Generator(np.random.SFC64(seed))
+        shape = (sensor.height_px, sensor.width_px)
+        self.sensor = sensor
+        rows = sensor.row_k * rng.standard_normal((shape[0], 1))
+        columns = sensor.column_k * rng.standard_normal((1, shape[1]))
+        self._pattern_k: Floats = sensor.fixed_k * rng.standard_normal(shape) + rows + columns
+        seed_of_drift = int(rng.integers(2**63))
+        # no reference to self: no cycle
+        self._astray = lru_cache(maxsize=2)(partial(_drawn_astray, sensor, seed_of_drift))
+
+    def gathered(self, radiance: Floats) -> Floats:
+        """Radiance on the fine grid (oversample x) through lens and pixels: (height, width)."""
+        sensor, fine = self.sensor, self.sensor.oversample
+        sigma = sensor.blur_px * fine
+        blurred = cv2.GaussianBlur(radiance, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        pixels = blurred.reshape(sensor.height_px, fine, sensor.width_px, fine)
+        return np.asarray(pixels.mean(axis=(1, 3)))
+
+    def drift_k(self, time_s: float) -> Floats:
+        """How far each pixel has gone astray since the last flat-field event, (height, width)."""
+        since, event = self._since(time_s)
+        return self._astray(event) * (since / 60.0)
+
+    def shows_shutter(self, time_s: float) -> bool:
+        """Whether a flat-field event is going on."""
+        since, event = self._since(time_s)
+        return event > 0 and since < self.sensor.drift.lasts_s
+
+    def expose(
+        self, apparent_k: Floats, time_s: float, rng: np.random.Generator
+    ) -> NDArray[np.uint16]:
+        """One frame as centi-kelvin, 16 bits, un-mirrored, from apparent temperatures in kelvin."""
+        sensor = self.sensor
+        shape = (sensor.height_px, sensor.width_px)
+        if self.shows_shutter(time_s):
+            apparent_k = np.full(shape, sensor.drift.shutter_c + KELVIN_AT_0_C)
+        fresh = sensor.netd_k * normal_noise(rng, shape)
+        fresh = fresh + sensor.row_flicker_k * rng.standard_normal((shape[0], 1))
+        fresh += (
+            sensor.column_flicker_k * rng.standard_normal((1, shape[1]))
+            + sensor.level_flicker_k * rng.standard_normal()
+        )
+        frame = apparent_k + self._pattern_k + self.drift_k(time_s) + fresh
+        return np.clip(np.rint(100.0 * frame), 0.0, 65535.0).astype(np.uint16)
+
+    def delivered(
+        self, centikelvin: NDArray[np.uint16], width_px: int, height_px: int
+    ) -> NDArray[np.uint8]:
+        """The 8-bit picture: automatic gain, enlarged smoothly, mirrored, hot is black."""
+        low, high = np.percentile(centikelvin, [1.0, 99.5]) / 100.0
+        span, room = max(float(high - low), self.sensor.least_span_k), self.sensor.headroom
+        grey = (centikelvin / 100.0 - low + room * span) / (span * (1.0 + 2.0 * room))
+        grey = (255.0 * (1.0 - grey if self.sensor.hot_is_black else grey)).astype(np.float32)
+        picture = cv2.resize(grey, (width_px, height_px), interpolation=cv2.INTER_LINEAR)
+        picture = picture[:, ::-1] if self.sensor.mirrored else picture
+        return np.ascontiguousarray(np.clip(np.rint(picture), 0.0, 255.0).astype(np.uint8))
+
+    def _since(self, time_s: float) -> tuple[float, int]:
+        """Seconds since the last flat-field event, and its number."""
+        event = int(max(time_s, 0.0) // self.sensor.drift.every_s)
+        return max(time_s, 0.0) - event * self.sensor.drift.every_s, event
+
+
+def _drawn_astray(sensor: ThermalSensor, seed: int, event: int) -> Floats:
+    """Drift after an event, K a minute, (height, width)."""
+    rng = np.random.Generator(np.random.SFC64([seed, event]))
+    pattern = sensor.drift.pattern_k_per_min * rng.standard_normal(
+        (sensor.height_px, sensor.width_px)
+    )
+    return np.asarray(pattern + sensor.drift.level_k_per_min * rng.standard_normal())
+
+
+def celsius(centikelvin: NDArray[np.uint16]) -> Floats:
+    """degC of a radiometric frame."""
+    return np.asarray(centikelvin / 100.0 - KELVIN_AT_0_C)
+
 
 TRAIL = 12  # moments of a lagging pixel's past
 
@@ -75,7 +247,7 @@ class ThermalCamera:
         return radiance
 
     def _things(self, things: Sequence[SceneObject]) -> list[Layer]:
-        stage = Stage.of_things(things)
+        stage = Stage.of(things)
         seen = self.view.surfaces(stage)
         facing = np.abs(dot(seen.rays, seen.normals)) / np.sqrt(dot(seen.rays, seen.rays))
         own = np.array([thing.paint.emissivity for thing in things], dtype=np.float64)

@@ -40,27 +40,6 @@ def test_poll(benchmark: BenchmarkFixture, served: tuple[Clock, Listener]) -> No
     bath.close()
 
 
-def test_heating_with_1200_polls(benchmark: BenchmarkFixture) -> None:
-    def heat() -> float:
-        clock = VirtualClock()
-        listener = Listener(
-            BathEmulator(Plant(1), load_profile("julabo-presto"), clock),
-            clock,
-            lock=threading.RLock(),
-            name="bath",
-        )
-        bath = Bath(f"tcp://127.0.0.1:{listener.port}", load_profile("julabo-presto"), clock)
-        bath.start(33.0)
-        for _ in range(1200):
-            clock.sleep(1.0)
-            reading = bath.read()
-        bath.close()
-        listener.close()
-        return reading.temp_c
-
-    assert benchmark(heat) == pytest.approx(33.0, abs=0.1)
-
-
 def test_3600_steps_of_the_plant(benchmark: BenchmarkFixture) -> None:
     def half_an_hour() -> float:
         plant = Plant(1)

@@ -1,14 +1,12 @@
-"""The plane map of 156 poses, emulated, scored and reported: seconds, and what they go into,
-printed beside the aim and not asserted.
+"""The plane map of 156 poses, emulated, scored and reported: seconds, printed beside the aim and not
+asserted.
 """
 
 from __future__ import annotations
 
-import cProfile
 import io
 import time
 from pathlib import Path
-from types import CodeType
 
 from pytest_benchmark.fixture import BenchmarkFixture
 from rich.console import Console
@@ -20,12 +18,6 @@ from bench.rig.loading import find_rig, load_rig
 from bench.run.start import run_script
 from bench.script.model import find_script, load_script
 from tests.benchmarks.figures import figure
-
-SPENT = {
-    "rendering": ("scene.py", "render"),
-    "checking the frames": ("frame_checks.py", "notice"),
-    "detecting": ("examine.py", "ask"),
-}
 
 
 def run(out: Path) -> Path:
@@ -62,25 +54,3 @@ def test_the_plane_map(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
         spent_s[0],
         "less than the above; more means that the machine was busy",
     )
-
-
-def test_what_it_goes_into(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
-    """Processor time under the profiler: all is slower, the shares tell."""
-    profile = cProfile.Profile(time.process_time)
-    benchmark.pedantic(lambda: profile.runcall(run, tmp_path), rounds=1)
-    spent_s = {
-        (Path(entry.code.co_filename).name, entry.code.co_name): entry.totaltime
-        for entry in profile.getstats()
-        if isinstance(entry.code, CodeType)  # others are C's own
-    }
-    whole_s = spent_s["jobs.py", "run_script"]
-    for what, where in SPENT.items():
-        assert where in spent_s, (
-            f"nothing called {where[1]} of {where[0]} was run; has it another name now?"
-        )
-        figure(
-            benchmark,
-            f"{what}, share in %",
-            100.0 * spent_s[where] / whole_s,
-            "none: it tells where to look",
-        )

@@ -40,13 +40,12 @@ from bench.rig.scenes import warm
 from detector.calibration import Calibration, ParameterCovariance, load_calibration
 from detector.protocol import Detection, Frames, Teat
 from detector.registry import available
-from instruments.world.microbolometer import ThermalSensor
 from instruments.world.scene import Renderer
 from instruments.world.sensor import OpticalSensor
-from instruments.world.situations import collisions, situation
-from instruments.world.situations.situation import EYES_MM
+from instruments.world.situations import EYES_MM, collisions, situation
 from instruments.world.solids import clearance_mm
 from instruments.world.state import SceneState
+from instruments.world.thermal_camera import ThermalSensor
 from reports.trust import svg_facts
 from tests.bench.commands import Said
 from tests.conftest import ROOT

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from instruments.world.objects import KINDS, make_object, parameters
+from instruments.world.phantom import upright
 from instruments.world.solids import Hull, Solids, ball, cylinder
-from tests.situations import SITUATIONS, situation
+from tests.instruments.world.scenes import NOBODY
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -28,7 +31,9 @@ def test_every_kind_is_placed_and_painted(kind: str) -> None:
 
 def test_temperatures_absolute_teat_ambient_and_offset() -> None:
     def of(**given: object) -> float:
-        return make_object("ball", **given).temperature_c(ambient_c=21.0, teat_c=32.0)
+        thing, scene = make_object("ball", **given), replace(NOBODY, ambient_c=21.0)
+        warm = replace(scene, phantom=upright([(0.0, 300.0, 130.0)]), teat_temps_c=(32.0,))
+        return warm.temperature_c(thing.temperature) + thing.offset_k
 
     assert of(temperature=45.0, offset_k=0.0) == 45.0
     assert of(temperature="teat", offset_k=-5.0) == 27.0
@@ -68,12 +73,6 @@ def test_temperatures_absolute_teat_ambient_and_offset() -> None:
 def test_wrong_words_are_explained(kind: str, params: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_object(kind, **params)
-
-
-@pytest.mark.parametrize("name", sorted(SITUATIONS))
-def test_the_six_situations_can_be_built(name: str) -> None:
-    state = situation(name)
-    assert len(state.phantom.teats) == 4
 
 
 @pytest.mark.parametrize(

@@ -1,27 +1,153 @@
-"""The eleven families, and what they share: udders, paints, light and backgrounds. Each draws, from
-name and seed alone, until a scene can be set up and fits its name.
+"""Eleven families of scenes: from a name and a seed to everything that a scene needs.
+
+The thesis's six (section 5.2), and ideal, low contrast, dim light, a teat missing or hidden, and
+anything anywhere. Each draws until a scene can be set up (no overlaps, ends within reach of arm and
+cameras) and fits its name. The cameras are a box of the thesis rig's bearings.
 """
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from instruments.world.backdrop import Backdrop, Poster
 from instruments.world.boards import Board, Pattern, Weave
-from instruments.world.objects import SceneObject, make_object
+from instruments.world.objects import TEAT_PAINT, SceneObject, check_known, make_object
+from instruments.world.optics import Floats
 from instruments.world.phantom import Phantom, Teat, TeatShape
 from instruments.world.sensor import Exposure
 from instruments.world.shading import Lamp, Lighting, Paint
-from instruments.world.situations.situation import EYES_MM, Situation, faults, hidden_ways
-from instruments.world.solids import Point
+from instruments.world.solids import Bools, Hull
+from instruments.world.state import SceneState
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """One member of a family: what stands where, light, paint, exposure; no temperatures of teats.
+    ``about`` tells a person in one sentence what to set up.
+    """
+
+    name: str
+    seed: int
+    about: str
+    phantom: Phantom
+    objects: tuple[SceneObject, ...] = ()
+    boards: tuple[Board, ...] = ()
+    lighting: Lighting = field(default_factory=Lighting)
+    backdrop: Backdrop = field(default_factory=Backdrop)
+    teat_paint: Paint = TEAT_PAINT
+    exposure: Exposure = field(default_factory=Exposure)
+
+    def state(
+        self, teat_temps_c: tuple[float, ...], hose_temp_c: float, ambient_c: float, **more: Any
+    ) -> SceneState:
+        """The scene at these temperatures of the plant; ``more`` are fields of `SceneState`."""
+        own = {f.name: getattr(self, f.name) for f in fields(self)}
+        for name in ("name", "seed", "about"):
+            del own[name]
+        temperatures = {"teat_temps_c": teat_temps_c, "hose_temp_c": hose_temp_c}
+        return SceneState(ambient_c=ambient_c, **(own | temperatures | more))
+
+
+# left, right, thermal
+EYES_MM = ((-263.0, -840.0, 62.0), (-163.0, -841.0, 62.0), (-212.0, -841.0, 62.0))
+# to the right, per mm away: the thermal camera's view and some room to spare
+BEARINGS = (-0.050, 0.225)
+RISE = 0.103
+REACH_MM = ((-330.0, 100.0, 60.0), (50.0, 420.0, 185.0))  # where the arm touches with ease
+STYLUS_MM = 12.0  # room around the stylus, which comes from above
+STYLUS_LONG_MM = 120.0
+GAP_MM = 2.0  # between things that don't touch
+
+
+def faults(situation: Situation) -> tuple[str, ...]:
+    """What is wrong with a situation, in words; nothing for one that can be set up."""
+    found, (low, high) = [], np.asarray(REACH_MM)
+    for i, end in enumerate(situation.phantom.ends_mm, 1):
+        x, y, z = end.tolist()
+        if not np.all((end >= low) & (end <= high)):
+            found.append(
+                f"the end of teat {i} at {end.round().tolist()} mm is out of the arm's reach"
+            )
+        stylus = Hull((x, y, z + STYLUS_MM + 1.0), (x, y, z + STYLUS_LONG_MM), 1.0, 1.0)
+        for thing in situation.objects:
+            if any(_gap(stylus, hull) < STYLUS_MM for hull in thing.hulls):
+                found.append(f"{thing.name} is in the way of touching teat {i}")
+        away = end - np.asarray(EYES_MM[2])
+        if not (BEARINGS[0] <= away[0] / away[1] <= BEARINGS[1] and abs(away[2] / away[1]) <= RISE):
+            found.append(f"the end of teat {i} is out of the cameras' view")
+    return (*found, *collisions(situation))
+
+
+def collisions(situation: Situation) -> Iterator[str]:
+    """Things that stand within each other, in words."""
+    teats = situation.phantom.teat_hulls()
+    for (i, one), (j, other) in combinations(enumerate(teats), 2):
+        if _gap(one, other) < 0.0:
+            yield f"teats {i + 1} and {j + 1} stand in each other"
+    solid = (*teats, *situation.phantom.flange_hulls())
+    for thing in situation.objects:
+        if min(_gap(hull, mine) for hull in thing.hulls for mine in solid) < GAP_MM:
+            yield f"{thing.name} stands within the phantom"
+    for one_thing, other_thing in combinations(situation.objects, 2):
+        if min(_gap(a, b) for a in one_thing.hulls for b in other_thing.hulls) < GAP_MM:
+            yield f"{one_thing.name} and {other_thing.name} stand in each other"
+    for board in situation.boards:
+        u, v = np.meshgrid(np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 25))
+        points = board.placed(np.column_stack([u.ravel(), v.ravel()]) * board.pattern.size_mm)
+        for hull in (*solid, *(hull for thing in situation.objects for hull in thing.hulls)):
+            if _apart(points, hull).min() < GAP_MM:
+                yield f"{board.name} stands within something else"
+                break
+
+
+def hidden_ways(situation: Situation) -> Bools:
+    """Whether objects or boards hide each end (n,) from three eyes (n, 3); teats don't count."""
+    ends = situation.phantom.ends_mm
+    hidden = np.zeros((len(ends), len(EYES_MM)), dtype=np.bool_)
+    for e, eye in enumerate(EYES_MM):
+        for i, end in enumerate(ends):
+            way = Hull(eye, tuple(eye + 0.995 * (end - eye)), 0.01, 0.01)
+            solid = any(
+                _gap(way, hull) < 0.0 for thing in situation.objects for hull in thing.hulls
+            )
+            hidden[i, e] = solid or any(
+                _crosses(np.asarray(eye), end, board.outline_mm) for board in situation.boards
+            )
+    return hidden
+
+
+def _crosses(start: Floats, end: Floats, outline: Floats) -> bool:
+    """Whether a way passes through a rectangle (4, 3)."""
+    corner, across, along = outline[0], outline[1] - outline[0], outline[3] - outline[0]
+    part, u, v = np.linalg.solve(np.column_stack([end - start, -across, -along]), corner - start)
+    return bool(0.0 < part < 1.0 and 0.0 <= u <= 1.0 and 0.0 <= v <= 1.0)
+
+
+def _gap(one: Hull, other: Hull) -> float:
+    """Gap between two solids taken as round, so a little small for flat ends; negative: overlap."""
+    a, b = np.asarray(one.a_mm), np.asarray(one.b_mm)
+    t = np.linspace(0.0, 1.0, 33)
+    radii = one.radius_a_mm + t * (one.radius_b_mm - one.radius_a_mm)
+    return float((_apart(a + t[:, None] * (b - a), other) - radii).min())
+
+
+def _apart(points: Floats, hull: Hull) -> Floats:
+    """Gaps (n,) between points (n, 3) and a solid taken as round."""
+    a, span = np.asarray(hull.a_mm), np.subtract(hull.b_mm, hull.a_mm)
+    along = np.clip((points - a) @ span / max(float(span @ span), 1e-9), 0.0, 1.0)
+    away = np.linalg.norm(points - a - along[:, None] * span, axis=1)
+    return np.asarray(away - hull.radius_a_mm - along * (hull.radius_b_mm - hull.radius_a_mm))
+
 
 ATTEMPTS = 1000
 CLEAR_MM = 4.0  # between teats that don't overlap, as seen
+CLOSE = ("overlapping", "anywhere")  # families with a rule of their own for it
 # near left, near right, far left, far right
 PLACES = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
 
@@ -72,34 +198,27 @@ def udder(
     return Phantom(tuple(teats))
 
 
-def dark_paint(draw: Draw) -> Paint:
-    """Matt dark, as the thesis's phantom."""
-    return Paint(draw.between(0.04, 0.10), draw.between(0.01, 0.07), draw.between(0.94, 0.97))
-
-
-def light_paint(draw: Draw) -> Paint:
-    """Light, with some gloss, as skin has."""
-    return Paint(draw.between(0.32, 0.60), draw.between(0.02, 0.20), draw.between(0.94, 0.98))
+# albedo, gloss and emissivity: matt dark, as the thesis's phantom; light with some gloss, as skin
+PAINTS = (
+    ((0.04, 0.10), (0.01, 0.07), (0.94, 0.97)),
+    ((0.32, 0.60), (0.02, 0.20), (0.94, 0.98)),
+)
+# where each lamp usually hangs, how far off it may be in x, y and z, and the range of its power
+LAMPS = (
+    ((450.0, -350.0, 1350.0), ((-250, 250), (-250, 200), (-150, 250)), (1.8, 3.0)),
+    ((-1300.0, -700.0, 1100.0), ((-200, 300), (-150, 250), (-150, 250)), (1.0, 1.9)),
+    ((0.0, 0.0, 0.0), ((-600, 300), (100, 700), (1300, 1700)), (0.5, 1.2)),
+)
 
 
 def lighting(draw: Draw, brightness: tuple[float, float] = (0.95, 1.35)) -> Lighting:
     """Two lamps or three, about where the usual two hang."""
-    # each about a usual place: the ranges of x, y and z, and of its power
-    lamps = [
-        _lamp(draw, (450.0, -350.0, 1350.0), ((-250, 250), (-250, 200), (-150, 250)), (1.8, 3.0)),
-        _lamp(draw, (-1300.0, -700.0, 1100.0), ((-200, 300), (-150, 250), (-150, 250)), (1.0, 1.9)),
-    ]
-    if draw.chance(0.3):
-        where = ((-600, 300), (100, 700), (1300, 1700))
-        lamps.append(_lamp(draw, (0.0, 0.0, 0.0), where, (0.5, 1.2)))
+    lamps = []
+    for number, (usual_mm, off_mm, power) in enumerate(LAMPS):
+        if number < 2 or draw.chance(0.3):
+            x, y, z = (at + draw.between(*off) for at, off in zip(usual_mm, off_mm, strict=True))
+            lamps.append(Lamp((x, y, z), draw.between(*power)))
     return Lighting(draw.between(*brightness), tuple(lamps), draw.between(0.40, 0.60))
-
-
-def _lamp(
-    draw: Draw, usual_mm: Point, off_mm: tuple[tuple[float, float], ...], power: tuple[float, float]
-) -> Lamp:
-    x, y, z = (at + draw.between(*off) for at, off in zip(usual_mm, off_mm, strict=True))
-    return Lamp((x, y, z), draw.between(*power))
 
 
 def backdrop(
@@ -172,19 +291,17 @@ def apart(phantom: Phantom, eyes_mm: Sequence[tuple[float, float, float]]) -> fl
 
 def situation(name: str, seed: int) -> Situation:
     """Member ``seed`` of the family. Raises ValueError for an unknown name or negative seed."""
-    if name not in SITUATIONS:
-        close = difflib.get_close_matches(name, SITUATIONS, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else "."
-        raise ValueError(f"there is no situation {name!r}{hint} Known: {', '.join(SITUATIONS)}")
+    check_known("situation", name, SITUATIONS)
     if seed < 0:
         raise ValueError(f"a situation's seed must be 0 or more, is {seed}")
     about, family = SITUATIONS[name]
     for attempt in range(ATTEMPTS):
         drawn = family(Draw(name, seed, attempt))
-        if drawn is not None:
-            found = replace(drawn, name=name, seed=seed, about=about)
-            if not faults(found):
-                return found
+        if drawn is None or (name not in CLOSE and apart(drawn.phantom, EYES_MM) < CLEAR_MM):
+            continue
+        found = replace(drawn, name=name, seed=seed, about=about)
+        if not faults(found):
+            return found
     raise RuntimeError(
         f"nothing that can be set up was found for {name} {seed} in {ATTEMPTS} draws: the family's"
         " limits contradict each other"
@@ -197,18 +314,13 @@ def _plain(draw: Draw, phantom: Phantom, *objects: SceneObject) -> Situation:
     return Situation(
         "", 0, "", phantom, objects,
         lighting=lighting(draw),
-        teat_paint=light_paint(draw) if light else dark_paint(draw),
+        teat_paint=Paint(*(draw.between(*each) for each in PAINTS[light])),
         backdrop=backdrop(draw, (0.05, 0.12) if light else (0.40, 0.68)),
     )  # fmt: skip
 
 
-def _clear(phantom: Phantom) -> bool:
-    return apart(phantom, EYES_MM) >= CLEAR_MM
-
-
 def _ideal(draw: Draw, lean_deg: tuple[float, float] = (0.0, 2.0)) -> Situation | None:
-    phantom = udder(draw, lean_deg=lean_deg)
-    return _plain(draw, phantom) if _clear(phantom) else None
+    return _plain(draw, udder(draw, lean_deg=lean_deg))
 
 
 def _overlapping(draw: Draw) -> Situation | None:
@@ -251,10 +363,10 @@ def _spurious_teat(draw: Draw) -> Situation | None:
         for d in decoys
     ]
     together = Phantom((*phantom.teats, *standing))
-    return replace(found, objects=painted) if _clear(together) else None
+    return replace(found, objects=painted) if apart(together, EYES_MM) >= CLEAR_MM else None
 
 
-def _hot_body_at_base(draw: Draw) -> Situation | None:
+def _hot_body_at_base(draw: Draw) -> Situation:
     """A cup amid the teats, as the udder: it hides some bases and no end."""
     phantom = udder(draw, spread=draw.between(1.0, 1.2))
     x, y = phantom.bases_mm[:, :2].mean(axis=0)
@@ -269,10 +381,10 @@ def _hot_body_at_base(draw: Draw) -> Situation | None:
         albedo=draw.between(0.2, 0.8),
         gloss=draw.between(0.0, 0.15),
     )
-    return _plain(draw, phantom, cup) if _clear(phantom) else None
+    return _plain(draw, phantom, cup)
 
 
-def _hot_body_at_ends(draw: Draw) -> Situation | None:
+def _hot_body_at_ends(draw: Draw) -> Situation:
     """A forearm behind the ends, from either side."""
     phantom = udder(draw)
     ends = phantom.ends_mm
@@ -290,20 +402,17 @@ def _hot_body_at_ends(draw: Draw) -> Situation | None:
         albedo=draw.between(0.2, 0.5),
         gloss=draw.between(0.0, 0.05),
     )
-    return _plain(draw, phantom, arm) if _clear(phantom) else None
+    return _plain(draw, phantom, arm)
 
 
 def _cooler_bodies(draw: Draw) -> Situation | None:
     phantom = udder(draw)
-    return (
-        _plain(draw, phantom, *cooler_bodies(draw, draw.count(2, 6))) if _clear(phantom) else None
-    )
+    return _plain(draw, phantom, *cooler_bodies(draw, draw.count(2, 6)))
 
 
 def _low_contrast(draw: Draw) -> Situation | None:
     """Teats and board of nearly one grey, dark or middling, the board perhaps textured."""
-    phantom = udder(draw)
-    grey = draw.between(0.05, 0.35)
+    phantom, grey = udder(draw), draw.between(0.05, 0.35)
     found = _plain(draw, phantom)
     board = backdrop(
         draw,
@@ -311,26 +420,19 @@ def _low_contrast(draw: Draw) -> Situation | None:
         texture=(0.02, 0.2),
         weave=draw.weave("cloud", "grain", "waves"),
     )
-    return (
-        replace(found, teat_paint=Paint(grey, draw.between(0.0, 0.05)), backdrop=board)
-        if _clear(phantom)
-        else None
-    )
+    return replace(found, teat_paint=Paint(grey, draw.between(0.0, 0.05)), backdrop=board)
 
 
 def _dim_light(draw: Draw) -> Situation | None:
-    phantom = udder(draw, lean_deg=(0.0, 5.0))
-    found = _plain(draw, phantom)
-    dim = replace(
-        found, lighting=lighting(draw, (0.06, 0.28)), exposure=Exposure(gain=draw.between(1.0, 2.5))
-    )
-    return dim if _clear(phantom) else None
+    found = _plain(draw, udder(draw, lean_deg=(0.0, 5.0)))
+    light = lighting(draw, (0.06, 0.28))
+    return replace(found, lighting=light, exposure=Exposure(gain=draw.between(1.0, 2.5)))
 
 
 def _missing_or_hidden(draw: Draw) -> Situation | None:
     """A teat is missing, or a panel or a post before it hides it from one camera or all."""
     phantom = udder(draw, lean_deg=(0.0, 4.0))
-    if not _clear(phantom):
+    if apart(phantom, EYES_MM) < CLEAR_MM:
         return None
     at = draw.count(0, 3)
     if draw.chance(1 / 3):
