@@ -131,6 +131,13 @@ def test_normalize_undoes_the_lens_to_1e10_and_agrees_with_opencv(camera: Camera
     assert np.abs(x - opencv).max() < 2e-3
 
 
+@pytest.mark.parametrize("camera", [LEFT, RIGHT, STRONG])
+def test_rays_have_the_length_1_and_point_forward(camera: Camera) -> None:
+    rays = camera.rays(pixels_over(camera))
+    assert np.allclose(np.linalg.norm(rays, axis=1), 1.0, atol=1e-12)
+    assert np.all(rays[:, 2] > 0)
+
+
 def test_skew_goes_there_and_back() -> None:
     camera = replace(LEFT, alpha_c=0.01)
     pixels = pixels_over(camera)

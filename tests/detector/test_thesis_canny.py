@@ -15,6 +15,8 @@ from detector.thesis.thermal import (
     canny,
     gradient,
     hysteresis,
+    kernels,
+    ridges,
     thin_once,
 )
 
@@ -57,6 +59,17 @@ def test_a_disc_is_a_closed_thin_ring() -> None:
     assert ndimage.binary_fill_holes(mask)[150, 150]
 
 
+@pytest.mark.parametrize("grey", [0, 128, 255])
+def test_a_flat_picture_has_no_edge(grey: int) -> None:
+    assert not edges(np.full((120, 160), grey, dtype=np.uint8)).mask.any()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (2, 2), (3, 3)])
+def test_tiny_pictures_do_no_harm(shape: tuple[int, int]) -> None:
+    picture = np.arange(np.prod(shape), dtype=np.uint8).reshape(shape)
+    assert edges(picture).mask.shape == shape
+
+
 def test_edges_do_not_hang_on_gain_offset_or_polarity() -> None:
     picture = np.kron(np.random.default_rng(2).integers(0, 2, (6, 8)), np.ones((40, 40))).astype(
         np.uint8
@@ -76,6 +89,14 @@ def test_gradient_is_two_gaussians_and_a_slope() -> None:
     assert np.abs(gy).max() < 1e-3
 
 
+def test_kernels_end_at_30_px_or_where_the_gaussian_dies() -> None:
+    assert len(kernels(12.0, 30)[0]) == 61
+    assert len(kernels(1.0, 30)[0]) == 9  # exp(-t^2 / 2) > 1e-4 up to t = 4
+    gauss, slope = kernels(12.0, 30)
+    assert gauss.sum() == pytest.approx(1, abs=1e-6)
+    assert (slope * np.arange(-30, 31)).sum() == pytest.approx(1, abs=1e-5)
+
+
 def test_threshold_is_where_seventy_in_a_hundred_lie_below() -> None:
     length = np.zeros((10, 10), dtype=np.float32)
     length.flat[:71] = 0.0
@@ -85,6 +106,19 @@ def test_threshold_is_where_seventy_in_a_hundred_lie_below() -> None:
     assert automatic_threshold(length, 0.7, 64) == 1.0
     middle = np.full((10, 10), 10 / 63, dtype=np.float32)
     assert automatic_threshold(middle, 0.7, 64) == 11 / 64
+
+
+def test_ridges_are_the_maxima_along_the_gradient() -> None:
+    y, x = np.mgrid[:40, :60].astype(np.float32)
+    length = np.exp(-(((x - 30.2) / 5) ** 2)).astype(np.float32)
+    keep = ridges(np.ones_like(length), np.zeros_like(length), length, 0.1)
+    assert set(np.nonzero(keep)[1]) == {30}
+    diagonal = np.exp(-(((x - y - 8.4) / 5) ** 2)).astype(np.float32)
+    keep = ridges(np.ones_like(length), -np.ones_like(length), diagonal, 0.1)
+    rows, columns = np.nonzero(keep)
+    # a step along the diagonal passes over every other one of them
+    assert set(columns - rows) == {8, 9}
+    assert not keep[[0, -1]].any()
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -106,3 +140,9 @@ def test_thinning_keeps_every_piece_and_every_hole(seed: int) -> None:
     assert not (thin & ~mask).any()
     assert ndimage.label(thin, np.ones((3, 3)))[1] == ndimage.label(mask, np.ones((3, 3)))[1]
     assert ndimage.label(~np.pad(thin, 1))[1] == ndimage.label(~np.pad(mask, 1))[1]
+
+
+def test_thinning_makes_a_double_line_single() -> None:
+    mask = np.zeros((20, 20), dtype=np.bool_)
+    mask[4:16, 9:11] = True
+    assert thin_once(mask)[6:14].sum(axis=1).tolist() == [1] * 8

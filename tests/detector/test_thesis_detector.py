@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,13 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from detector.calibration import Calibration, load_calibration
+from detector.calibration import Calibration
 from detector.geometry import Motion, triangulate
-from detector.protocol import Detection
+from detector.protocol import Detection, Detector
 from detector.thesis.detector import ThesisDetector
 from detector.thesis.parameters import Parameters
-from detector.thesis.thermal import picture_from_kelvin, unmirror
-from tests.detector.conftest import recorded
+from detector.thesis.thermal import eight_bit, picture_from_kelvin, unmirror
 
 Array = NDArray[np.float64]
 STAGES = [
@@ -47,6 +45,13 @@ def refused(frames: Any, calibration: Calibration, **changes: Any) -> str:
     assert found.teats == ()
     assert found.reason is not None
     return found.reason
+
+
+def test_it_is_a_detector() -> None:
+    detector: Detector = ThesisDetector()
+    assert detector.name == "thesis"
+    assert detector.parameters["canny_sigma_px"] == 12.0
+    assert ThesisDetector(Parameters(binary_level=0.5)).parameters != detector.parameters
 
 
 def test_four_plain_teats_are_found(plain: Detection, teats_mm: Array) -> None:
@@ -139,16 +144,25 @@ def flat(shape: tuple[int, int], grey: int, warm: Any = np.s_[:0]) -> NDArray[np
 
 GREY, FOR = "the left picture must be a grey picture", "the calibration is for"
 BAD: list[tuple[dict[str, Any], str]] = [
+    ({"thermal": flat((1, 1), 0)}, f"the thermal picture is 1 x 1, {FOR} 640 x 480"),
+    ({"left": flat((1, 1), 0)}, f"the left picture is 1 x 1, {FOR} 1360 x 1024"),
     ({"right": flat((1360, 1024), 0)}, f"the right picture is 1024 x 1360, {FOR} 1360 x 1024"),
     ({"left": np.zeros((1024, 1360, 3), dtype=np.uint8)}, GREY),
+    ({"left": np.zeros((0,), dtype=np.uint8)}, GREY),
     ({"right": np.zeros((1024, 1360))}, "must have 8-bit or 16-bit pixels"),
     ({"thermal": None}, "there is no thermal picture"),
     ({"thermal": None, "thermal_k": np.full((120, 160), np.nan)}, "finite kelvin"),
     (
         {"thermal": None, "thermal_k": np.zeros((2, 2))},
-        f"the radiometric thermal picture is 2 x 2, {FOR} 160 x 120",
+        "the radiometric thermal picture is 2 x 2, the calibration is for 160 x 120",
+    ),
+    (
+        {"thermal": None, "thermal_k": np.zeros(7)},
+        "the radiometric thermal picture is 7, the calibration is for 160 x 120",
     ),
     ({"thermal": None, "thermal_k": np.full((120, 160), 300.0)}, "no vertical line"),
+    ({"thermal": flat((480, 640), 0)}, "no vertical line"),
+    ({"thermal": flat((480, 640), 255)}, "no vertical line"),
     ({"thermal": flat((480, 640), 200, np.s_[240:])}, ""),
 ]
 
@@ -183,22 +197,8 @@ def test_kelvin_becomes_grey_with_the_hottest_black() -> None:
     assert not picture_from_kelvin(np.full((3, 3), 300.0), (6, 6)).any()
 
 
-@pytest.mark.slow
-def test_every_path_traced_frame_is_answered(path_traced: Path) -> None:
-    calibration, detector = load_calibration(path_traced / "calibration.toml"), ThesisDetector()
-    folders = sorted((path_traced / "frames").iterdir())
-    assert len(folders) == 33
-    for folder in folders:
-        found = detector.detect(recorded(folder), calibration)
-        assert found.teats or found.reason, folder.name
-        assert len(found.teats) <= 4
-        assert 0 <= found.hidden <= 4
-        for teat in found.teats:
-            assert np.isfinite(teat.world_mm).all()
-
-
-def test_radiometric_path_traced_frames_alone_are_answered(path_traced: Path) -> None:
-    calibration, detector = load_calibration(path_traced / "calibration.toml"), ThesisDetector()
-    whole = recorded(path_traced / "frames" / "0000")
-    found = detector.detect(replace(whole, thermal=None), calibration)
-    assert found.teats or found.reason
+def test_unmirror_undoes_itself_and_eight_bit_keeps_the_upper_byte() -> None:
+    picture = noise((5, 7))
+    assert np.array_equal(unmirror(unmirror(picture)), picture)
+    assert np.array_equal(unmirror(picture)[:, 0], picture[:, -1])
+    assert eight_bit(np.array([[0x1234, 0xFFFF]], dtype=np.uint16)).tolist() == [[0x12, 0xFF]]

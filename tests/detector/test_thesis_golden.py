@@ -67,6 +67,27 @@ def test_every_stage_gives_its_picture(name: str) -> None:
     assert np.count_nonzero(made != kept) <= 0.05 * np.count_nonzero(kept)
 
 
+def test_the_kept_verticals_end_where_table_4_1_says() -> None:
+    mask = golden("verticals") > 0
+    for column, row in tables.TABLE_4_1 - 1:
+        low, high = int(column) - SIDE_COLUMNS, int(column) + SIDE_COLUMNS + 1
+        strip = np.asarray(mask[:, low:high].any(axis=1))
+        assert abs(int(np.argmax(strip)) - row) <= SIDE_ROWS
+        assert strip[int(row) + SIDE_ROWS :].mean() > 0.95
+    assert not mask[:, : 103 - SIDE_COLUMNS - 1].any()
+    assert not mask[:, 407 + SIDE_COLUMNS + 1 :].any()
+
+
+def test_the_kept_horizontals_lie_where_table_4_2_says() -> None:
+    rows, columns = np.nonzero(golden("horizontals"))
+    between = ((103, 147), (181, 221), (271, 315), (358, 406))
+    groups = [(columns > low) & (columns < high) for low, high in between]
+    assert sum(int(group.sum()) for group in groups) == len(columns)
+    for group, (column, row) in zip(groups, tables.SECTION_4_1_7 - 1, strict=True):
+        assert abs(columns[group].mean() - column) <= END_COLUMNS
+        assert abs(rows[group] - row).max() <= END_ROWS
+
+
 def test_the_chain_comes_out_at_the_tables(found: Detection) -> None:
     sides = np.abs(points(found, "vertical ends") + 1 - tables.TABLE_4_1)
     assert (sides <= [SIDE_COLUMNS, SIDE_ROWS]).all()

@@ -85,6 +85,14 @@ def test_merging_columns_is_the_double_loop(columns: list[int], reach: int, in_o
     assert merge_columns(columns, reach) == literal_merge_columns(columns, reach)
 
 
+def test_merging_columns_is_the_double_loop_at_full_size() -> None:
+    rng = np.random.default_rng(3)
+    columns = np.sort(
+        np.concatenate([rng.normal(c, 2.5, 60) for c in (40, 90, 101, 140)]).astype(int)
+    ).tolist()
+    assert merge_columns(columns, 4) == literal_merge_columns(columns, 4)
+
+
 @given(
     st.lists(st.tuples(st.integers(0, 25), st.integers(0, 60)), max_size=50),
     st.integers(0, 3),
@@ -121,6 +129,15 @@ def test_a_line_needs_35_points_and_ends_at_its_highest() -> None:
     mask[50:85, 20] = True  # 35 points
     mask[50:84, 60] = True  # 34
     assert vertical_ends(mask, P).tolist() == [[20, 50]]
+
+
+def test_a_leaning_line_is_one_line() -> None:
+    mask = np.zeros((300, 100), dtype=np.bool_)
+    for row in range(40, 240):
+        mask[row, 30 + row // 40] = True
+    ends = vertical_ends(mask, P)
+    assert len(ends) == 1
+    assert ends[0, 1] == 40
 
 
 def test_the_highest_eight_lines_are_kept_by_column() -> None:
@@ -165,6 +182,11 @@ def test_teat_ends_are_apart_level_and_four() -> None:
     # 95 rows from their mean: neither
     ends, hidden = teat_ends(np.array([[50.0, 10.0], [150.0, 200.0]]), P)
     assert (len(ends), hidden) == (0, 4)
+
+
+def test_one_teat_is_one_teat() -> None:
+    ends, hidden = teat_ends(np.array([[50.0, 10.0]]), P)
+    assert (ends.tolist(), hidden) == ([[50, 10]], 3)
 
 
 @pytest.mark.parametrize(

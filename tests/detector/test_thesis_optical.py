@@ -46,6 +46,43 @@ def test_dilations_are_matlabs() -> None:
     assert np.array_equal(binary_dilation(bright, P), expected.astype(np.bool_))
 
 
+def test_one_bright_pixel_dilates_to_figure_4_12() -> None:
+    image = np.zeros((41, 41), dtype=np.uint8)
+    image[20, 20] = 200
+    grown = grey_dilation(image, P)
+    assert np.array_equal(grown[16:25, 16:26], FIGURE_4_12 * 200)
+    assert np.count_nonzero(grown) == FIGURE_4_12.sum()
+
+
+def dark_region(*lines: tuple[int, int, int]) -> NDArray[np.bool_]:
+    """A bright region (41, 41) with dark lines (row, first column, last column)."""
+    dark = np.zeros((41, 41), dtype=np.bool_)
+    for row, first, last in lines:
+        dark[row, first : last + 1] = True
+    return dark
+
+
+def test_the_end_lies_half_a_line_above_its_middle() -> None:
+    end = locate_end(dark_region((15, 14, 25), (16, 10, 30)), P)
+    assert end is not None
+    assert end.tolist() == [20.0, 9.0]  # columns 14 and 26 (the first bright one), 12 long
+
+
+def test_short_lines_and_the_last_dark_row_are_passed_over() -> None:
+    end = locate_end(dark_region((12, 5, 13), (15, 5, 15), (16, 5, 15)), P)
+    assert end is not None
+    assert end[1] == 15 - 11 / 2
+    assert locate_end(dark_region((12, 5, 13), (15, 5, 15)), P) is None
+
+
+def test_a_line_may_reach_the_regions_edge() -> None:
+    end = locate_end(dark_region((15, 29, 40), (16, 0, 0)), P)
+    assert end is not None
+    assert end.tolist() == [34.5, 15 - 5.5]  # from column 29 to the last, 40
+    # ten pixels, but the search ends at column 30
+    assert locate_end(dark_region((15, 31, 40), (16, 0, 0)), P) is None
+
+
 def literal_search(dark: NDArray[np.bool_]) -> tuple[int, int, int] | None:
     """The listing's search, counted from 1: row, first column, column after the last."""
 

@@ -12,7 +12,8 @@ from scipy.stats import chi2
 
 from detector.calibration import Calibration, ParameterCovariance
 from detector.fused.detector import FusedDetector
-from detector.protocol import Detection, Teat
+from detector.fused.fit import Parameters
+from detector.protocol import Detection, Detector, Teat
 from tests.detector.fused.conftest import Body, Draw, Find
 
 Array = NDArray[np.float64]
@@ -42,6 +43,13 @@ def refused(found: Detection) -> str:
 def covariance(teat: Teat) -> Array:
     assert teat.covariance_mm2 is not None
     return teat.covariance_mm2
+
+
+def test_it_is_a_detector() -> None:
+    detector: Detector = FusedDetector()
+    assert (detector.name, detector.version) == ("fused", "2")
+    assert detector.parameters["prior"]["radius_mm"] == 11.0
+    assert FusedDetector(Parameters(most_bars=0)).parameters != detector.parameters
 
 
 def test_teats_of_any_lean_and_shape_are_found(
@@ -143,22 +151,37 @@ def test_warm_grey_levels_do(draw_scene: Draw, udder: list[Body], rig: Calibrati
     held(FusedDetector().detect(replace(frames, thermal=large, thermal_k=None), rig), udder, 0.4)
 
 
-def test_frames_that_cannot_be_used(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:
-    """Beside those that every detector is given (test_every_detector)."""
+def odd_frames(frames: Any) -> dict[str, tuple[dict[str, Any], str]]:
+    """Pictures that can't be used, and what must be said."""
+    dot, noise = np.zeros((1, 1), np.uint8), np.random.default_rng(0)
+    left, right, kelvin = frames.left, frames.right, frames.thermal_k
+    black, white = np.zeros_like(left), np.full_like(left, 255)
+    grain = noise.integers(0, 256, left.shape).astype(np.uint8)
+    cold = np.random.default_rng(0).normal(295, 0.05, kelvin.shape)
+    nan = np.where(np.eye(*kelvin.shape) > 0, np.nan, kelvin)
+    of = "picture is 1 x 1, the calibration is for"
+    return {
+        "dot left": ({"left": dot}, f"the left {of} 1360 x 1024"),
+        "dot right": ({"right": dot}, "the right picture is 1 x 1"),
+        "dot thermal": ({"thermal_k": dot}, f"the radiometric thermal {of} 160 x 120"),
+        "small": ({"left": left[::2, ::2]}, "the left picture is 680 x 512"),
+        "no thermal": ({"thermal_k": None}, "there is no thermal picture"),
+        "volume": ({"left": np.zeros((4, 4, 4, 4))}, "the left picture has the shape"),
+        "text": ({"right": np.full((1024, 1360), "x")}, "numbers are needed"),
+        "nan": ({"thermal_k": nan}, "no numbers"),
+        "black": ({"left": black, "right": black}, "show no outline"),
+        "saturated": ({"left": white, "right": white}, "show no outline"),
+        "swapped": ({"left": right, "right": left}, "outline"),
+        "optical noise": ({"left": grain, "right": grain[::-1]}, "outline"),
+        "thermal noise": ({"thermal_k": cold}, "teat"),
+        "one temperature": ({"thermal_k": np.full_like(kelvin, 300.0)}, "nothing like a teat"),
+    }
+
+
+def test_frames_without_teats(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:
     frames = draw_scene(udder)
-    assert frames.thermal_k is not None
-    kelvin = frames.thermal_k
-    changes: list[tuple[dict[str, Any], str]] = [
-        ({"left": frames.left[::2, ::2]}, "the left picture is 680 x 512, the calibration is for"),
-        ({"thermal_k": kelvin[:1, :1]}, "the radiometric thermal picture is 1 x 1"),
-        ({"left": np.zeros((4, 4, 4, 4))}, "the left picture has the shape"),
-        ({"right": np.full((1024, 1360), "x")}, "numbers are needed"),
-        ({"thermal_k": np.where(np.eye(*kelvin.shape) > 0, np.nan, kelvin)}, "no numbers"),
-        ({"left": np.zeros_like(frames.left)}, "show no outline"),
-        ({"thermal_k": np.full_like(kelvin, 300.0)}, "nothing like a teat"),
-    ]
-    for change, words in changes:
-        assert words in refused(FusedDetector().detect(replace(frames, **change), rig)), words
+    for name, (changes, words) in odd_frames(frames).items():
+        assert words in refused(FusedDetector().detect(replace(frames, **changes), rig)), name
 
 
 def test_without_a_thermal_pose(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:

@@ -114,6 +114,11 @@ def test_what_isnt_known_counts_for_nothing() -> None:
     assert np.allclose(shared_limb(np.full((2, 1, 40), np.nan)), 0.0)
 
 
+def test_noise_of_single_lines_averages_out() -> None:
+    own = 0.1 + np.random.default_rng(2).normal(0.0, 0.1, (2, 50, 80))
+    assert np.std(shared_limb(own)[:, 5:-5]) < 0.1 / np.sqrt(2 * 9) * 1.1
+
+
 def test_a_lines_own_counts_the_more_the_larger_the_fall_and_the_less_the_noise() -> None:
     shared, quiet = np.array([0.0, 0.05, 0.2, 0.6]), np.zeros(4)
     share = own_share(shared, quiet)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from scipy.stats import chi2
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import rig_renderer, warm
 from bench.scoring.matching import gate_mm, match
-from detector.external.serve import Pictures
 from detector.fused.detector import FusedDetector
 from detector.protocol import Detection
 from instruments.world.situations import SITUATIONS, situation
@@ -27,6 +27,16 @@ pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 SEEDS = (100, 101)
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A frame set made of arrays."""
+
+    left: NDArray[Any]
+    right: NDArray[Any]
+    thermal: NDArray[Any] | None
+    thermal_k: NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -46,7 +56,7 @@ def seen(families: tuple[str, ...], seeds: tuple[int, ...]) -> Iterator[Seen]:
         for seed in seeds:
             state = warm(situation(name, seed))
             taken = renderer.render(state, np.random.default_rng([1, seed, *name.encode()]))
-            frames = Pictures(taken.left, taken.right, None, taken.thermal_ck / 100.0)
+            frames = Taken(taken.left, taken.right, None, taken.thermal_ck / 100.0)
             visible = np.array([row.all() for row in renderer.visible_ends(state)])
             yield Seen(
                 name,

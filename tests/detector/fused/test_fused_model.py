@@ -11,7 +11,10 @@ import pytest
 from detector.calibration import Calibration
 from detector.fused.model import (
     COUNT,
+    END,
     HEIGHT,
+    SIDE_A,
+    SIDE_B,
     Outline,
     apexes,
     axes,
@@ -62,6 +65,19 @@ def test_outlines_lie_on_the_hull_of_the_projected_surface(rig: Calibration, num
     found = pixels_of(contours(teat[None], motion, OUTLINE).points, straight)[0]
     off = [cv2.pointPolygonTest(hull, (float(x), float(y)), True) for x, y in found]
     assert np.abs(off).max() < 0.02
+
+
+def test_the_parts_are_left_end_and_right() -> None:
+    part = OUTLINE.part
+    pixels = contours(TEATS[2:], Motion.identity(), OUTLINE).points[0]
+    assert pixels[part == SIDE_A][:, 0].max() < pixels[part == SIDE_B][:, 0].min()
+    assert pixels[part == END][:, 1].max() < pixels[part != END][:, 1].min()
+
+
+def test_normals_point_outward() -> None:
+    pixels = contours(TEATS, Motion.identity(), OUTLINE).points[..., :2]
+    middle = pixels.mean(axis=1, keepdims=True)
+    assert (np.einsum("mnd,mnd->mn", normals_of(pixels), pixels - middle) > 0).all()
 
 
 def test_slopes_are_the_differences(rig: Calibration) -> None:

@@ -154,6 +154,20 @@ def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
         assert at == pytest.approx([u, v], abs=0.05)
 
 
+@pytest.mark.slow
+def test_light_is_shared_between_dark_and_light_by_area() -> None:
+    """The mean over the pattern is that of half dark, half light: no light is lost at edges."""
+    lit = renderer(vignetting=0.0, prnu=0.0, dsnu_e=0.0).left
+    board = replace(UPRIGHT, pattern=replace(CHESS, columns=10, rows=8))
+    corner = by_opencv(lit.view.camera, board.corners_mm)
+    (u0, v0), (u1, v1) = corner[0].round().astype(int), corner[-1].round().astype(int)
+    pictures = [
+        lit.expected(with_board(b))[v0:v1, u0:u1].mean()
+        for b in (board, replace(board, dark_albedo=0.8), replace(board, light_albedo=0.05))
+    ]
+    assert pictures[0] == pytest.approx(0.5 * (pictures[1] + pictures[2]), rel=0.01)
+
+
 def test_a_board_from_behind_is_plain() -> None:
     away = replace(UPRIGHT, corner_mm=(-50.0, 300.0, 260.0), across=(-1.0, 0.0, 0.0))
     u, v = by_opencv(renderer().cameras[0], UPRIGHT.corners_mm).round().astype(int).T

@@ -74,3 +74,20 @@ def test_the_referee_returns_gain_dark_noise_and_patterns(tmp_path: Path) -> Non
     assert pytest.approx(DEEP.dsnu_e, rel=0.05) == seen.DSNU1288
     assert pytest.approx(100.0 * DEEP.prnu, rel=0.05) == seen.PRNU1288
     assert seen.u_e_sat == pytest.approx(DEEP.full_well_e, rel=0.05)
+
+
+def test_gain_multiplies_the_gain_and_nothing_else(tmp_path: Path) -> None:
+    quiet = replace(DEEP, white_dn=1900.0)
+    seen = measured(quiet, tmp_path, Exposure(gain=2.0))
+    assert pytest.approx(2.0 * quiet.gain_dn_per_e, rel=0.02) == seen.K
+    assert seen.sigma_d == pytest.approx(quiet.read_noise_e, rel=0.05)
+    assert pytest.approx(quiet.dsnu_e, rel=0.05) == seen.DSNU1288
+
+
+def test_eight_bits_keep_gain_and_patterns(tmp_path: Path) -> None:
+    """Its dark noise of 0.39 grey levels is below the 0.49 that EMVA 1288 (6.5) asks for."""
+    sensor = replace(OpticalSensor(), vignetting=0.0)
+    seen = measured(sensor, tmp_path)
+    assert pytest.approx(sensor.gain_dn_per_e, rel=0.03) == seen.K
+    assert pytest.approx(100.0 * sensor.prnu, rel=0.05) == seen.PRNU1288
+    assert pytest.approx(sensor.dsnu_e, rel=0.05) == seen.DSNU1288

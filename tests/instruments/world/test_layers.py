@@ -109,6 +109,18 @@ def scene(pose: PlatePose, **more: object) -> SceneState:
     )
 
 
+@pytest.mark.slow
+def test_a_kept_arm_looks_as_one_drawn_anew() -> None:
+    kept = Renderer(renderer().cameras, camera_seed=7)
+    for x in (0.0, 3.0, 7.5):
+        kept.render(scene(PlatePose(x)), np.random.default_rng(1))
+    last = scene(PlatePose(11.0))
+    one = kept.render(last, np.random.default_rng(2))
+    two = Renderer(renderer().cameras, camera_seed=7).render(last, np.random.default_rng(2))
+    for name in ("left", "right", "thermal_8bit", "thermal_ck"):
+        assert np.array_equal(getattr(one, name), getattr(two, name))
+
+
 def test_temperatures_light_and_paint_are_no_part_of_what_is_kept() -> None:
     eyes, first = Renderer(renderer().cameras, camera_seed=7), scene(PlatePose())
     before = eyes.left.expected(first), eyes.thermal.expected_k(first)

@@ -106,8 +106,32 @@ def test_a_flat_field_event_shows_the_shutter() -> None:
         Drift(every_s=1.0, lasts_s=1.0)
 
 
+def hot_square() -> NDArray[np.uint16]:
+    scene = np.full((120, 160), 29315, dtype=np.uint16)
+    scene[30:60, 10:40] = 30515
+    return scene
+
+
 def usual(sensor: ThermalSensor | None = None) -> ThermalReadout:
     return ThermalReadout(sensor or ThermalSensor(), np.random.SeedSequence(2))
+
+
+def test_delivered_is_mirrored_and_hot_is_black() -> None:
+    picture = usual().delivered(hot_square(), 640, 480)
+    assert picture.shape == (480, 640)
+    assert picture[180, 639 - 100] < 20
+    assert picture[180, 100] > 230
+    plain = usual(ThermalSensor(mirrored=False, hot_is_black=False)).delivered(
+        hot_square(), 640, 480
+    )
+    assert np.abs(plain[:, ::-1].astype(int) + picture - 255).max() <= 1
+
+
+def test_a_flat_room_is_not_stretched() -> None:
+    """The picture spans at least ten kelvin."""
+    rng = np.random.default_rng(3)
+    scene = (29315 + 10.0 * rng.standard_normal((120, 160))).astype(np.uint16)
+    assert usual().delivered(scene, 640, 480).std() < 4.0
 
 
 def test_the_thermal_edge_keeps_its_place() -> None:
@@ -126,8 +150,16 @@ def test_the_sensor_is_as_the_calibration_says() -> None:
         }
     }
     sensor = ThermalSensor.from_calibration(table)
-    assert sensor == ThermalSensor(320, 240, mirrored=False, hot_is_black=False)
-    assert ThermalSensor.from_calibration({}) == ThermalSensor(160, 120)
+    assert (sensor.width_px, sensor.height_px, sensor.mirrored, sensor.hot_is_black) == (
+        320,
+        240,
+        False,
+        False,
+    )
+    assert (
+        ThermalSensor.from_calibration({}).width_px,
+        ThermalSensor.from_calibration({}).height_px,
+    ) == (160, 120)
     with pytest.raises(ValueError, match="polarity must be"):
         ThermalSensor.from_calibration({"cameras": {"thermal": {"polarity": "hot"}}})
     with pytest.raises(ValueError, match="at least one pixel"):

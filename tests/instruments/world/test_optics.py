@@ -33,6 +33,13 @@ def test_shipped_cameras_project_as_opencv_does(which: int) -> None:
     assert np.abs(camera.project(points) - by_opencv(camera, points)).max() < 1e-9
 
 
+def test_the_teat_ends_lie_in_all_three_images() -> None:
+    for camera in cameras_from_calibration(calibration_table()):
+        pixels = camera.project(TABLE_5_1_MM)
+        assert (pixels > 0).all()
+        assert (pixels < [camera.width_px, camera.height_px]).all()
+
+
 def test_motions_chain_as_published() -> None:
     """X_right = R X_left + T, X_world = R X_right + T: the cameras' centres by hand."""
     table = calibration_table()

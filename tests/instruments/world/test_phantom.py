@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.script.phantom import layout_names, shipped_phantom
-from instruments.world.phantom import PIVOT_MM, Phantom, PlatePose, Teat, TeatShape
+from instruments.world.phantom import PIVOT_MM, Phantom, PlatePose, Teat, TeatShape, upright
 
 LAYOUTS = [name for name in layout_names() if name != "random-udder"]
 TABLE_5_1_MM = [
@@ -83,6 +83,12 @@ def test_no_two_teats_share_room(name: str) -> None:
         for j in range(i):
             gap = np.linalg.norm(one[:, None] - lines[j][None], axis=2).min()
             assert gap >= hulls[i].radius_a_mm + hulls[j].radius_a_mm - 1e-6
+
+
+def test_upright_teats_end_where_they_are_said_to() -> None:
+    phantom = upright([(1.0, 2.0, 100.0), (30.0, 4.0, 90.0)], name="two")
+    assert phantom.ends_mm == pytest.approx(np.array([[1.0, 2.0, 100.0], [30.0, 4.0, 90.0]]))
+    assert phantom.name == "two"
 
 
 @given(

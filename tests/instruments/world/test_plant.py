@@ -233,6 +233,13 @@ def test_a_ramp_is_kept() -> None:
     assert plant.bath_c == pytest.approx(25.0, abs=0.5)
 
 
+def test_an_output_limit_is_kept() -> None:
+    plant = Plant(1, constants=PlantConstants(output_max=0.4))
+    plant.run(33.0)
+    plant.advance_to(60.0)
+    assert plant.power_percent == pytest.approx(40.0)
+
+
 def test_hoses_delay_by_their_transit_time() -> None:
     """2 m of 8 mm bore at 1 L/min take 6 s (section 4.3), so the teats stay cold for so long."""
     constants = PlantConstants(loss_w_per_k=0.0, hose_loss_w_per_k=0.0, pump_w=0.0)
@@ -277,10 +284,28 @@ def test_how_often_somebody_looks_changes_nothing(looks: list[float]) -> None:
     assert watched.t_s == 300.0
 
 
+def test_the_seed_is_the_noise() -> None:
+    one, same, other = ([p.pv_c for p in stepped(Plant(seed), 200)] for seed in (1, 1, 2))
+    assert one == same != other
+
+
+def test_time_does_not_go_back() -> None:
+    plant = Plant(1)
+    plant.advance_to(10.0)
+    plant.advance_to(5.0)
+    assert plant.t_s == 10.0
+
+
 @pytest.mark.parametrize("step_s", [0.0, 1.5])
 def test_a_step_too_long_is_refused(step_s: float) -> None:
     with pytest.raises(ValueError, match="step_s"):
         PlantConstants(step_s=step_s)
+
+
+def test_the_step_hardly_matters() -> None:
+    plants = [Plant(1, constants=PlantConstants(step_s=step_s)) for step_s in (0.25, 1.0)]
+    fine, coarse = (heated(plant, 20.0)[2][-1] for plant in plants)
+    assert fine == pytest.approx(coarse, abs=0.02)
 
 
 def controlled() -> Plant:
@@ -372,6 +397,12 @@ def test_a_loop_is_called_broken_when_full_output_does_nothing_for_2_minutes() -
         seen.append(plant.loop_broken)
         plant.dead_heater = not plant.loop_broken
     assert seen == [False, True, False]
+
+
+def test_heating_up_is_no_broken_loop() -> None:
+    plant = Plant(1)
+    plant.run(33.0)
+    assert not any(plant.loop_broken for plant in stepped(plant, 1200))
 
 
 def test_a_manual_output_is_held_and_capped() -> None:

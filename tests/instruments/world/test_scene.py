@@ -115,6 +115,10 @@ def test_teats_have_their_own_temperatures() -> None:
     assert seen_c == pytest.approx([29.5, 30.45, 31.4, 32.35], abs=0.1)
 
 
+def test_all_ends_of_the_plain_layout_are_visible() -> None:
+    assert renderer().visible_ends(warm()).all()
+
+
 @pytest.mark.parametrize("name", sorted(SITUATIONS))
 def test_all_ends_of_the_six_situations_are_visible(name: str) -> None:
     assert renderer().visible_ends(situation(name)).all()

@@ -24,6 +24,17 @@ def test_segments_are_apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.n
     assert searched - grain - 1e-6 <= apart <= searched + 1e-6
 
 
+def test_crossing_and_parallel_segments_by_hand() -> None:
+    x = np.array([1.0, 0.0, 0.0])
+    assert segments_apart_mm(
+        -x, x, np.array([0.0, -1.0, 3.0]), np.array([0.0, 1.0, 3.0])
+    ) == pytest.approx(3.0)
+    assert segments_apart_mm(
+        -x, x, np.array([5.0, 4.0, 0.0]), np.array([7.0, 4.0, 0.0])
+    ) == pytest.approx(np.hypot(4.0, 4.0))
+    assert segments_apart_mm(x, x, x, x) == 0.0
+
+
 def test_clearance_is_from_surface_to_surface() -> None:
     assert clearance_mm(ball((0.0, 0.0, 0.0), 3.0), ball((10.0, 0.0, 0.0), 4.0)) == pytest.approx(
         3.0
