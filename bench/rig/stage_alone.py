@@ -18,8 +18,8 @@ from bench.rig.opening import open_instruments, rig_of
 from bench.rig.urls import EMULATED
 from instruments.captures.capture import NO_CAPTURE, Captures
 from instruments.errors import InstrumentError
-from instruments.stage import targets
 from instruments.stage.driver import Stage
+from instruments.stage.settings import check_within, declared
 
 KEYS = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "a_deg"}
 _STEP = re.compile(r"([XYZA])([-+]?(?:\d+\.?\d*|\.\d+))", re.IGNORECASE)
@@ -101,8 +101,8 @@ def check_target(
 ) -> None:
     """Raise LimitError for a place that the stage can't go to, before anything moves."""
     wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
-    target = targets.declared(wanted, stage.axes, who="stage")
-    targets.check_within(target, stage.settings, "move", who="stage")
+    target = declared(wanted, stage.axes, who="stage")
+    check_within(target, stage.settings, "move", who="stage")
 
 
 def step(text: str) -> dict[str, float]:
