@@ -137,7 +137,7 @@ def replay_wire(given: argparse.Namespace) -> int:
     """The far end of a capture, until Ctrl-C or, for ``--once``, its end; mismatches are printed as
     they come.
     """
-    from instruments.captures.reader import read_capture
+    from instruments.captures.capture import read_capture
     from instruments.captures.replay import Replay
 
     capture = read_capture(given.file)

@@ -34,8 +34,8 @@ from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
 from instruments.captures.capture import NO_CAPTURE, Captures
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError
-from instruments.stage import targets
 from instruments.stage.driver import Stage
+from instruments.stage.settings import check_within, declared
 
 Seen = TypeVar("Seen")
 Look = Callable[[], Mapping[str, Grey]]
@@ -241,8 +241,8 @@ def check_target(
 ) -> None:
     """Raise LimitError for a place that the stage can't go to, before anything moves."""
     wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
-    target = targets.declared(wanted, stage.axes, who="stage")
-    targets.check_within(target, stage.settings, "move", who="stage")
+    target = declared(wanted, stage.axes, who="stage")
+    check_within(target, stage.settings, "move", who="stage")
 
 
 def step(text: str) -> dict[str, float]:

@@ -2,7 +2,7 @@
 state, laid out by a profile.
 
 A request first moves the plant on to the clock's time. Nothing here waits. Bytes: `protocol`; what
-registers mean, and a family's rules: `register_semantics`; where they are: `address_space`.
+registers mean, where they are, and a family's rules: `register_semantics`.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from itertools import cycle
 from typing import ClassVar, Literal, get_args
 
 from instruments.bath import protocol
-from instruments.bath.address_space import Cells, Values
 from instruments.bath.profile import PUMP, Profile, RelayProfile, Wiring
 from instruments.bath.protocol import Exchange, Frame, Plain, Read, Refused, Write
-from instruments.bath.register_semantics import Controller, Manners, manners_of
+from instruments.bath.register_semantics import Cells, Controller, Manners, Values, manners_of
 from instruments.bath.registers import Row
 from instruments.clock import Clock
 from instruments.listener import Connection

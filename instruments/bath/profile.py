@@ -101,7 +101,6 @@ class Wiring(Strict):
                 yield f"rows.{at}.address", f"{what} overlaps {first.name} at {first.address}"
 
     def _unreachable(self, row: Row) -> Iterator[str]:
-        """Why the family's functions can't get at the row."""
         known = ", ".join(map(str, self.functions))
         if "r" in row.access and self.read_function(row.table) is None:
             yield f"none of the functions {known} reads table {row.table}"
@@ -270,7 +269,6 @@ class Profile(Wiring):
         yield from self._reference_faults()
 
     def _reference_faults(self) -> Faults:
-        """Rows and labels that are named and do not exist."""
         if source := self.order_from:
             row = self.find(source.row)
             if row is None or row.order is None:
@@ -304,10 +302,8 @@ def _path_of(name_or_path: str | Path, shipped: Path) -> Path:
 
 
 def profile_names() -> list[str]:
-    """The names of the shipped profiles."""
     return sorted(path.stem for path in SHIPPED.glob("*.toml"))
 
 
 def relay_names() -> list[str]:
-    """The names of the shipped profiles of a pump's relay."""
     return sorted(path.stem for path in RELAYS.glob("*.toml"))

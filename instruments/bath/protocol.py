@@ -148,14 +148,12 @@ def answer_read(request: Read, values: Sequence[int]) -> bytes:
 
 
 def answer_write(request: Write) -> bytes:
-    """The PDU that confirms a write."""
     single = {WRITE_ONE: request.values[0], WRITE_COIL: request.values[0] * 0xFF00}
     value = single.get(request.function, len(request.values))
     return struct.pack(">BHH", request.function, request.address, value)
 
 
 def answer_refusal(function: int, code: int) -> bytes:
-    """The PDU that says no."""
     return bytes((function | 0x80, code))
 
 

@@ -3,24 +3,28 @@ profile says, and each row's name as a look at the plant, an act on it, or a cel
 
 A row that is unknown here is stored as it was written and changes nothing else. The families are
 from the water-bath fact sheet, section 1; where it is silent the choice is the one that is harder
-on a driver, marked as chosen.
+on a driver, marked as chosen. Last, the address space: which row answers at which address, in how
+many registers, and what is refused.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from instruments.bath import protocol
-from instruments.bath.address_space import Values
-from instruments.bath.profile import Profile
+from instruments.bath.profile import Profile, Wiring
+from instruments.bath.protocol import Read, Refused, Write
 from instruments.bath.registers import Order, Row, Table
 from instruments.world.plant import Plant
 
 TURNED: Mapping[Order, Order] = {"ABCD": "CDAB", "CDAB": "ABCD", "BADC": "DCBA", "DCBA": "BADC"}
 NO_NUMBER = 0x8000  # for a register that can't hold not-a-number; chosen
+IEEE_AREA = 0x8000  # Eurotherm: a pair of registers at 0x8000 + 2 n for each quantity n
+PADDING = 0x8000  # behind a word that takes only the first register of its pair
+ALIKE: Mapping[Table, Table] = {"input": "holding", "discrete": "coil"}
 
 
 STANDARD: Mapping[int, Table] = {
@@ -141,6 +145,35 @@ def manners_of(profile: Profile) -> Manners:
     return next(known, Manners(alike=profile.alike))
 
 
+class Values:
+    """The device's memory. Numbers are as they go over the wire: in the unit that it speaks."""
+
+    def __init__(self, profile: Wiring) -> None:
+        self.wiring = profile
+        self.memory: dict[str, float] = {}
+
+    @property
+    def decimals(self) -> int:
+        """Digits behind the decimal point that a 16-bit number leaves out."""
+        return 0
+
+    @property
+    def order(self) -> Order:
+        return self.wiring.order
+
+    def number(self, row: Row) -> float:
+        return self.memory.get(row.name, 0.0)
+
+    def words(self, row: Row) -> tuple[int, ...]:
+        return row.encode(self.number(row), self.order)
+
+    def refuses(self, row: Row, value: float) -> bool:
+        return row.refusal(value) is not None
+
+    def take(self, row: Row, value: float) -> None:
+        self.memory[row.name] = value
+
+
 class Controller(Values):
     """A controller of ``profile``'s family over ``plant``.
 
@@ -162,7 +195,6 @@ class Controller(Values):
 
     @property
     def manual_mode(self) -> bool:
-        """Whether it is switched to manual."""
         return self.ignores or self.plant.manual_output is not None
 
     @manual_mode.setter
@@ -276,11 +308,6 @@ def _mode(name: str, automatic: str) -> Callable[[Controller], float]:
     return look
 
 
-def _alarm(on: Controller) -> float:
-    known = (float(alarm.code) for alarm in on.profile.alarms if alarm.cause == on.plant.alarm)
-    return next(known, 0.0)
-
-
 def _status(on: Controller) -> float:
     states = {
         "alarm 1": on.alarm1() == "high",
@@ -328,7 +355,9 @@ LOOKS: Mapping[str, Callable[[Controller], float]] = {
     "encoding": _encoding,
     "address": lambda on: float(on.unit_id),
     "remote": lambda on: on.code("remote", "manual" if on.manual_mode else "modbus"),
-    "alarm": _alarm,
+    "alarm": lambda on: next(
+        (float(known.code) for known in on.profile.alarms if known.cause == on.plant.alarm), 0.0
+    ),
     "status": _status,
     "sensor_break": lambda on: on.code("sensor_break", "yes" if on.plant.broken_sensor else "no"),
     "loop_break": lambda on: on.code("loop_break", "yes" if on.plant.loop_broken else "no"),
@@ -382,3 +411,131 @@ ACTS: Mapping[str, Callable[[Controller, float], None]] = {
     "unit": lambda on, value: setattr(on, "fahrenheit", value == on.code("unit", "f")),
     "encoding": lambda on, value: on.set_order(int(value)),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A row at an address. ``padded``: a word and a filler; ``whole``: a float as 16 bits."""
+
+    row: Row
+    address: int
+    form: Literal["plain", "padded", "whole"] = "plain"
+
+    @property
+    def count(self) -> int:
+        return {"plain": self.row.words, "padded": 2, "whole": 1}[self.form]
+
+    @property
+    def end(self) -> int:
+        return self.address + self.count
+
+    def encode(self, values: Values) -> tuple[int, ...]:
+        """The registers that hold its value."""
+        if self.form == "whole":
+            number = values.number(self.row) * 10.0**values.decimals
+            return (round(number) & 0xFFFF if math.isfinite(number) else PADDING,)
+        words = values.words(self.row)
+        return (words[0], PADDING) if self.form == "padded" else words
+
+    def decode(self, words: tuple[int, ...], values: Values) -> float:
+        """The number in ``words``."""
+        if self.form == "whole":
+            return (words[0] - 0x10000 if words[0] & 0x8000 else words[0]) / 10.0**values.decimals
+        return self.row.decode(words[: self.row.words], values.order)
+
+
+class Cells:
+    """The address space of a device of ``profile``'s family."""
+
+    def __init__(self, profile: Wiring, manners: Manners, values: Values) -> None:
+        self.gaps_refused = False
+        self._manners = manners
+        self._values = values
+        self._at: dict[tuple[Table, int], Cell] = {}
+        # a profile lets the bench write less than the controller takes
+        known = manners.writable
+        rows = [
+            row.model_copy(update={"access": "rw"})
+            if row.access == "r"
+            and (row.table == "holding" if known is None else row.name in known)
+            else row
+            for row in profile.rows
+        ]
+        mirrored = [_mirrored(row) for row in rows] if manners.areas else []
+        for cell in [Cell(row, row.address) for row in rows] + mirrored:
+            if cell is not None:
+                table = self._alike(cell.row.table)
+                for address in range(cell.address, cell.end):
+                    self._at.setdefault((table, address), cell)
+
+    def read(self, request: Read) -> list[int]:
+        """The bits or registers asked for. Raises Refused."""
+        table = self._alike(self._manners.functions[request.function])
+        end = request.address + request.count
+        self._check_pairs(request.address, request.count, request.function)
+        ends = {(table, request.address), (table, end - 1)}
+        if end > 0x10000 or (self._manners.gaps != "undefined" and not ends <= set(self._at)):
+            raise Refused(protocol.ILLEGAL_ADDRESS)
+        return [self._word(table, address) for address in range(request.address, end)]
+
+    def write(self, request: Write) -> None:
+        """All of the request or nothing, and whole rows only. Raises Refused."""
+        wanted = []
+        for cell, words in self._targets(request):
+            value = cell.decode(words, self._values)
+            if not math.isfinite(value) or self._values.refuses(cell.row, value):
+                raise Refused(protocol.ILLEGAL_VALUE)
+            wanted.append((cell.row, value))
+        for row, value in wanted:
+            self._values.take(row, value)
+
+    def _targets(self, request: Write) -> Iterator[tuple[Cell, tuple[int, ...]]]:
+        table = self._alike(self._manners.functions[request.function])
+        address, end = request.address, request.address + len(request.values)
+        self._check_pairs(address, len(request.values), request.function)
+        lone = request.function == protocol.WRITE_MANY and len(request.values) == 1
+        if self._manners.gaps == "undefined" and lone and (table, address) not in self._at:
+            return  # Eurotherm confirms a block of one register that is not configured
+        while address < end:
+            cell = self._at.get((table, address))
+            if (
+                cell is None
+                or "w" not in cell.row.access
+                or cell.address != address
+                or cell.end > end
+                or (cell.count > 1 and request.function == protocol.WRITE_ONE)
+            ):
+                raise Refused(protocol.ILLEGAL_ADDRESS)
+            yield cell, request.values[address - request.address :][: cell.count]
+            address = cell.end
+
+    def _word(self, table: Table, address: int) -> int:
+        cell = self._at.get((table, address))
+        if cell is not None:
+            return cell.encode(self._values)[address - cell.address]
+        if self._manners.gaps == "undefined":
+            return (address * 40503 & 0xFFFF) if table == "holding" else address & 1
+        if self.gaps_refused or self._manners.gaps == "refused":
+            raise Refused(protocol.ILLEGAL_ADDRESS)
+        return 0
+
+    def _check_pairs(self, address: int, count: int, function: int) -> None:
+        """The IEEE area takes whole pairs only, from an even address, and never with function 6."""
+        if not self._manners.areas or address < IEEE_AREA or function in protocol.BITS:
+            return
+        if address % 2 or count % 2 or function == protocol.WRITE_ONE:
+            raise Refused(protocol.ILLEGAL_ADDRESS)
+
+    def _alike(self, table: Table) -> Table:
+        return ALIKE.get(table, table) if self._manners.alike else table
+
+
+def _mirrored(row: Row) -> Cell | None:
+    if row.type == "bit":
+        return None
+    if row.address >= IEEE_AREA and row.address % 2 == 0:
+        form: Literal["plain", "whole"] = "whole" if row.words == 2 else "plain"
+        return Cell(row, (row.address - IEEE_AREA) // 2, form)
+    if row.address < IEEE_AREA // 2 and row.words == 1:
+        return Cell(row, IEEE_AREA + 2 * row.address, "padded")
+    return None

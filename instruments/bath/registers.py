@@ -104,12 +104,10 @@ class Row(Strict):
 
     @property
     def words(self) -> int:
-        """How many registers (or coils) it takes."""
         return WORDS[self.type]
 
     @property
     def end(self) -> int:
-        """The first address after it."""
         return self.address + self.words
 
     def faults(self) -> Iterator[str]:

@@ -12,8 +12,14 @@ import logging
 from collections.abc import Callable, Sequence
 
 from instruments.bath.connection import BAUD, Line
-from instruments.bath.requests import EXCEPTION, Question, read_question, values_in, write_question
-from instruments.bath.response_matching import Answers
+from instruments.bath.requests import (
+    EXCEPTION,
+    Answers,
+    Question,
+    read_question,
+    values_in,
+    write_question,
+)
 from instruments.clock import Clock, VirtualClock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 from instruments.link import SLICE_S, Link
@@ -271,7 +277,9 @@ class Transactions:
 
     def _put(self, question: Question) -> bool:
         """Send ``question`` and wait for its answer; whether one came."""
-        self._keep_gap()
+        if self._line.character_s:
+            gap_s = max(GAP_CHARACTERS * self._line.character_s, LEAST_GAP_S)
+            self._clock.sleep(self._heard_s + gap_s - self._clock.now())
         link = self._up()
         if self._line.is_rtu:
             while self._receive(link, 0.0):  # what lies there unasked is nobody's response
@@ -302,11 +310,6 @@ class Transactions:
         question = self._answers.open
         if question and question.answer is None and self._clock.now() < self._deadline_s(question):
             self._wait(question, self._up())
-
-    def _keep_gap(self) -> None:
-        if self._line.character_s:
-            gap_s = max(GAP_CHARACTERS * self._line.character_s, LEAST_GAP_S)
-            self._clock.sleep(self._heard_s + gap_s - self._clock.now())
 
     # ---- what is owed
 

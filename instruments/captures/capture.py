@@ -1,18 +1,20 @@
 """A capture: the bytes of every link with time and direction, as JSON lines in one file.
 
 The first line is the header, each further line an event, written through at once. A disk that fills
-up ends the capture, not the run.
+up ends the capture, not the run. Read back, it is each link's connections, and in each what the
+host asked and what came; a last line that is cut is no fault, since a killed bench leaves one.
 """
 
 from __future__ import annotations
 
 import json
 import re
+import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol
+from typing import Any, Protocol
 
 from instruments.clock import Clock, wall_time
 from instruments.tap import NoTap, Tap
@@ -24,6 +26,16 @@ FACTS = ("teatbench", "wall_time", "command", "machine")
 LINK_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
 PIECE = 65536  # bytes an event; what is longer is written as several
 SHOWN = 20  # faults that are listed of one file
+LONGEST_LINE = 1 << 20
+ENOUGH = 1000  # faults after which a file is given up
+# what each must say beside time, link and event; and what it may
+EVENTS: dict[str, tuple[frozenset[str], frozenset[str]]] = {
+    "opened": (frozenset({"url"}), frozenset()),
+    "sent": (frozenset({"data"}), frozenset()),
+    "received": (frozenset({"data"}), frozenset()),
+    "closed": (frozenset(), frozenset({"why"})),
+}
+ALWAYS = frozenset({"t_s", "link", "event"})
 
 
 class CaptureError(ValueError):
@@ -120,12 +132,7 @@ class CaptureFile:
     def __enter__(self) -> CaptureFile:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _write(self, line: str) -> None:
@@ -167,3 +174,202 @@ class _LinkTap:
     def _note(self, event: str, data: bytes) -> None:
         for at in range(0, len(data), PIECE):
             self._file.note(self._link, self._clock, event, data=data[at : at + PIECE].hex())
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Bytes as the host read them in one go at ``t_s``; ``line`` of the file."""
+
+    t_s: float
+    data: bytes
+    line: int
+
+
+@dataclass(slots=True)
+class Exchange:
+    """Bytes of the host, the last at ``asked_s``, and all that came until the next; ``line`` is the
+    first's.
+    """
+
+    asked_s: float
+    line: int
+    asked: bytearray = field(default_factory=bytearray)
+    came: list[Piece] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Conversation:
+    """One connection; its first exchange is what came unasked. ``closed_s``: None where the capture
+    ended first; ``broke``: why, empty where the host closed it.
+    """
+
+    url: str
+    opened_s: float
+    exchanges: list[Exchange]
+    closed_s: float | None = None
+    broke: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """A file as read: header's ``facts``, connections by link, and whether the last line was
+    ``cut``.
+    """
+
+    path: Path
+    facts: Mapping[str, str]
+    links: Mapping[str, list[Conversation]]
+    cut: bool
+
+
+def read_capture(path: Path) -> Capture:
+    """The capture at ``path``. Raises CaptureError with all its faults."""
+    try:
+        with path.open("rb") as file:
+            lines = iter(lambda: file.readline(LONGEST_LINE + 1), b"")
+            return _Reader(path).read(lines)
+    except OSError as error:
+        raise CaptureError(path, [(0, f"can't be read: {error.strerror or error}")]) from error
+
+
+class _WrongError(Exception):
+    """What is wrong with a line."""
+
+
+class _NoJsonError(_WrongError):
+    """A line is no JSON at all, as one that was cut."""
+
+
+class _Reader:
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._faults: list[tuple[int, str]] = []
+        self._links: dict[str, list[Conversation]] = {}
+        self._last_s = 0.0
+        self._cut = False
+
+    def read(self, lines: Iterator[bytes]) -> Capture:
+        facts = self._header(next(lines, b""))
+        for number, line in enumerate(lines, 2):
+            try:
+                self._event(number, _parsed(line))
+            except _WrongError as wrong:
+                self._cut = isinstance(wrong, _NoJsonError) and not line.endswith(b"\n")
+                if not self._cut:
+                    self._faults.append((number, str(wrong)))
+                if len(line) > LONGEST_LINE or len(self._faults) >= ENOUGH:
+                    break
+        if self._faults:
+            raise CaptureError(self._path, self._faults)
+        return Capture(self._path, facts, self._links, self._cut)
+
+    def _header(self, line: bytes) -> dict[str, str]:
+        """The first line's facts. Raises CaptureError at once for another kind of file."""
+        hint = "is this a file that teatbench wrote with --capture?"
+        if not line:
+            raise CaptureError(self._path, [(0, f"is empty; {hint}")])
+        try:
+            told = _parsed(line)
+            if told.pop("format", None) != FORMAT:
+                raise _WrongError(f'no "format": "{FORMAT}"; {hint}')
+            version = told.pop("version", None)
+            if version != VERSION or isinstance(version, bool):
+                raise _WrongError(
+                    f"written in version {version!r} of the format, and only {VERSION} is"
+                    " understood here: update teatbench"
+                )
+            _check_keys(told, frozenset(FACTS), frozenset())
+            return {key: _text(told, key) for key in FACTS}
+        except _WrongError as wrong:
+            raise CaptureError(self._path, [(1, str(wrong))]) from None
+
+    def _event(self, number: int, told: dict[str, Any]) -> None:
+        kind = told.get("event")
+        if not isinstance(kind, str) or kind not in EVENTS:
+            raise _WrongError(f"no event {kind!r}; there are {', '.join(EVENTS)}")
+        must, may = EVENTS[kind]
+        _check_keys(told, ALWAYS | must, may)
+        link, t_s = _text(told, "link"), self._time(told["t_s"])
+        if not LINK_NAME.fullmatch(link):
+            raise _WrongError(f"no name for a link: {link!r}")
+        if kind == "opened":
+            talk = Conversation(_text(told, "url"), t_s, [Exchange(t_s, number)])
+            self._links.setdefault(link, []).append(talk)
+            return
+        if link not in self._links:
+            raise _WrongError(
+                f"{link} was {kind} before it was opened"
+                if kind == "closed"
+                else f"bytes {kind} before {link} was opened"
+            )
+        talk = self._links[link][-1]
+        if kind == "received":  # also what is read only after the link broke
+            talk.exchanges[-1].came.append(Piece(t_s, _bytes(told), number))
+        elif kind == "closed":
+            why = _text(told, "why") if "why" in told else ""
+            if talk.closed_s is None:
+                talk.closed_s, talk.broke = t_s, why
+        else:
+            data = _bytes(told)
+            if talk.closed_s is None:  # into a broken link it never arrived
+                if len(talk.exchanges) == 1 or talk.exchanges[-1].came:
+                    talk.exchanges.append(Exchange(t_s, number))
+                talk.exchanges[-1].asked += data
+                talk.exchanges[-1].asked_s = t_s
+
+    def _time(self, t_s: object) -> float:
+        if (
+            isinstance(t_s, bool)
+            or not isinstance(t_s, int | float)
+            or not 0 <= t_s <= sys.float_info.max
+        ):
+            raise _WrongError(f"t_s is no time: {t_s!r:.60}")
+        if t_s < self._last_s:
+            raise _WrongError(f"t_s goes back, from {self._last_s:g} to {t_s:g}")
+        self._last_s = float(t_s)
+        return self._last_s
+
+
+def _parsed(line: bytes) -> dict[str, Any]:
+    if len(line) > LONGEST_LINE:
+        raise _WrongError(f"the line is longer than {LONGEST_LINE} bytes")
+    try:
+        told = json.loads(line.decode("utf-8"), object_pairs_hook=_no_key_twice)
+    except UnicodeDecodeError as error:
+        raise _NoJsonError(f"not UTF-8 text: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise _NoJsonError(f"not JSON: {error}") from error
+    if not isinstance(told, dict):
+        raise _WrongError("not a JSON object")
+    return told
+
+
+def _no_key_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    told = dict(pairs)
+    if len(told) != len(pairs):
+        raise ValueError("a key is there twice")
+    return told
+
+
+def _check_keys(told: Mapping[str, Any], must: frozenset[str], may: frozenset[str]) -> None:
+    if missing := must - told.keys():
+        raise _WrongError(f"{', '.join(sorted(missing))}: missing")
+    if unknown := told.keys() - must - may:
+        raise _WrongError(f"{', '.join(ascii(key) for key in sorted(unknown))}: unknown here")
+
+
+def _text(told: Mapping[str, Any], key: str) -> str:
+    if not isinstance(told[key], str):
+        raise _WrongError(f"{key} is no text: {told[key]!r:.60}")
+    return str(told[key])
+
+
+def _bytes(told: Mapping[str, Any]) -> bytes:
+    text = _text(told, "data")
+    try:
+        data = bytes.fromhex(text)
+    except ValueError:
+        raise _WrongError(f"data is not hex: {text!r:.60}") from None
+    if not data:
+        raise _WrongError("data is empty")
+    return data

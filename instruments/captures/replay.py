@@ -14,9 +14,8 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice, repeat
-from types import TracebackType
 
-from instruments.captures.reader import Capture, Conversation, Exchange
+from instruments.captures.capture import Capture, Conversation, Exchange
 from instruments.clock import Clock, VirtualClock
 from instruments.errors import hex_bytes
 from instruments.listener import Connection, Listener
@@ -238,19 +237,13 @@ class Replay:
         return [f"{name}: {what}" for name, end in self.ends.items() if (what := end.unplayed)]
 
     def close(self) -> None:
-        """Stop listening and hang up."""
         for listener in self._listeners:
             listener.close()
 
     def __enter__(self) -> Replay:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -315,7 +308,6 @@ class FarEnd:
             player.take(data)
 
     def disconnect(self, connection: Connection) -> None:
-        """The connection is over, by whichever end."""
         if player := self._players.get(connection):
             self._left[player.number] = player.left
             del self._players[connection]

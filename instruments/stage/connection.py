@@ -11,7 +11,6 @@ from collections import deque
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 from instruments.link import Link
-from instruments.stage.alarm_texts import alarm_meaning, error_meaning
 from instruments.stage.protocol import (
     SOFT_RESET,
     STATUS_QUERY,
@@ -26,7 +25,9 @@ from instruments.stage.protocol import (
     Setting,
     Status,
     Welcome,
+    alarm_meaning,
     encode,
+    error_meaning,
 )
 from instruments.stage.settings import StageIdentity, StageSettings, read_settings
 

@@ -20,11 +20,22 @@ from numpy.typing import NDArray
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
 from instruments.link import Link
-from instruments.stage import targets
 from instruments.stage.connection import ANSWER_S, Dialogue, meet
 from instruments.stage.protocol import HOLD, JOG_CANCEL, RESUME, Status, jog_line, move_line
-from instruments.stage.settings import DECLARABLE, AxisLimits, StageIdentity, StageSettings
-from instruments.stage.targets import Move, Target
+from instruments.stage.settings import (
+    DECLARABLE,
+    AxisLimits,
+    Move,
+    StageIdentity,
+    StageSettings,
+    Target,
+    allowed_s,
+    by_letter,
+    check_arrived,
+    check_within,
+    declared,
+    feed_for,
+)
 
 POLL_S = 0.2  # the firmware asks for no more than 5 queries a second
 STOP_S = 10.0  # braking takes a second at most; more means that the stage doesn't obey
@@ -143,11 +154,11 @@ class Stage:
     ) -> None:
         """Start what ``finish_move`` waits for. Raises as ``move_to``."""
         wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
-        target = targets.declared(wanted, self.axes, who=self.who)
-        feed = targets.feed(target, feed_mm_min, self.settings)
+        target = declared(wanted, self.axes, who=self.who)
+        feed = feed_for(target, feed_mm_min, self.settings)
         line = move_line(target, feed, who=self.who)
         self._check_homed(line)
-        targets.check_within(target, self.settings, line, who=self.who)
+        check_within(target, self.settings, line, who=self.who)
         here = self._ready_at(line)
         self._send(line, target, {axis: target[axis] - here[axis] for axis in target}, feed)
 
@@ -164,15 +175,15 @@ class Stage:
         ``move_to``.
         """
         wanted = {"X": x_mm or None, "Y": y_mm or None, "Z": z_mm or None, "A": a_deg or None}
-        way = targets.declared(wanted, self.axes, who=self.who)
+        way = declared(wanted, self.axes, who=self.who)
         if not way:
             raise LimitError(self.who, "a jog by nothing", hint="Give a way along an axis.")
-        feed = targets.feed(way, feed_mm_min, self.settings)
+        feed = feed_for(way, feed_mm_min, self.settings)
         line = jog_line(way, feed, who=self.who)
         self._check_homed(line)
         here = self._ready_at(line)
         target = {axis: here[axis] + way[axis] for axis in way}
-        targets.check_within(target, self.settings, line, who=self.who)
+        check_within(target, self.settings, line, who=self.who)
         self._send(line, target, way, feed, jog=True)
 
     def cancel_jog(self) -> None:
@@ -190,7 +201,7 @@ class Stage:
         status = self._until_over(move)
         self._move = None
         try:
-            targets.check_arrived(move, self._here(status), self.settings, who=self.who)
+            check_arrived(move, self._here(status), self.settings, who=self.who)
         except DeviceError:
             self._homed_at = self._homed_at if move.jog else None
             raise
@@ -283,7 +294,7 @@ class Stage:
         return self._move if self.homed else None
 
     def _here(self, status: Status) -> Target:
-        return targets.by_letter(self._talk.machine_mm(status), self.axes, who=self.who)
+        return by_letter(self._talk.machine_mm(status), self.axes, who=self.who)
 
     def _check_homed(self, line: str) -> None:
         if not self.homed:
@@ -311,7 +322,7 @@ class Stage:
     def _send(
         self, line: str, target: Target, way: Target, feed: float, *, jog: bool = False
     ) -> None:
-        allowed = targets.allowed_s(way, feed, self.settings)
+        allowed = allowed_s(way, feed, self.settings)
         self._talk.command(line)
         self._move = Move(target, self._clock.now() + allowed, allowed, jog)
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from instruments.captures.capture import NO_CAPTURE, CaptureFile, Captures
-from instruments.captures.reader import read_capture
+from instruments.captures.capture import NO_CAPTURE, CaptureFile, Captures, read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import RealClock
 from instruments.link import Link

@@ -15,8 +15,7 @@ from typing import Any
 
 import pytest
 
-from instruments.captures.capture import NO_CAPTURE, CaptureError, CaptureFile
-from instruments.captures.reader import read_capture
+from instruments.captures.capture import NO_CAPTURE, CaptureError, CaptureFile, read_capture
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.tap import Tap

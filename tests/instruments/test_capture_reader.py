@@ -17,8 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from instruments.captures.capture import CaptureError, CaptureFile
-from instruments.captures.reader import read_capture
+from instruments.captures.capture import CaptureError, CaptureFile, read_capture
 from instruments.clock import VirtualClock
 from tests.conftest import ROOT
 

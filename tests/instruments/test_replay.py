@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from instruments.captures.reader import read_capture
+from instruments.captures.capture import read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError

@@ -16,8 +16,7 @@ import pytest
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import load_profile
-from instruments.captures.capture import CaptureFile
-from instruments.captures.reader import Capture, read_capture
+from instruments.captures.capture import Capture, CaptureFile, read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import InstrumentError, LinkError

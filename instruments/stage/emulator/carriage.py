@@ -131,7 +131,6 @@ class Carriage:
         return self.motion
 
     def place_mm(self, now_s: float) -> Vector:
-        """Where the carriage is."""
         if self._homing:
             return self._stalled_homing or self._homing[0].position(now_s - self._homing[1])
         self.follow(now_s)

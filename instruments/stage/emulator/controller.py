@@ -58,7 +58,6 @@ class Receiver:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all, as a reset does."""
         self._waiting.clear()
         self._line = ""
         self._overflowed = False
@@ -106,7 +105,6 @@ class SlowFields:
         self._until_ov = 0
 
     def wco_changed(self) -> None:
-        """The offset goes into the next report."""
         self._until_wco = 0
 
     def due(self, busy: bool) -> str | None:
@@ -157,7 +155,6 @@ class Controller:
         return self.jogged and self.moving
 
     def say(self, text: str) -> None:
-        """Put a line out."""
         self.out += text.encode("ascii") + b"\r\n"
 
     def take(self, data: bytes) -> None:
@@ -241,16 +238,13 @@ class Controller:
         if self.mode is Mode.LOCKED:
             self.say("[MSG:'$H'|'$X' to unlock]")
 
-    def _reset(self) -> None:
-        if self.moving:
-            self.alarm(6 if self.carriage.homing else 3)
-        self.restart()
-
     # Real-time bytes
 
     def _realtime(self, byte: bytes) -> None:
         if byte == protocol.SOFT_RESET:
-            self._reset()
+            if self.moving:
+                self.alarm(6 if self.carriage.homing else 3)
+            self.restart()
         elif byte == protocol.STATUS_QUERY:
             self._query()
         elif byte == protocol.DOOR and self.mode is Mode.HOMING:

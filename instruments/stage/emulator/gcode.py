@@ -288,7 +288,12 @@ def _dwell(board: Controller, seconds: float) -> Wait:
 
 def _move(board: Controller, move: Move) -> Wait:
     if board.settings[20] and board.settings.beyond_travel(move.target_mm):
-        yield from _soft_limit(board)
+        # soft limit: to a stand without losing steps, then no line is taken until a reset
+        board.carriage.follow(board.now).cancel(board.now)
+        yield from _until_still(board)
+        board.alarm(2, critical=True)
+        while True:
+            yield math.inf
     yield from _plan(board, move)
     board.jogged = False
 
@@ -304,15 +309,6 @@ def _probe(board: Controller, probe: Probe) -> Wait:
     if probe.must:
         board.alarm(5)
     board.say(f"[PRB:{axis_numbers(board.carriage.motion.position(board.now), inches=False)}:0]")
-
-
-def _soft_limit(board: Controller) -> Wait:
-    """Come to a stand without losing steps, then be deaf until a reset."""
-    board.carriage.follow(board.now).cancel(board.now)
-    yield from _until_still(board)
-    board.alarm(2, critical=True)
-    while True:
-        yield math.inf
 
 
 def _plan(board: Controller, move: Move) -> Wait:
@@ -368,7 +364,6 @@ def _system(board: Controller, text: str) -> Task:
 
 
 def _write(board: Controller, text: str) -> int:
-    """``n=value``."""
     number, equals, value = text.partition("=")
     if not number[:1].isdigit():
         return 2

@@ -18,42 +18,28 @@ from instruments.stage.emulator.motion import AxisRates, Vector
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """A firmware's welcome, buffers, report fields and options (as `$I` prints them). grblHAL's
-    receive buffer holds a byte less than it states.
+    """A firmware's welcome, buffers, report fields and options (as `$I` prints them), by default
+    classic GRBL's. grblHAL's receive buffer holds a byte less than it states.
     """
 
-    name: str
-    welcome: str
-    build: str
-    options: str
-    planner_blocks: int
-    receive_bytes: int
-    more_fields: bool  # grblHAL's H: (homed) and TLR: (tool length reference)
-    always_reports: bool  # also while homing and in a critical alarm
-    most_axes: int
-    homing_passes: bool  # whether settings say which axes are homed in which pass
-    crooked_alarm: int  # two motors of one axis found their switches too far apart
-    most_line_number: float
+    name: str = "Grbl"
+    welcome: str = "Grbl 1.1h ['$' for help]"
+    build: str = "1.1h.20190830"
+    options: str = "V,15,128"
+    planner_blocks: int = 15
+    receive_bytes: int = 128
+    more_fields: bool = False  # grblHAL's H: (homed) and TLR: (tool length reference)
+    always_reports: bool = False  # also while homing and in a critical alarm
+    most_axes: int = 3
+    homing_passes: bool = False  # whether settings say which axes are homed in which pass
+    crooked_alarm: int = 10  # two motors of one axis found their switches too far apart
+    most_line_number: float = 10_000_000
 
     def identity(self) -> list[str]:
-        """As ``$I`` prints it."""
         return [f"[VER:{self.build}:]", f"[OPT:{self.options}]"]
 
 
-CLASSIC = Dialect(
-    name="Grbl",
-    welcome="Grbl 1.1h ['$' for help]",
-    build="1.1h.20190830",
-    options="V,15,128",
-    planner_blocks=15,
-    receive_bytes=128,
-    more_fields=False,
-    always_reports=False,
-    most_axes=3,
-    homing_passes=False,
-    crooked_alarm=10,
-    most_line_number=10_000_000,
-)
+CLASSIC = Dialect()
 GRBL_HAL = Dialect(
     name="grblHAL",
     welcome="GrblHAL 1.1f ['$' or '$HELP' for help]",
@@ -111,7 +97,6 @@ class Store:
         return self._values[number]
 
     def lines(self) -> list[str]:
-        """As ``$$`` prints them."""
         return [
             f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}"
             for n, value in self._values.items()
@@ -170,7 +155,6 @@ class Store:
 
     @property
     def passes(self) -> tuple[tuple[int, ...], ...]:
-        """The axes of each homing pass."""
         if not self.dialect.homing_passes:
             return _CLASSIC_PASSES
         masks = [int(self._values[number]) for number in (44, 45, 46)]

@@ -20,7 +20,7 @@ import pytest
 from bench.cli.main import parser
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.opening import open_instruments
-from instruments.captures.reader import Capture, read_capture
+from instruments.captures.capture import Capture, read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import RealClock, VirtualClock
 from instruments.link import Link

@@ -216,19 +216,6 @@ def test_what_does_not_fit_the_registers_is_refused() -> None:
         encode(math.nan, "i16", "ABCD")
 
 
-def test_scaled_rows_divide_and_multiply(tmp_path: Path) -> None:
-    text = SMALL.replace('type = "f32"\nevidence', 'type = "i16"\nscale = 0.1\nevidence', 1)
-    row = load_profile(written(tmp_path, text)).row("temperature")
-    assert row.encode(33.0, "ABCD") == (330,)
-    assert row.decode([0xFFF6], "ABCD") == pytest.approx(-1.0)
-
-
-def test_a_profile_can_not_be_changed() -> None:
-    profile: Profile = load_profile("julabo-presto")
-    with pytest.raises(ValueError, match="frozen"):
-        profile.family = "another"  # type: ignore[misc]
-
-
 SHIPPED = [*EUROTHERMS, "julabo-magio", "julabo-presto", "omega-cn7", *WATLOWS]
 
 # Fact sheet, sections 1.1 to 1.4: name, table, address, type, access, evidence.

@@ -10,8 +10,8 @@ from collections.abc import Callable
 import pytest
 
 from instruments.clock import VirtualClock
-from instruments.stage.alarm_texts import ALARMS, ERRORS
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
+from instruments.stage.protocol import ALARMS, ERRORS
 from tests.instruments.stage.board import LOCK, UNLOCKED, WELCOME, Board
 
 Make = Callable[..., Board]

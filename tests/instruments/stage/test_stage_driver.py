@@ -11,7 +11,7 @@ import pytest
 from instruments.errors import DeviceError, LimitError, LinkError
 from instruments.stage import protocol
 from instruments.stage.driver import Stage
-from instruments.stage.emulator import GRBL_HAL, Fault
+from instruments.stage.emulator import Fault
 from tests.instruments.stage.board import Bench
 
 Make = Callable[..., Bench]
@@ -178,26 +178,6 @@ def test_what_jogs_holds_and_recovery_send(bench: Bench) -> None:
         b"~",
         b"\x18",
     ]
-
-
-def test_a_jog_ends_where_it_should(bench: Bench) -> None:
-    stage = bench.homed()
-    stage.move_to(-100, -100)
-    stage.jog(x_mm=-12.5, y_mm=3)
-    assert stage.status().state == "Jog"
-    stage.finish_move()
-    assert bench.emulator.position_mm() == pytest.approx([-112.5, -97, -1])
-    stage.jog(z_mm=-3, feed_mm_min=300)
-    stage.finish_move()
-    assert stage.position() == pytest.approx([-112.5, -97, -4])
-
-
-def test_a_rotation_jogs_too(make: Make) -> None:
-    bench = make(dialect=GRBL_HAL, axes="XYA")
-    stage = bench.homed()
-    stage.jog(a_deg=-45)
-    stage.finish_move()
-    assert stage.position() == pytest.approx([-1, -1, -1, -46])
 
 
 def test_a_cancelled_jog_stands_and_keeps_the_position(bench: Bench) -> None:

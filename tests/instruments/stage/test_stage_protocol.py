@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 
 from instruments.errors import LimitError
 from instruments.stage import protocol
-from instruments.stage.alarm_texts import ALARMS, ERRORS, HAL_ALARMS, alarm_meaning, error_meaning
 from instruments.stage.protocol import (
+    ALARMS,
+    ERRORS,
+    HAL_ALARMS,
     Alarm,
     Decoder,
     ErrorReply,
@@ -22,6 +24,8 @@ from instruments.stage.protocol import (
     Setting,
     Status,
     Welcome,
+    alarm_meaning,
+    error_meaning,
 )
 
 

@@ -13,10 +13,10 @@ import pytest
 from instruments.clock import RealClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
-from instruments.stage.alarm_texts import ALARMS, HAL_ALARMS
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
 from instruments.stage.emulator.gcode import Mode
+from instruments.stage.protocol import ALARMS, HAL_ALARMS
 from tests.instruments.stage.board import GREETING, Bench, Parrot, meet
 
 Make = Callable[..., Bench]
