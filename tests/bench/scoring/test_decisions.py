@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -84,6 +83,11 @@ class TestRate:
     def test_three_outcomes(self, successes: int, trials: int, verdict: Verdict) -> None:
         assert rate95(Rate(successes, trials)).verdict is verdict
 
+    def test_24_of_24_shows_88_percent_and_says_what_is_missing(self) -> None:
+        d = rate95(Rate(24, 24))
+        assert (d.verdict, d.measured, d.margin) == (INCONCLUSIVE, 100.0, 5.0)
+        assert "24 of 24 poses succeeded (100 %): only 88.3 % is shown; 35 more poses" in d.sentence
+
     @pytest.mark.parametrize(
         ("rate", "says"),
         [
@@ -123,41 +127,47 @@ class TestRate:
             decide_rate("success", Rate(9, 9), required=1.0, confidence=0.95)
 
 
-P95 = {"statistic": "p95"}
-CLAIM = {"rate": 0.95}
+class TestTime:
+    def test_p95_and_largest_are_two_requirements(self) -> None:
+        seconds = [0.5] * 95 + [1.5] * 5
+        assert decide_time("aim", seconds, limit_s=1.0, statistic="p95").verdict is MET
+        assert decide_time("most", seconds, limit_s=2.0, statistic="max").verdict is MET
+        assert decide_time("most", seconds, limit_s=1.4, statistic="max").verdict is NOT_MET
+        seconds = [0.5] * 94 + [1.5] * 6
+        assert decide_time("aim", seconds, limit_s=1.0, statistic="p95").verdict is NOT_MET
 
+    def test_the_limit_itself_is_in_time(self) -> None:
+        d = decide_time("aim", [1.0], limit_s=1.0, statistic="max")
+        assert (d.verdict, d.measured, d.margin, d.unit) == (MET, 1.0, 0.0, "s")
 
-@pytest.mark.parametrize(
-    ("seconds", "asked", "verdict", "says"),
-    [
-        ([0.5] * 95 + [1.5] * 5, P95, MET, ""),
-        ([0.5] * 94 + [1.5] * 6, P95, NOT_MET, ""),
-        ([1.0] * 6, {}, MET, "6 of 6 poses in time, which shows 60.7 %"),
-        ([1.0] * 58, CLAIM, INCONCLUSIVE, "needs 1 more pose"),
-        ([1.0] * 59, CLAIM, MET, ""),
-        ([1.1], CLAIM, NOT_MET, ""),
-        ([0.5] * 92 + [1.5], P95 | CLAIM, MET, "92 of 93"),  # on its exact bound
-        ([0.5] * 91 + [1.5], P95 | CLAIM, INCONCLUSIVE, "needs 1 more pose"),
-        ([1.0] * 177, CLAIM | {"poses": [k // 3 for k in range(177)]}, MET, "59 of 59"),
-        (
-            [1.0] * 174,
-            CLAIM | {"poses": [k // 3 for k in range(174)]},
-            INCONCLUSIVE,
-            "over 174 detections is 1 s, limit 1 s; 58 of 58 poses in time",
-        ),
-        ([], P95, NOT_MEASURED, ""),
-    ],
-)
-def test_times(seconds: list[float], asked: dict[str, Any], verdict: Verdict, says: str) -> None:
-    d = decide_time("time", seconds, limit_s=1.0, **{"statistic": "max"} | asked)
-    assert d.verdict is verdict
-    assert says in d.sentence
-    assert d.unit == "s"
+    def test_a_claim_for_a_share_needs_its_trials(self) -> None:
+        claim = partial(decide_time, "most", limit_s=2.0, statistic="max", rate=0.95)
+        assert claim([1.0] * 58).verdict is INCONCLUSIVE
+        assert claim([1.0] * 59).verdict is MET
+        assert claim([2.1]).verdict is NOT_MET
+        with pytest.raises(ValueError, match="a p95 says it of 95 %"):
+            decide_time("aim", [1.0], limit_s=1.0, statistic="p95", rate=0.99)
 
+    def test_a_p95_is_claimed_on_its_exact_bound(self) -> None:
+        claim = partial(decide_time, "aim", limit_s=1.0, statistic="p95", rate=0.95)
+        assert claim([0.5] * 92 + [1.5]).verdict is MET  # 92 of 93
+        assert claim([0.5] * 91 + [1.5]).verdict is INCONCLUSIVE
+        assert "needs 1 more pose" in claim([0.5] * 91 + [1.5]).sentence
 
-def test_a_p95_is_claimed_for_95_percent_only() -> None:
-    with pytest.raises(ValueError, match="a p95 says it of 95 %"):
-        decide_time("aim", [1.0], limit_s=1.0, statistic="p95", rate=0.99)
+    def test_repeats_of_a_pose_are_one_trial(self) -> None:
+        claim = partial(decide_time, "most", limit_s=2.0, statistic="max", rate=0.95)
+        d = claim([1.0] * 177, poses=[k // 3 for k in range(177)])
+        assert (d.n, d.verdict) == (59, MET)
+        d = claim([1.0] * 174, poses=[k // 3 for k in range(174)])
+        assert d.verdict is INCONCLUSIVE
+        assert "over 174 detections is 1 s, limit 2 s; 58 of 58 poses in time" in d.sentence
+
+    def test_without_a_rate_it_says_what_is_shown(self) -> None:
+        d = decide_time("most", [1.0] * 6, limit_s=2.0, statistic="max")
+        assert "6 of 6 poses in time, which shows 60.7 %" in d.sentence
+
+    def test_nothing_timed(self) -> None:
+        assert decide_time("aim", [], limit_s=1.0, statistic="p95").verdict is NOT_MEASURED
 
 
 class TestCountAndCondition:
@@ -232,44 +242,21 @@ def test_three_outcomes(largest: float, n: int, verdict: Verdict) -> None:
     assert error([1.0] * (n - 1) + [largest] * (n > 0)).verdict is verdict
 
 
-UNSURE = {"u_mm": 1.8}
-QUANTILE = {"statistic": "quantile"}
+@pytest.mark.parametrize(("rate", "n"), [(0.95, 59), (0.99, 299), (0.999, 2995)])
+def test_far_from_the_limit_the_usual_numbers_are_enough(rate: float, n: int) -> None:
+    assert error([3.0] * n, rate=rate).verdict is MET
+    assert error([3.0] * (n - 1), rate=rate).verdict is INCONCLUSIVE
 
 
-@pytest.mark.parametrize(
-    ("errors", "changes", "verdict", "says"),
-    [
-        ([3.0] * 299, {"rate": 0.99}, MET, ""),
-        ([3.0] * 298, {"rate": 0.99}, INCONCLUSIVE, "needs 1 more"),
-        ([3.0] * 2995, {"rate": 0.999}, MET, ""),
-        ([4.999] * 59, {"u_mm": 0.0}, MET, ""),
-        # 58 poses of four teats
-        ([1.0] * 232, {"poses": [k // 4 for k in range(232)]}, INCONCLUSIVE, "needs 1 more"),
-        (
-            [1.0] * 58 + [4.6],
-            {},
-            INCONCLUSIVE,
-            "needs 25 more (59 do where the largest lies further from it)",
-        ),
-        ([1.0] * 83 + [4.6], {}, MET, ""),
-        ([1.0] * 59, {"missed": 7}, MET, "Of the found teats only: 7 were missed."),
-        ([0.1] * 59, UNSURE, INCONCLUSIVE, "too uncertain"),
-        ([9.0] * 59, UNSURE, NOT_MET, ""),
-        ([0.1] * 59, {"u_mm": None}, INCONCLUSIVE, "states no uncertainty"),
-        ([9.0], {"u_mm": None}, NOT_MET, ""),
-        ([4.6] * 400, {"confidence": 0.99}, INCONCLUSIVE, "however many poses"),
-        ([4.0] * 90, {"confidence": 0.99}, MET, ""),
-        ([1.0] * 298 + [7.0, 8.0], {}, NOT_MET, ""),
-        ([1.0] * 298 + [7.0, 8.0], QUANTILE, MET, ""),
-        ([7.0] * 60, QUANTILE, NOT_MET, ""),
-        ([1.0] * 58, QUANTILE, INCONCLUSIVE, ""),
-    ],
-)
-def test_errors(errors: list[float], changes: dict[str, Any], verdict: Verdict, says: str) -> None:
-    d = error(errors, **changes)
-    assert d.verdict is verdict
-    assert says in d.sentence
-    assert (d.accept is None) == (changes.get("u_mm", U) in (None, 1.8))
+def test_a_truth_without_uncertainty_asks_for_the_usual_number_up_to_the_limit() -> None:
+    assert error([4.999] * 59, u_mm=0.0).verdict is MET
+
+
+def test_teats_and_repeats_of_a_pose_count_once() -> None:
+    poses = [k // 4 for k in range(232)]  # 58 poses of four teats
+    decision = error([1.0] * 232, poses=poses)
+    assert (decision.n, decision.verdict) == (58, INCONCLUSIVE)
+    assert "1 more" in decision.sentence
 
 
 def test_the_decision_carries_what_a_report_prints() -> None:
@@ -284,6 +271,45 @@ def test_the_decision_carries_what_a_report_prints() -> None:
     assert d.as_dict()["verdict"] == "met"
 
 
+def test_near_the_limit_it_says_how_many_more() -> None:
+    sentence = error([1.0] * 58 + [4.6]).sentence
+    assert "needs 25 more (59 do where the largest lies further from it)" in sentence
+    assert error([1.0] * 83 + [4.6]).verdict is MET
+
+
+def test_what_was_missed_is_told_beside_the_errors_of_the_rest() -> None:
+    assert error([1.0] * 59, missed=7).sentence.endswith("Of the found teats only: 7 were missed.")
+
+
+def test_a_truth_too_uncertain_decides_nothing_but_the_worst() -> None:
+    assert error([0.1] * 59, u_mm=1.8).verdict is INCONCLUSIVE
+    assert "too uncertain" in error([0.1] * 59, u_mm=1.8).sentence
+    assert error([9.0] * 59, u_mm=1.8).verdict is NOT_MET
+
+
+def test_a_truth_of_unknown_uncertainty_accepts_nothing() -> None:
+    d = error([0.1] * 59, u_mm=None)
+    assert (d.verdict, d.accept) == (INCONCLUSIVE, None)
+    assert "states no uncertainty" in d.sentence
+    assert "accepted up to nothing" in d.rule
+    assert error([9.0], u_mm=None).verdict is NOT_MET
+
+
+def test_a_confidence_beyond_the_guard_band_needs_more_room() -> None:
+    near = error([4.6] * 400, confidence=0.99)
+    assert near.verdict is INCONCLUSIVE
+    assert "however many poses" in near.sentence
+    assert error([4.0] * 90, confidence=0.99).verdict is MET
+
+
+def test_the_quantile_forgives_what_the_largest_does_not() -> None:
+    errors = [1.0] * 298 + [7.0, 8.0]
+    assert error(errors).verdict is NOT_MET
+    assert error(errors, statistic="quantile").verdict is MET
+    assert error([7.0] * 60, statistic="quantile").verdict is NOT_MET
+    assert error([1.0] * 58, statistic="quantile").verdict is INCONCLUSIVE
+
+
 def test_nothing_measured_has_no_figures() -> None:
     d = error([])
     assert (d.n, d.verdict) == (0, NOT_MEASURED)
@@ -291,7 +317,7 @@ def test_nothing_measured_has_no_figures() -> None:
 
 
 def test_bad_rows() -> None:
-    with pytest.raises(ValueError, match="2 names for 3 rows"):
+    with pytest.raises(ValueError, match="2 names for 3 values"):
         error([1, 2, 3], poses=["a", "b"])
     with pytest.raises(ValueError, match="not finite"):
         error([1.0, float("nan")])
@@ -314,6 +340,11 @@ def alike(rng: np.random.Generator, n: int) -> Floats:
     return np.repeat(rng.normal(0, U, (EXPERIMENTS, 1, 3)), n, axis=1)
 
 
+def half_alike(rng: np.random.Generator, n: int) -> Floats:
+    both: Floats = np.sqrt(0.5) * (afresh(rng, n) + alike(rng, n))
+    return both
+
+
 def of_emulated_arms(rng: np.random.Generator, n: int, arms: int = 80) -> Floats:
     """An arm of its own an experiment (of so many), each at n poses near one another, with the
     hand's and the counts' scatter.
@@ -334,6 +365,7 @@ ARM = Arm(url="socket://127.0.0.1:1")
 TRUTHS: dict[str, tuple[Drawn, float]] = {
     "afresh": (afresh, U),
     "alike": (alike, U),
+    "half alike": (half_alike, U),
     "emulated arms": (of_emulated_arms, end_u_mm(ARM, ARM.touches)),
 }
 
@@ -411,6 +443,13 @@ def test_no_number_of_poses_makes_the_risk_more_than_5_percent(u: float, rate: f
         assert shown_falsely(0, n, rate, passed) <= 0.05 < shown_falsely(0, n - 1, rate, passed)
 
 
+def test_a_detector_always_over_the_limit_is_never_accepted() -> None:
+    assert all(
+        error(row).verdict is not MET
+        for row in 5.0001 + np.random.default_rng(34).normal(0, U, (300, 59))
+    )
+
+
 def test_a_good_detector_is_accepted_mostly() -> None:
     rng = np.random.default_rng(35)
     seen = np.linalg.norm(rng.normal(0, 0.5, (300, 59, 3)) + rng.normal(0, U, (300, 59, 3)), axis=2)
@@ -426,8 +465,10 @@ def test_frozen_acceptance_limits() -> None:
     assert axis_acceptance_limit_mm(T, T / 1.64) is None
     assert acceptance_limit_mm(T, U) == pytest.approx(4.611, abs=0.0005)
     assert refusal_limit_mm(T, U) == pytest.approx(5.378, abs=0.0005)
+
+
+def test_a_truth_without_uncertainty_has_no_guard_band() -> None:
     assert acceptance_limit_mm(T, 0.0) == refusal_limit_mm(T, 0.0) == T
-    assert acceptance_limit_mm(T, 1.8) is None
 
 
 @given(st.floats(1, 20), st.floats(1e-4, 0.55))
@@ -438,6 +479,33 @@ def test_the_radial_limit_solves_the_noncentral_chi_square(limit: float, relativ
         assert ncx2.cdf((limit / u) ** 2, 3, 1e-12) <= 0.95
     else:
         assert ncx2.cdf((limit / u) ** 2, 3, (accept / u) ** 2) == pytest.approx(0.95, abs=1e-6)
+
+
+def test_the_radial_limit_by_monte_carlo() -> None:
+    accept = acceptance_limit_mm(T, U)
+    assert accept is not None
+    rng = np.random.default_rng(20)
+    true = np.array([accept, 0, 0]) + rng.normal(0, U, (400_000, 3))
+    share = float((np.linalg.norm(true, axis=1) > T).mean())
+    assert share == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 400_000))
+
+
+def test_a_true_error_at_the_limit_is_accepted_in_fewer_than_5_percent() -> None:
+    accept = acceptance_limit_mm(T, U)
+    assert accept is not None
+    seen = np.array([0, T, 0]) + np.random.default_rng(21).normal(0, U, (400_000, 3))
+    assert float((np.linalg.norm(seen, axis=1) <= accept).mean()) < 0.05
+
+
+@given(st.floats(1.0, 10.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_more_uncertainty_never_accepts_more(limit: float, a: float, b: float) -> None:
+    low, high = sorted((a, b))
+    tight, loose = acceptance_limit_mm(limit, high), acceptance_limit_mm(limit, low)
+    assert tight is None or (loose is not None and tight <= loose + 1e-9)
+
+
+def test_a_truth_too_uncertain_accepts_nothing() -> None:
+    assert acceptance_limit_mm(T, 1.8) is None
 
 
 def test_noise_inflates_what_is_seen() -> None:
@@ -460,8 +528,6 @@ def test_bad_limits_are_refused() -> None:
 def test_frozen_tolerance_factors() -> None:
     assert normal_k(30, 0.95, 0.95) == pytest.approx(2.220, abs=0.0005)
     assert normal_k(100, 0.99, 0.95) == pytest.approx(2.684, abs=0.0005)
-    with pytest.raises(ValueError, match="at least 2"):
-        normal_k(1, 0.95)
 
 
 @given(
@@ -488,6 +554,15 @@ def test_quantile_bounds_cover_as_often_as_they_claim() -> None:
 
 
 def test_what_a_guard_band_lets_through() -> None:
+    rng = np.random.default_rng(24)
+    seen = np.linalg.norm(rng.normal([5.0, 0.0, 0.0], 0.23, (400_000, 3)), axis=1)
+    for at in (4.4, 4.611, 4.8):
+        assert leak(at, 5.0, 0.23) == pytest.approx(float(np.mean(seen <= at)), rel=0.05)
     assert (leak(5.0, 5.0, 0.0), leak(5.1, 5.0, 0.0)) == (0.0, 1.0)
     for u in (4.99e-4, 5.01e-4):  # on both sides of where the sphere is taken to be flat
         assert leak(5.0 - u, 5.0, u) == pytest.approx(0.1586, abs=1e-4)
+
+
+def test_a_spread_of_one_value_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least 2"):
+        normal_k(1, 0.95)

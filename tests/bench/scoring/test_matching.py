@@ -88,6 +88,13 @@ def test_no_other_assignment_is_cheaper(
     assert cost(result, found, truth) == pytest.approx(least, abs=1e-6)
 
 
+@given(clouds(), clouds(), st.integers(0, 2**32 - 1), st.floats(1, 60))
+def test_order_does_not_matter(found: Floats, truth: Floats, seed: int, c: float) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = rng.permutation(len(found)), rng.permutation(len(truth))
+    assert gospa_mm(found, truth, c) == pytest.approx(gospa_mm(found[a], truth[b], c), abs=1e-9)
+
+
 @given(clouds(), clouds(), st.floats(1, 60), st.data())
 def test_every_finding_and_every_teat_is_accounted_for_once(
     found: Floats, truth: Floats, c: float, data: st.DataObject
@@ -108,6 +115,13 @@ def test_gospa_is_a_metric(a: Floats, b: Floats, x: Floats, c: float) -> None:
     assert gospa_mm(a, a, c) == 0.0
     assert gospa_mm(a, b, c) == pytest.approx(gospa_mm(b, a, c), abs=1e-9)
     assert gospa_mm(a, b, c) <= gospa_mm(a, x, c) + gospa_mm(x, b, c) + 1e-9
+
+
+def test_identical_sets_match_perfectly() -> None:
+    m = match(SQUARE[::-1], SQUARE, ALL, gate_mm(SQUARE))
+    assert m.pairs == ((3, 0), (2, 1), (1, 2), (0, 3))
+    assert m.distances_mm == (0.0, 0.0, 0.0, 0.0)
+    assert (m.missed, m.false, m.gospa_mm) == ((), (), 0.0)
 
 
 def test_gospa_of_one_pair_one_miss_and_one_false_finding() -> None:
@@ -133,15 +147,28 @@ def test_of_two_findings_at_one_distance_the_first_is_taken(found: list[list[flo
     assert (crowded.pairs, crowded.false) == (((0, 0), (1, 1)), ())
 
 
+@pytest.mark.parametrize("spacing_mm", [5.0, 5.1])
+def test_ends_5_mm_apart_are_two_teats(spacing_mm: float) -> None:
+    assert gate_mm(np.array([[0.0, 0.0, 0.0], [spacing_mm, 0.0, 0.0]])) == spacing_mm / 2
+
+
+@pytest.mark.parametrize("spacing_mm", [4.9, 4.9999])
+def test_ends_nearer_than_5_mm_are_one_end_touched_twice(spacing_mm: float) -> None:
+    with pytest.raises(ValueError, match=r"teats 1 and 2 are .* apart.*touched twice"):
+        gate_mm(np.array([[0.0, 0.0, 0.0], [spacing_mm, 0.0, 0.0]]))
+
+
 def test_the_gate_is_half_the_least_spacing_and_at_most_25_mm() -> None:
     assert gate_mm(SQUARE) == 25.0
     assert gate_mm(SQUARE / 2) == 15.0
     assert gate_mm([[1, 2, 3]]) == gate_mm([]) == 25.0
-    for spacing_mm in (5.0, 5.1):
-        assert gate_mm([[0.0, 0.0, 0.0], [spacing_mm, 0.0, 0.0]]) == spacing_mm / 2
-    for spacing_mm in (4.9, 4.9999):
-        with pytest.raises(ValueError, match=r"teats 1 and 2 are .* apart.*touched twice"):
-            gate_mm([[0.0, 0.0, 0.0], [spacing_mm, 0.0, 0.0]])
+
+
+def test_a_pair_that_crosses_over_is_resolved_as_a_whole() -> None:
+    truth, found = [[0, 0, 0], [10, 0, 0]], [[6, 0, 0], [16, 0, 0]]
+    # nearest first would pair 6 with 10 and leave 16 to 0
+    m = match(found, truth, [True, True], 25.0)
+    assert m.distances_mm == (6.0, 6.0)
 
 
 @pytest.mark.parametrize(
@@ -165,15 +192,18 @@ def test_a_hidden_teat_is_neither_missed_nor_false(
     assert (m.counts, m.pairs, m.hidden_pairs) == (counts, pairs, hidden_pairs)
 
 
+def test_precision_and_recall_leave_hidden_teats_out() -> None:
+    counts = match([[1, 0, 0], [29, 0, 0]], [[0, 0, 0], [30, 0, 0]], (True, False), 15).counts
+    assert counts.precision == counts.recall == Rate(1, 1)
+
+
 def test_empty_arrays() -> None:
     assert match([], [], [], 25.0).counts == Counts()
     assert match([[0, 0, 0]], [], [], 25.0).counts == Counts(false=1)
     assert match(np.zeros((0, 3)), [[0, 0, 0], [50, 0, 0]], [1, 0], 25.0).counts == Counts(
         visible=1, hidden=1, missed=1
     )
-    assert Counts().recall.value is None
-    hidden_out = Counts(visible=1, hidden=1, matched=1, on_hidden=1)
-    assert hidden_out.precision == hidden_out.recall == Rate(1, 1)
+    assert match([], [], [], 25.0).counts.recall.value is None
 
 
 @given(st.lists(st.builds(Counts, *[st.integers(0, 9)] * 6), max_size=6))

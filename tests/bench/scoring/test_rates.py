@@ -46,9 +46,13 @@ def test_one_sided_bounds(rate: Rate) -> None:
 def test_frozen_numbers() -> None:
     assert [zero_failure_n(r, 0.95) for r in (0.95, 0.99, 0.999)] == [59, 299, 2995]
     assert Rate(24, 24).lower_bound(0.95) == pytest.approx(0.883, abs=0.0005)
-    # the 95/95 column of attribute sampling tables
-    assert [trials_needed(failures, 0.95) for failures in range(5)] == [59, 93, 124, 153, 181]
-    assert Rate(1, 2) + Rate(3, 4) == Rate(4, 6)
+
+
+@pytest.mark.parametrize(
+    ("failures", "n"), [(0, 59), (1, 93), (2, 124), (3, 153), (4, 181)]
+)  # the 95/95 column of attribute sampling tables
+def test_trials_needed_with_failures(failures: int, n: int) -> None:
+    assert trials_needed(failures, 0.95) == n
 
 
 @given(st.integers(0, 12), st.sampled_from([0.5, 0.9, 0.99]), st.sampled_from([0.8, 0.95]))
@@ -65,6 +69,13 @@ def test_an_empty_rate_is_not_measured() -> None:
     assert str(empty) == "not measured"
 
 
+@given(st.lists(RATES, max_size=5))
+def test_rates_add_by_their_counts(rates: list[Rate]) -> None:
+    total = sum(rates, Rate())
+    assert total.successes == sum(r.successes for r in rates)
+    assert total.trials == sum(r.trials for r in rates)
+
+
 def test_a_pose_succeeds_when_all_its_repeats_do() -> None:
     poses = ["a", "b", "a", "b", "c", "a"]
     assert pose_successes(poses, [True, True, True, False, True, True]) == Rate(2, 3)
@@ -73,10 +84,26 @@ def test_a_pose_succeeds_when_all_its_repeats_do() -> None:
         pose_successes(["a", "b"], [True])
 
 
-def test_100_percent_is_said_only_where_true() -> None:
-    shown = {1.0: "100 %", 0.9999: "> 99.9 %", 0.9990001: "> 99.9 %", 0.999: "99.9 %"}
-    shown |= {0.883: "88.3 %", 0.001: "0.1 %", 1e-5: "< 0.1 %", 0.0: "0 %"}
-    assert {fraction: percent(fraction) for fraction in shown} == shown
+def test_repeats_do_not_narrow_the_interval() -> None:
+    frames = [f"pose {k // 3}" for k in range(60)]
+    assert pose_successes(frames, [True] * 60).lower_bound() == Rate(20, 20).lower_bound()
+
+
+@pytest.mark.parametrize(
+    ("fraction", "text"),
+    [
+        (1.0, "100 %"),
+        (0.9999, "> 99.9 %"),
+        (0.9990001, "> 99.9 %"),
+        (0.999, "99.9 %"),
+        (0.883, "88.3 %"),
+        (0.001, "0.1 %"),
+        (1e-5, "< 0.1 %"),
+        (0.0, "0 %"),
+    ],
+)
+def test_100_percent_is_said_only_where_true(fraction: float, text: str) -> None:
+    assert percent(fraction) == text
 
 
 def test_impossible_counts_and_claims_are_refused() -> None:
@@ -107,10 +134,22 @@ def test_rates_and_confidences_lie_between_0_and_1_both_excluded(claim: str) -> 
         assert call(inside) is not None
 
 
-def test_poses_where_the_truth_could_pass_a_bad_one() -> None:
-    for failures, leak, n in ((0, 0.0, 59), (0, 1e-4, 59), (0, 0.0408, 91), (1, 0.02, 110)):
-        assert guarded_n(failures, 0.95, 0.95, leak) == n
-    assert guarded_n(0, 0.95, 0.95, 0.05) is guarded_n(1, 0.95, 0.95, 0.05) is None
+@pytest.mark.parametrize(
+    ("failures", "leak", "n"),
+    [
+        (0, 0.0, 59),
+        (0, 1e-4, 59),
+        (0, 0.0408, 91),
+        (0, 0.05, None),
+        (1, 0.0, 93),
+        (1, 0.02, 110),
+        (1, 0.05, None),
+    ],
+)
+def test_poses_where_the_truth_could_pass_a_bad_one(
+    failures: int, leak: float, n: int | None
+) -> None:
+    assert guarded_n(failures, 0.95, 0.95, leak) == n
 
 
 @pytest.mark.parametrize(
@@ -144,7 +183,17 @@ def test_the_risk_stays_below_5_percent_however_the_truths_errors_depend(
     assert accepted < 0.05 + 3 * np.sqrt(0.05 * 0.95 / experiments)
 
 
-def test_a_figure_is_read_on_the_right_side_of_its_limit() -> None:
-    shown = {(0.94966, 0.95): "94.97 %", (0.95049, 0.95): "95.0 %", (0.98999, 0.99): "98.999 %"}
-    shown |= {(0.999001, 0.999): "> 99.9 %", (0.5, 0.95): "50.0 %"}
-    assert {given: percent_apart(*given) for given in shown} == shown
+@pytest.mark.parametrize(
+    ("fraction", "limit", "text"),
+    [
+        (0.94966, 0.95, "94.97 %"),
+        (0.95049, 0.95, "95.0 %"),
+        (0.98999, 0.99, "98.999 %"),
+        (0.999001, 0.999, "> 99.9 %"),
+        (0.5, 0.95, "50.0 %"),
+    ],
+)
+def test_a_figure_is_read_on_the_right_side_of_its_limit(
+    fraction: float, limit: float, text: str
+) -> None:
+    assert percent_apart(fraction, limit) == text

@@ -29,16 +29,19 @@ LINE = [[9.0, 0, 0], [11.0, 0, 0], [10.0, 1, 0], [10.0, -1, 0]]
 
 def test_pose_accuracy_and_repeatability() -> None:
     p = pose_accuracy(LINE, [10.0, 3.0, 4.0])
-    assert (p.ap_mm, p.rp_mm) == pytest.approx((5.0, 1.0))  # mean l = 1, no spread of l
+    assert p.ap_mm == pytest.approx(5.0)
     assert p.ap_xyz_mm == pytest.approx((0.0, -3.0, -4.0))
+    assert p.rp_mm == pytest.approx(1.0)  # mean l = 1, no spread of l
     # l = 1, 1, 2: mean 4/3, sd sqrt(1/3)
     uneven = pose_accuracy([[0, 0, 0], [0, 0, 0], [3, 0, 0]], [1, 0, 0])
-    assert (uneven.ap_mm, uneven.rp_mm) == pytest.approx((0.0, 4 / 3 + 3 * sqrt(1 / 3)))
-    one, none = pose_accuracy([[1, 2, 3]], [1, 2, 5]), pose_accuracy([], [1, 2, 5])
-    assert one.ap_mm == pytest.approx(2.0)
-    assert one.rp_mm is none.ap_mm is None
-    with pytest.raises(ValueError, match="commanded: expected one point"):
-        pose_accuracy(LINE, [[1, 2, 3]])
+    assert uneven.ap_mm == pytest.approx(0.0)
+    assert uneven.rp_mm == pytest.approx(4 / 3 + 3 * sqrt(1 / 3))
+
+
+def test_one_repeat_has_no_repeatability_and_none_has_nothing() -> None:
+    assert pose_accuracy([[1, 2, 3]], [1, 2, 5]).ap_mm == pytest.approx(2.0)
+    assert pose_accuracy([[1, 2, 3]], [1, 2, 5]).rp_mm is None
+    assert pose_accuracy([], [1, 2, 5]).ap_mm is None
 
 
 def test_distance_accuracy() -> None:
@@ -68,6 +71,14 @@ def test_precision_of_a_worked_example() -> None:
     assert p.s_R == pytest.approx(sqrt(1 + 20 / 3))
 
 
+def test_precision_finds_the_components_that_were_put_in() -> None:
+    rng = np.random.default_rng(5)
+    groups = [rng.normal(rng.normal(0, 2.0), 0.5, rng.integers(2, 9)) for _ in range(2000)]
+    p = precision(groups)
+    assert p.s_r == pytest.approx(0.5, rel=0.03)
+    assert p.s_between == pytest.approx(2.0, rel=0.05)
+
+
 def test_precision_says_only_what_the_groups_tell() -> None:
     assert precision([]).s_r is None
     assert precision([[1.0], [2.0]]).s_r is None
@@ -76,6 +87,11 @@ def test_precision_says_only_what_the_groups_tell() -> None:
     assert one.s_r == pytest.approx(sqrt(2))
     # less between than within: none, not a negative variance
     assert precision([[0.0, 2.0], [0.0, 2.0]]).s_between == 0.0
+
+
+def test_bad_points_are_refused() -> None:
+    with pytest.raises(ValueError, match="commanded: expected one point"):
+        pose_accuracy(LINE, [[1, 2, 3]])
 
 
 @given(st.lists(st.floats(0, 5), min_size=1, max_size=6))
@@ -146,11 +162,30 @@ def test_the_table_against_statsmodels() -> None:
     assert not study.pooled
 
 
-def test_the_share_of_the_tolerance_and_touches_that_never_vary() -> None:
+def test_the_components_that_were_put_in_are_found() -> None:
+    rng = np.random.default_rng(2)
+    shape = (60, 40, 4)
+    table = (
+        rng.normal(0, 5, (60, 1, 1))
+        + rng.normal(0, 0.30, (1, 40, 1))
+        + rng.normal(0, 0.25, (60, 40, 1))
+        + rng.normal(0, 0.20, shape)
+    )
+    study = gage_study(table)
+    assert study.repeatability == pytest.approx(0.20, rel=0.05)
+    assert study.interaction == pytest.approx(0.25, rel=0.05)
+    assert study.appraiser == pytest.approx(0.30, rel=0.3)
+    assert study.part == pytest.approx(5.0, rel=0.25)
+
+
+def test_the_share_of_the_tolerance() -> None:
     study = gage_study(AIAG)
     assert study.share_of_tolerance(10.0) == pytest.approx(6 * study.gage / 10)
     with pytest.raises(ValueError, match="not above 0"):
         study.share_of_tolerance(0.0)
+
+
+def test_touches_that_never_vary_have_no_spread() -> None:
     study = gage_study(np.broadcast_to(np.arange(4.0)[:, None, None], (4, 3, 2)))
     assert (study.gage, study.interaction_p, study.distinct_categories) == (0.0, None, 1)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -26,13 +27,6 @@ from bench.scoring.sample_size import (
 def test_frozen_numbers() -> None:
     assert [failures_allowed(n, 0.95) for n in (58, 59, 92, 93)] == [None, 0, 0, 1]
     assert discordant_needed() == 6
-    # the textbook's one-sample t test with effect 0.5, 5 %, 80 %
-    assert poses_for_shift(0.5, 1.0) == 34
-    assert detectable_shift(1, 1.0) is None
-    assert shown_error_mm(58, 0.95, 5.0, 0.23) is None  # too few poses
-    assert shown_error_mm(500, 0.95, 5.0, 2.5) is None  # too uncertain a truth
-    # a share too small for any computer
-    assert mcnemar_power(2, 0.0, 1.1125369292536007e-308) == 0.0
 
 
 @settings(max_examples=40)
@@ -68,6 +62,15 @@ def test_the_largest_error_that_poses_show(trials: int, u_mm: float) -> None:
     if most < accept:
         beyond = guarded_n(0, 0.95, 0.95, leak(most + 1e-3, 5.0, u_mm))
         assert beyond is None or beyond > trials
+
+
+def test_too_few_poses_and_too_uncertain_a_truth_show_no_error() -> None:
+    assert shown_error_mm(58, 0.95, 5.0, 0.23) is None
+    assert shown_error_mm(500, 0.95, 5.0, 2.5) is None
+
+
+def test_a_share_too_small_for_any_computer_is_none() -> None:
+    assert mcnemar_power(2, 0.0, 1.1125369292536007e-308) == 0.0
 
 
 SHARES = st.floats(0, 0.5).map(lambda share: share if share > 1e-12 else 0.0)
@@ -108,6 +111,20 @@ def test_the_smallest_shift_against_statsmodels(n: int) -> None:
     assert detectable_shift(n, 1.5) == pytest.approx(
         1.5 * TTestPower().solve_power(nobs=n, alpha=0.05, power=0.8), rel=1e-5
     )
+
+
+def test_the_smallest_shift_by_experiment() -> None:
+    shift = detectable_shift(12, 1.0)
+    assert shift is not None
+    draws = np.random.default_rng(1).normal(shift, 1.0, (20_000, 12))
+    t = draws.mean(axis=1) / (draws.std(axis=1, ddof=1) / np.sqrt(12))
+    assert float(np.mean(np.abs(t) > 2.201)) == pytest.approx(0.8, abs=0.012)
+
+
+def test_the_poses_for_a_shift() -> None:
+    # the textbook's one-sample t test with effect 0.5, 5 %, 80 %
+    assert poses_for_shift(0.5, 1.0) == 34
+    assert detectable_shift(1, 1.0) is None
 
 
 @pytest.mark.parametrize(

@@ -36,29 +36,48 @@ def moved(teat: int, by_mm: float) -> Any:
     return found
 
 
+def test_a_perfect_scene() -> None:
+    s = score(TRUTH[::-1], hidden_claimed=0)
+    assert s.success
+    assert s.in_time
+    assert s.hidden_right
+    assert s.counts == Counts(visible=4, matched=4)
+    assert s.gospa_mm == 0.0
+    assert not s.errors_mm.any()
+
+
 @pytest.mark.parametrize(
-    ("found", "changes", "success"),
+    ("found", "changes"),
     [
-        (TRUTH[:3], {}, False),  # one is missing
-        (moved(1, 5.01), {}, False),  # one is too far off
-        (moved(1, 1.0), {"limit_mm": 1.0 + 1e-9}, True),
-        (np.vstack([TRUTH, [[0, 0, 0]]]), {}, False),  # one is false
-        (TRUTH, {"seconds": 2.01}, False),  # too late
-        (TRUTH, {"seconds": 2.0}, True),
-        ([], {}, False),
-        (TRUTH[:3], {"visible": THREE}, True),  # the hidden one
+        (TRUTH[:3], {}),  # one is missing
+        (moved(1, 5.01), {}),  # one is too far off
+        (np.vstack([TRUTH, [[0, 0, 0]]]), {}),  # one is false
+        (TRUTH, {"seconds": 2.01}),  # too late
+        ([], {}),
     ],
 )
-def test_what_makes_a_scene_fail(found: Any, changes: dict[str, Any], success: bool) -> None:
-    assert score(found, **changes).success is success
+def test_what_makes_a_scene_fail(found: Any, changes: dict[str, Any]) -> None:
+    assert not score(found, **changes).success
 
 
-def test_a_hidden_teat_fails_nothing_and_its_count_is_scored_beside_the_success() -> None:
-    both = score(TRUTH, THREE, hidden_claimed=1)
-    assert (both.success, both.hidden_right, both.errors_mm.shape) == (True, True, (3, 3))
+def test_the_limits_themselves_succeed() -> None:
+    assert score(TRUTH, seconds=2.0).success
+    assert score(moved(1, 1.0), limit_mm=1.0 + 1e-9).success
+
+
+def test_a_hidden_teat_fails_nothing_found_or_not() -> None:
+    assert score(TRUTH[:3], THREE).success
+    both = score(TRUTH, THREE)
+    assert both.success
     assert both.counts == Counts(visible=3, hidden=1, matched=3, on_hidden=1)
+    assert both.errors_mm.shape == (3, 3)
+
+
+def test_the_hidden_count_is_scored_beside_the_success() -> None:
+    assert score(TRUTH[:3], THREE, hidden_claimed=1).hidden_right is True
     wrong = score(TRUTH[:3], THREE, hidden_claimed=0)
-    assert (wrong.success, wrong.hidden_right) == (True, False)
+    assert wrong.hidden_right is False
+    assert wrong.success
     assert score(TRUTH[:3], THREE).hidden_right is None
 
 
@@ -66,7 +85,6 @@ def test_errors_are_found_minus_truth_in_the_order_of_the_teats() -> None:
     s = score(moved(2, -3.0)[::-1])
     assert s.errors_mm == pytest.approx(np.outer([0, 0, 1, 0], [0, 0, -3.0]))
     assert s.radial_mm == pytest.approx((0, 0, 3, 0))
-    assert s.gospa_mm == pytest.approx(3.0)
     with pytest.raises(ValueError, match="read-only"):
         s.errors_mm[0, 0] = 1.0
 
@@ -141,6 +159,12 @@ class TestPool:
         assert p.counts.recall == Rate(15, 16)
         assert p.seconds == (0.4, 0.4, 0.4, 3.0)
 
+    def test_errors_keep_their_pose_and_their_teat(self) -> None:
+        p = pool([self.GOOD, self.BAD], ["a", "b"])
+        assert p.errors_mm.shape == (7, 3)
+        assert p.error_poses == ("a",) * 4 + ("b",) * 3
+        assert p.summary().radial.max_mm == pytest.approx(7.0)
+
     def test_rates_that_the_truth_cannot_turn_count_poses(self) -> None:
         near, over = score(moved(0, 4.9)), score(moved(0, 5.1))
         p = pool([self.GOOD, near, over, self.BAD, self.GOOD, self.GOOD], list("aabcdd"))
@@ -187,20 +211,30 @@ class TestPool:
         p = pool([self.GOOD, self.BAD, false, false, self.GOOD], ["a", "b", "c", "c", "d"])
         assert p.worst_false == (0, 0, 1, 0)
 
+    def test_two_pools_merge_to_what_one_would_have_been(self) -> None:
+        first, second = pool([self.GOOD, self.BAD], ["a", "b"]), pool([self.BAD], ["a"])
+        merged = first + second
+        assert merged == Pool((self.GOOD, self.BAD, self.BAD), ("a", "b", "a"))
+        # pose a failed in its second repeat: adding the two rates would have hidden it
+        assert merged.success == Rate(0, 2)
+        assert merged.counts == first.counts + second.counts
+        assert merged.summary().n == first.summary().n + second.summary().n
+
     def test_errors_of_two_runs_are_pooled_and_not_averaged(self) -> None:
         few = pool([score(moved(0, 5.0)[:1])], ["a"])  # one teat, 5 mm off
-        many = pool([score(TRUTH)] * 6, [f"b{k}" for k in range(5)] + ["a"])  # 24 teats, none off
-        merged = few + many
+        many = pool([score(TRUTH)] * 6, [f"b{k}" for k in range(6)])  # 24 teats, none off
+        rms = (few + many).summary().radial.rms_mm
         # sqrt(25 / 25); the mean of the two runs' rms would say 2.5
-        assert merged.summary().radial.rms_mm == pytest.approx(1.0)
-        assert merged.counts.recall == Rate(25, 28)
-        assert merged.error_poses == ("a", *(f"b{k // 4}" for k in range(20)), *["a"] * 4)
-        # pose a failed in the first run: adding the two rates would have hidden it
-        assert merged.success == Rate(5, 6)
+        assert rms == pytest.approx(1.0)
+        assert (few + many).counts.recall == Rate(25, 28)
+
+    def test_no_claim_on_hidden_teats_is_not_measured(self) -> None:
+        assert pool([score(TRUTH)]).hidden_right.value is None
 
     def test_an_empty_pool_measured_nothing(self) -> None:
         p = Pool()
         assert (p.success.value, p.counts, p.summary().radial.mean_mm) == (None, Counts(), None)
-        assert pool([score(TRUTH)]).hidden_right.value is None
+
+    def test_poses_have_to_fit(self) -> None:
         with pytest.raises(ValueError, match="1 scores with 2 pose names"):
             Pool((self.GOOD,), ("a", "b"))

@@ -16,6 +16,7 @@ from bench.truth.uncertainty import (
     CARRY,
     CHI2_95,
     ROUNDING_MM,
+    Component,
     How,
     TruthPoint,
     end_u_mm,
@@ -97,21 +98,67 @@ def test_it_does_so_for_one_stage_too_better_or_ten_times_worse_than_stated(scal
     assert 0.93 <= coverage(off_by(scale), 700) <= 0.985
 
 
-def test_what_was_not_moved_is_what_was_touched_and_the_carry_costs_more_the_further() -> None:
+def test_without_its_line_for_the_carry_the_region_would_lie() -> None:
+    bare = 0
+    for seed in range(300):
+        rng = np.random.default_rng([12, seed])
+        stage = as_stated(rng)
+        registration = registered(stage, rng)
+        start, there = CORNERS_MM[0], CORNERS_MM[2]
+        seen = touch(rng, ENDS_MM[0])
+        off = (
+            np.array(seen.point_mm)
+            + registration.carry_mm(start, there)
+            - ENDS_MM[0]
+            - stage.moves(there - start)
+        )
+        bare += seen.holds(np.array(seen.point_mm) + off)
+    assert bare / 300 < 0.9
+
+
+def test_what_was_not_moved_is_what_was_touched() -> None:
+    rng = np.random.default_rng(1)
+    registration = registered(stage_of(rng), rng)
+    start = touch(rng, ENDS_MM[0])
+    at = triple(CORNERS_MM[1])
+    (same,) = carried(Reference("001", "one", at, (start,), ()), registration, at, lambda _: None)
+    assert same.point_mm == start.point_mm
+    lines = {c.name: c.u_mm for c in same.uncertainty.components}
+    assert lines[CARRY] == pytest.approx(np.sqrt(2.0) * ACCURACY.repeatability_mm)
+
+
+def test_the_carry_costs_more_the_further_it_goes() -> None:
     rng = np.random.default_rng(2)
     registration = registered(stage_of(rng), rng)
-    start, at = touched(ENDS_MM[:1], ARM, registration_mm=0.2), (-150.0, -137.5, -1.0)
-    ends = [
-        carried(Reference("001", "one", at, (start,), ()), registration, there, lambda _: 0.4)[0]
-        for there in [(-150.0 + way, -137.5, -1.0) for way in (0, 50, 100, 150)]
+    reference = Reference("001", "one", (-150.0, -137.5, -1.0), (touch(rng, ENDS_MM[0]),), ())
+    u = [
+        carried(reference, registration, (-150.0 + way, -137.5, -1.0), lambda _: None)[
+            0
+        ].uncertainty.u_mm
+        for way in (0, 50, 100, 150)
     ]
-    assert ends[0].point_mm == start.point_mm
-    lines = {c.name: c.u_mm for c in ends[0].uncertainty.components}
-    assert lines[CARRY] == pytest.approx(np.sqrt(2.0) * ACCURACY.repeatability_mm)
-    assert lines["registration"] == 0.4, "the table frame's part is that of the new place"
-    u = [end.uncertainty.u_mm for end in ends]
     assert u == sorted(u)
     assert u[-1] > u[0] + 0.05
+
+
+def test_the_table_frame_s_part_is_asked_for_at_the_new_place() -> None:
+    rng = np.random.default_rng(3)
+    registration = registered(stage_of(rng), rng)
+    start = touched(ENDS_MM[:1], ARM, registration_mm=0.2)
+    asked: list[np.ndarray] = []
+
+    def frame(place: np.ndarray) -> float:
+        asked.append(place)
+        return 0.4
+
+    (there,) = carried(
+        Reference("1", "f", (-150.0, -137.5, 0.0), (start,), ()),
+        registration,
+        (-50.0, -137.5, 0.0),
+        frame,
+    )
+    assert np.allclose(asked[0], there.point_mm)
+    assert {c.name: c.u_mm for c in there.uncertainty.components}["registration"] == 0.4
 
 
 def test_a_reference_outlives_the_bench() -> None:
@@ -141,17 +188,28 @@ TIPS = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.3, 0.3]])
 
 
 def test_the_mean_and_the_budget() -> None:
-    truth = touched(TIPS, ARM, registration_mm=0.4)
+    truth = touched(TIPS, ARM)
     assert truth.point_mm == pytest.approx((0.1, 0.1, 0.1))
     assert truth.how is How.TOUCHED
     parts = {c.name: c.u_mm for c in truth.uncertainty.components}
-    expected = {"arm": 0.23, "registration": 0.4, "definition": 0.1, "resolution": ROUNDING_MM}
-    assert parts == pytest.approx(expected | {"scatter": np.sqrt(0.03 / 3)})
-    assert pytest.approx(0.0606, abs=1e-4) == ROUNDING_MM
-    assert truth.uncertainty.u_mm == pytest.approx(np.sqrt(sum(u**2 for u in parts.values())))
+    assert list(parts) == ["arm", "definition", "resolution", "scatter"]
+    assert parts["arm"] == 0.23
+    assert parts["resolution"] == pytest.approx(0.0606, abs=1e-4)
+    assert parts["scatter"] == pytest.approx(np.sqrt(0.03 / 3))
+    assert truth.uncertainty.u_mm == pytest.approx(
+        np.sqrt(0.23**2 + 0.1**2 + ROUNDING_MM**2 + 0.03 / 3)
+    )
     assert np.allclose(truth.covariance_mm2, truth.uncertainty.u_mm**2 * np.eye(3))
-    one = touched(np.array([[1.0, 2.0, 3.0]]), ARM)
-    assert {c.name: c.u_mm for c in one.uncertainty.components}["scatter"] == 0.0
+
+
+def test_the_table_frame_is_a_line_of_its_own() -> None:
+    parts = {c.name: c.u_mm for c in touched(TIPS, ARM, registration_mm=0.4).uncertainty.components}
+    assert parts["registration"] == 0.4
+
+
+def test_one_touch_has_no_scatter_to_tell() -> None:
+    truth = touched(np.array([[1.0, 2.0, 3.0]]), ARM)
+    assert {c.name: c.u_mm for c in truth.uncertainty.components}["scatter"] == 0.0
 
 
 @pytest.mark.parametrize("tips", [np.zeros((0, 3)), np.zeros(3), np.zeros((2, 2))])
@@ -174,10 +232,13 @@ def test_a_carried_end_keeps_its_budget_and_gets_a_line() -> None:
     carry = np.diag([0.04, 0.01, 0.0])
     there = moved(start, np.array([1.0, 2.0, 3.0]), carry, "carried 5 mm", 0.35)
     parts = {c.name: c.u_mm for c in there.uncertainty.components}
-    assert (there.how, there.point_mm) == (How.CARRIED, (1.0, 2.0, 3.0))
-    assert (parts["registration"], parts[CARRY]) == pytest.approx((0.35, 0.2))
-    alike = sum(u**2 for name, u in parts.items() if name != CARRY)
+    assert there.how is How.CARRIED
+    assert there.point_mm == (1.0, 2.0, 3.0)
+    assert parts["registration"] == 0.35, "the table frame's part is that of the new place"
+    assert parts[CARRY] == pytest.approx(0.2), "the worst direction's"
+    alike = sum(c.u_mm**2 for c in there.uncertainty.components if c.name != CARRY)
     assert np.allclose(there.covariance_mm2, alike * np.eye(3) + carry)
+    assert isinstance(there.uncertainty.components[-1], Component)
 
 
 def test_the_region_is_the_ellipsoid_of_95_percent() -> None:
@@ -186,6 +247,15 @@ def test_the_region_is_the_ellipsoid_of_95_percent() -> None:
     edge = np.sqrt(CHI2_95) * truth.uncertainty.u_mm
     assert truth.holds((0.999 * edge, 0.0, 0.0))
     assert not truth.holds((1.001 * edge, 0.0, 0.0))
+
+
+def test_the_stated_uncertainty_holds_what_was_put_in() -> None:
+    rng = np.random.default_rng(1)
+    inside, trials = 0, 2000
+    for _ in range(trials):
+        shift = rng.normal(0.0, 0.23, 3) + rng.normal(0.0, 0.1, 3) + rng.normal(0.0, ROUNDING_MM, 3)
+        inside += touched(shift + rng.normal(0.0, 0.1, (3, 3)), ARM).holds((0.0, 0.0, 0.0))
+    assert 0.93 < inside / trials < 0.97
 
 
 def test_what_a_teat_end_is_stands_in_one_place_and_the_scene_keeps_to_it() -> None:

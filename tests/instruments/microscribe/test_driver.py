@@ -23,6 +23,7 @@ from instruments.microscribe.errors import (
     SilentArmError,
     UnusableArmError,
 )
+from instruments.microscribe.faults import Fault
 from instruments.microscribe.protocol import State
 from instruments.microscribe.stream import Debouncer, Pedal, PedalEvent
 from tests.instruments.microscribe.rigs import POINT, UNIT, UP, Ear, Rig, renamed
@@ -115,6 +116,48 @@ def test_a_reading_is_refused_while_the_arm_moves_and_of_nothing(rig: Rig) -> No
         driver.read(0)
     with pytest.raises(ValueError, match="one sample at least"):
         driver.position([])
+
+
+def test_one_wrong_packet_among_eight_does_not_move_a_reading(rig: Rig) -> None:
+    driver = rig.signed_on()
+    right = driver.read()
+    answers = 0
+
+    def spoil(data: bytes) -> list[bytes]:
+        nonlocal answers
+        answers += 1
+        return [data[:5] + bytes([data[5] ^ 0x06]) + data[6:]] if answers == 3 else [data]
+
+    rig.ear.spoil = spoil
+    reading = driver.read()
+    assert 0.1 < reading.spread_mm < 1.0
+    np.testing.assert_allclose(reading.tip_mm, right.tip_mm, atol=1e-9)
+    np.testing.assert_allclose(reading.axis, right.axis, atol=1e-9)
+
+
+@pytest.mark.parametrize("fault", [Fault.BIT_7, Fault.LOST_BYTE, Fault.GARBAGE, Fault.SILENT])
+def test_a_damaged_packet_is_asked_for_again(rig: Rig, fault: Fault) -> None:
+    driver = rig.signed_on()
+    for _ in range(20):
+        rig.arm.faults.inject(fault, 1)
+        assert driver.poll().counts == UNIT.home
+    # a lost header leaves no packet to call damaged
+    assert driver.damaged >= (15 if fault in (Fault.BIT_7, Fault.LOST_BYTE) else 0)
+
+
+def test_a_flipped_bit_shows_as_motion(rig: Rig) -> None:
+    driver = rig.signed_on()
+    refused = 0
+    for _ in range(30):
+        rig.arm.faults.inject("flipped bit", 1)
+        try:
+            tip = driver.read().tip_mm
+        except LimitError:
+            refused += 1
+        # a low bit, a joint that is none, or the buttons: no further off than the spread allows
+        else:
+            assert np.hypot(*tip[:2]) == pytest.approx(75, abs=1)
+    assert refused > 5
 
 
 def test_packets_that_are_always_damaged_are_refused(rig: Rig) -> None:

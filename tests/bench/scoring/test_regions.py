@@ -1,0 +1,163 @@
+"""Ellipsoids of errors, and the error map of the plane."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2
+from statsmodels.stats.multivariate import test_mvmean as hotelling  # type: ignore[import-untyped]
+
+from bench.scoring.errors import Floats
+from bench.scoring.spread import (
+    LEAST_POSES,
+    Cell,
+    Ellipsoid,
+    bias_ellipsoid,
+    bias_test,
+    consistency,
+    error_map,
+    pose_means,
+    prediction_ellipsoid,
+)
+
+SPREAD = np.array([0.4, 2.0, 0.8])
+
+
+def holds(region: Ellipsoid, points: Floats) -> npt.NDArray[np.bool_]:
+    inside: npt.NDArray[np.bool_] = (
+        np.square((points - region.centre_mm) @ region.directions.T / region.half_axes_mm).sum(
+            axis=-1
+        )
+        <= 1.0
+    )
+    return inside
+
+
+def test_the_next_error_lies_within_as_often_as_said() -> None:
+    rng = np.random.default_rng(1)
+    held = []
+    for _ in range(400):
+        region = prediction_ellipsoid(rng.normal(0, SPREAD, (12, 3)), 0.9)
+        assert region is not None
+        held.append(holds(region, rng.normal(0, SPREAD, (20, 3))).mean())
+    assert float(np.mean(held)) == pytest.approx(0.9, abs=0.01)
+
+
+def test_the_bias_lies_within_as_often_as_said() -> None:
+    rng = np.random.default_rng(2)
+    held = []
+    for _ in range(600):
+        region = bias_ellipsoid(rng.normal([1.0, 0.0, 0.0], SPREAD, (12, 3)))
+        assert region is not None
+        held.append(bool(holds(region, np.array([1.0, 0.0, 0.0]))))
+    assert float(np.mean(held)) == pytest.approx(0.95, abs=0.03)
+
+
+def test_axes_are_those_of_the_spread_longest_first() -> None:
+    region = prediction_ellipsoid(np.random.default_rng(3).normal(0, SPREAD, (4000, 3)))
+    assert region is not None
+    assert region.half_axes_mm == pytest.approx(
+        np.array([2.0, 0.8, 0.4]) * np.sqrt(chi2.ppf(0.95, 3)), rel=0.05
+    )
+    assert np.abs(region.directions) == pytest.approx(np.eye(3)[[1, 2, 0]], abs=0.05)
+
+
+def test_the_outline_is_the_shadow() -> None:
+    region = Ellipsoid(
+        9, np.array([1.0, 2.0, 3.0]), np.array([3.0, 2.0, 1.0]), np.eye(3)[[1, 2, 0]]
+    )
+    shadow = region.outline_mm(0, 1) - [1.0, 2.0]
+    assert np.square(shadow / [1.0, 3.0]).sum(axis=1) == pytest.approx(1.0)
+
+
+def test_hotelling_against_statsmodels() -> None:
+    errors = np.random.default_rng(4).normal([0.3, 0.0, 0.1], SPREAD, (15, 3))
+    mine, theirs = bias_test(errors), hotelling(errors, np.zeros(3))
+    assert (mine.t_squared, mine.p_value) == pytest.approx((theirs.t2, theirs.pvalue))
+
+
+def test_no_bias_is_shown_exactly_where_the_region_holds_zero() -> None:
+    for seed in range(40):
+        errors = np.random.default_rng(seed).normal([0.2, 0.5, 0.0], SPREAD, (10, 3))
+        region, test = bias_ellipsoid(errors), bias_test(errors)
+        assert region is not None
+        assert test.p_value is not None
+        assert bool(holds(region, np.zeros(3))) == (test.p_value >= 0.05)
+
+
+def test_too_few_say_nothing() -> None:
+    few = np.ones((LEAST_POSES - 1, 3))
+    assert (
+        prediction_ellipsoid(few),
+        bias_ellipsoid(few),
+        bias_test(few).p_value,
+        consistency([], []).ratio,
+    ) == (None, None, None, None)
+    # flat: no volume to judge by
+    assert (
+        bias_test(np.column_stack([np.arange(9.0), np.arange(9.0), np.ones(9)])).t_squared is None
+    )
+
+
+def test_a_pose_counts_once() -> None:
+    assert pose_means([[1, 0, 0], [3, 0, 0], [9, 0, 0]], ["a", "a", "b"]).tolist() == [
+        [2, 0, 0],
+        [9, 0, 0],
+    ]
+    assert pose_means([], []).shape == (0, 3)
+
+
+def test_covariances_that_hold_have_a_ratio_of_one() -> None:
+    rng = np.random.default_rng(5)
+    claimed = np.broadcast_to(np.diag(SPREAD**2), (200, 3, 3))
+    right = consistency(rng.normal(0, SPREAD, (200, 3)), claimed)
+    assert right.low is not None
+    assert right.high is not None
+    assert right.ratio is not None
+    assert right.low < right.ratio < right.high
+    assert (right.low, right.high) == pytest.approx(
+        (chi2.ppf(0.025, 600) / 600, chi2.ppf(0.975, 600) / 600)
+    )
+    boastful = consistency(rng.normal(0, 1.5 * SPREAD, (200, 3)), claimed)
+    assert boastful.ratio is not None
+    assert boastful.ratio > right.high
+    with pytest.raises(ValueError, match="positive definite"):
+        consistency([[0, 0, 0]], [np.zeros((3, 3))])
+
+
+def test_a_map_counts_what_was_missed() -> None:
+    cells = error_map([[25, 0], [0, 0], [0, 0]], [[1, 0, 0], [0, 3, 4]], [False, True, True])
+    assert cells == (
+        Cell(0.0, 0.0, 2, 2, (0.5, 1.5, 2.0), 3.0, float(np.sqrt(13.0)), 5.0),
+        Cell(25.0, 0.0, 1, 0),
+    )
+
+
+@given(st.integers(0, 60), st.integers(0, 2**32 - 1), st.floats(1, 200))
+def test_cells_hold_all_rows_once(n: int, seed: int, step: float) -> None:
+    rng = np.random.default_rng(seed)
+    places, found = rng.uniform(-100, 100, (n, 2)), rng.random(n) < 0.7
+    errors = rng.normal(0, 2, (int(found.sum()), 3))
+    cells = error_map(places, errors, found, step_mm=step)
+    assert sum(cell.teats for cell in cells) == n
+    assert sum(cell.found for cell in cells) == len(errors)
+    biases = np.array(
+        [np.array(cell.bias_mm) * cell.found for cell in cells if cell.bias_mm is not None]
+    ).reshape(-1, 3)
+    assert biases.sum(axis=0) == pytest.approx(errors.sum(axis=0), abs=1e-6)
+    squares = sum(cell.rms_mm**2 * cell.found for cell in cells if cell.rms_mm is not None)
+    assert squares == pytest.approx(float(np.square(errors).sum()), abs=1e-6)
+    if len(errors):
+        assert max(cell.max_mm or 0.0 for cell in cells) == pytest.approx(
+            float(np.linalg.norm(errors, axis=1).max())
+        )
+
+
+def test_a_map_that_does_not_fit_is_refused() -> None:
+    with pytest.raises(ValueError, match="1 places, 1 of them found, but 2 errors"):
+        error_map([[0, 0]], [[0, 0, 0], [0, 0, 0]])
+    with pytest.raises(ValueError, match="not above 0"):
+        error_map([[0, 0]], [[0, 0, 0]], step_mm=0.0)
