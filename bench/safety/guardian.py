@@ -64,13 +64,15 @@ class HeartbeatReader:
         """``died``, ``hung`` or ``gave up``, in what, and the stopwatch at the bench's last sign;
         None when it is done.
         """
-        last_s = stopwatch_s()
+        last_s, dying = stopwatch_s(), False
         while True:
             try:
-                line = self._lines.get(timeout=LOOK_S)
+                line = self._lines.get(timeout=LOOK_S / 5 if dying else LOOK_S)
             except queue.Empty:
-                if _is_dying(self._bench):
+                if dying:
                     return "died", "the system is ending it", stopwatch_s()
+                if dying := _is_dying(self._bench):  # its last word may be in the pipe
+                    continue
                 if stopwatch_s() - last_s < HANG_S:
                     continue
                 return "hung", f"no sign of life for {HANG_S:g} s", last_s

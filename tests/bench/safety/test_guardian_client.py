@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from bench.safety.guardian import DONE, HeartbeatReader
 from bench.safety.guardian import main as guardian
 from bench.safety.guardian_client import (
     BEAT_S,
@@ -340,3 +341,20 @@ def test_a_link_that_waits_for_an_answer_shows_life_every_second() -> None:
         near.close()
     assert len(heard) >= 3
     assert max(b - a for a, b in pairwise(heard)) < 5.0
+
+
+def test_the_last_word_of_a_bench_that_ends_is_read_before_it_counts_as_dead(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A guardian that was frozen meanwhile sees the end in /proc before its thread reads the pipe."""
+    source, bench_end = os.pipe()
+
+    def looked(_process: int) -> bool:
+        os.write(bench_end, DONE.encode() + b"\n")
+        return True
+
+    monkeypatch.setattr("bench.safety.guardian._is_dying", looked)
+    with Path(os.devnull).open("wb") as echo:
+        reader = HeartbeatReader(source, echo.fileno(), os.getpid())
+        assert reader.wait_for_trouble() is None
+    os.close(bench_end)

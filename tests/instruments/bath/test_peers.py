@@ -356,7 +356,7 @@ def instrument(profile: str, *, baud: int | None = None) -> Iterator[Instrument]
     with real_time(load_profile(profile), "pty", baud=baud) as (emulator, listener):
         client = library.Instrument(listener.url, 1)
         client.serial.baudrate = baud or 19200
-        client.serial.timeout = 0.5
+        client.serial.timeout = 5.0  # for a machine with too much to do
         with closing(client.serial):
             yield Instrument(client, library, emulator.plant, emulator)
 
@@ -372,6 +372,7 @@ def test_eurotherm(profile: str) -> None:
         assert on.plant.running
         with pytest.raises(on.library.IllegalRequestError, match="address"):
             on.client.write_register(1, 7, functioncode=6)
+        on.client.serial.timeout = 0.5
         with pytest.raises(on.library.NoResponseError):
             on.client.write_bits(0, [1, 0])  # function 15: an unsupported one gets no reply
 
@@ -418,7 +419,12 @@ def test_julabo_over_rtu_and_paced_as_a_serial_line() -> None:
 def test_faults_look_to_it_as_they_should(fault: str, error: str) -> None:
     with instrument("watlow-pm-map1") as on:
         on.emulator.fault(fault)
+        waited, on.client.serial.timeout = (
+            on.client.serial.timeout,
+            0.5 if fault == "silence" else 2.0,
+        )
         with pytest.raises(getattr(on.library, error)):
             on.client.read_register(1880)
+        on.client.serial.timeout = waited
         on.emulator.fault(fault, on=False)
         assert on.client.read_register(1880) == 62
