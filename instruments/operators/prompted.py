@@ -14,6 +14,7 @@ from typing import get_args
 from instruments.errors import ProtocolError
 from instruments.operators import operator as op
 from instruments.world.phantom import called
+from instruments.world.situations import spoken
 
 # in an answer that names hidden ends; how many there are is known only when it is given
 MOST_TEATS = 99
@@ -105,7 +106,7 @@ class PromptedOperator(ABC):
 
     def _set_up_prompt(self, request: op.Arrangement) -> op.Prompt:
         """In coordinates and with the picture, unless it stands so already."""
-        scene = f"Situation {request.situation}, layout {request.phantom.name}:"
+        scene = f"Situation {spoken(request.situation)}, layout {request.phantom.name}:"
         if self._stands and self._stands[0] == replace(request, unattended=False):
             more = ["It stands so already: put the arm away and step out of the cameras' view."]
         else:
