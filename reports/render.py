@@ -25,7 +25,7 @@ from reports.trust import PageError, address
 IN_PAGE = 40  # trials: more get a file each
 TRIALS = "trials"  # their folder
 _TEMPLATES = Path(__file__).parent / "templates"
-_SIGNS: dict[Verdict, str] = {
+SIGNS: dict[Verdict, str] = {
     "met": "✓",
     "not met": "✕",
     "inconclusive": "?",
@@ -69,19 +69,9 @@ class Press:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._style = _assets("style.css", "frames.css", "print.css")
-        self._script = _assets("frames.js", "script.js")
-        self._environment = Environment(
-            loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
-            autoescape=True,
-            undefined=StrictUndefined,
-            finalize=_printable,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        self._environment.filters.update(
-            drawing=_drawing, number=_number, slug=lambda word: word.replace(" ", "-")
-        )
+        self._style = assets("style.css", "frames.css", "print.css")
+        self._script = assets("frames.js", "script.js")
+        self._environment = environment()
 
     def page(self, place: Place) -> str:
         """The page's own file. Raises PageError where a trial is neither in it nor listed."""
@@ -118,10 +108,7 @@ class Press:
         different = dict.fromkeys(map(_view, shown))
         views = {view: f"v{number}" for number, view in enumerate(different)}
         style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
-        by_style, by_script = (
-            base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
-            for text in (style, self._script)
-        )
+        by_style, by_script = map(policy_hash, (style, self._script))
         return self._environment.get_template(template).render(
             page=self._page,
             place=place,
@@ -130,12 +117,12 @@ class Press:
             row_id=row_id,
             lone=_lone,
             link=lambda href: _link(href, place, away),
-            signs=_SIGNS,
+            signs=SIGNS,
             style=Markup(style),  # noqa: S704 our own file and numbers
             script=Markup(self._script),  # noqa: S704 our own file
             policy=(
                 "default-src 'none'; img-src 'self' data: file:; "
-                f"style-src 'sha256-{by_style}'; script-src 'sha256-{by_script}'; "
+                f"style-src '{by_style}'; script-src '{by_script}'; "
                 "base-uri 'none'; form-action 'none'"
             ),
             **values,
@@ -224,7 +211,26 @@ def _lone(parts: Sequence[Part]) -> set[int]:
     return found if left is None else {*found, left}
 
 
-def _assets(*names: str) -> str:
+def environment() -> Environment:
+    """Jinja2 as all pages use it: every text is escaped and sanitized."""
+    made = Environment(
+        loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_printable,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters.update(drawing=_drawing, number=_number, slug=lambda word: word.replace(" ", "-"))
+    return made
+
+
+def policy_hash(text: str) -> str:
+    """How a content security policy names a style sheet or script."""
+    return f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}"
+
+
+def assets(*names: str) -> str:
     """The texts of these files, one after the other."""
     texts = [(_TEMPLATES / name).read_text(encoding="utf-8") for name in names]
     unfit = [name for name, text in zip(names, texts, strict=True) if "</" in text]

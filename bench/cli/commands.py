@@ -224,6 +224,17 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
             flag("--no-pdf", "print no report.pdf, though a browser is installed"),
         ),
     ),
+    "runs": (
+        "list all runs with each detector's verdicts, and write a page over them",
+        option(
+            "folder DIR",
+            "the folder that holds the runs (default: runs)",
+            Path,
+            Path("runs"),
+            nargs="?",
+        ),
+        flag("--json", "print JSON instead of a table"),
+    ),
     "score": (
         "score detectors on recorded frames: a table, and a run folder with a report",
         RECORDING,

@@ -133,7 +133,8 @@ def _print_needs(rig: LoadedRig, script: LoadedScript, out: Path) -> None:
     )
     how = f"; the operator's {by}" if rig.rig.operator.url == CONSOLE else ""
     print(f"about {_time(wanted.time.total_s)} of the bench's time: {parts}{how}")
-    print(f"at most {wanted.disk_mb:.0f} MB and the report, {wanted.prompts} prompts")
+    asked = ", ".join(f"{count} {what}" for what, count in wanted.asked.items() if count)
+    print(f"at most {wanted.disk_mb:.0f} MB and the report, {wanted.prompts} prompts: {asked}")
     there = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
     if (free_mb := disk_usage(there).free / 1e6) < wanted.disk_mb:
         print(f"NOT ENOUGH ROOM: {free_mb:.0f} MB are free in {there}")

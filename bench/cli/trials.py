@@ -59,6 +59,7 @@ def show(given: argparse.Namespace) -> int:
     from rich.table import Table
 
     from bench.cli.terminal import Terminal
+    from instruments.world.situations import spoken
 
     many = f"{len(rows)} trials, {len({one.name for one in script.planned})} poses"
     table = Table(title=f"{s.title}: {many}")
@@ -66,7 +67,7 @@ def show(given: argparse.Namespace) -> int:
         table.add_column(column, justify="right" if len(column) <= 3 else "left")
     for one, row in zip(script.planned, rows, strict=True):
         values = (f"{row[key]:+.1f}" for key in ("x_mm", "y_mm", "z_mm", "yaw_deg"))
-        table.add_row(one.id, one.situation, one.phantom.name, *values, one.side or "")
+        table.add_row(one.id, spoken(one.situation), one.phantom.name, *values, one.side or "")
     console = Terminal()
     console.print(table)
     for trial in s.trials:

@@ -32,6 +32,7 @@ from bench.scoring.precision import distance_accuracy, drift_mm, pose_accuracy
 from bench.scoring.rates import zero_failure_n
 from bench.scoring.scene import Pool
 from detector.calibration import Calibration
+from instruments.world.situations import spoken
 from reports.page import Cell, Paragraph, Part, Table
 
 MM = ">bias [mm] | >sd [mm] | >rms [mm] | >mean |e| [mm] | >max |e| [mm]"
@@ -121,7 +122,7 @@ def _distances(
         return float(np.mean([score.gospa_mm for score in of.scores])) if of.scores else None
 
     scenes = {"all": pool} | {name: scored(run, detector, name) for name in situations(run)}
-    lines = [(name, *radial(part.summary()), gospa(part)) for name, part in scenes.items()]
+    lines = [(spoken(name), *radial(part.summary()), gospa(part)) for name, part in scenes.items()]
     if len(rows.teat_names) > 1:
         lines += [
             (f"teat {teat}", *radial(summarise(rows.of_teat(teat).errors_mm)), "")

@@ -20,6 +20,7 @@ from bench.results.error_rows import truth_gage
 from bench.scoring.comparison import PairedDifference, Row, ScenePair, why_failed
 from bench.scoring.decisions import Verdict, overall
 from bench.scoring.scene import SceneScore
+from instruments.world.situations import spoken
 from reports.figures import change_scatter
 from reports.page import (
     Banner,
@@ -148,7 +149,7 @@ def success_table(comparison: Comparison) -> Table:
         )
         p = _p(won.p_value if row.success_holm is None else row.success_holm)
         counts = (row.new.false - row.old.false, row.new.missed - row.old.missed)
-        name = row.situation or "all"
+        name = spoken(row.situation) if row.situation else "all"
         rows.append((name, row.poses, won.only_old, won.only_new, points, p, *counts))
     heads = "situation | >poses | >lost | >won | >change [% points] | >p | >false ~+d | >missed ~+d"
     return table("Success of poses, and what was counted", heads, rows, LEGEND)
@@ -161,7 +162,8 @@ def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
         p = _p(row.radial.p_value if row.radial_holm is None else row.radial_holm)
         axes = row.axes if wide else [replace(axis, low=None, high=None) for axis in row.axes]
         change, *along = map(_difference, (row.radial, *axes))
-        rows.append((row.situation or "all", row.teats, change, p, *along))
+        name = spoken(row.situation) if row.situation else "all"
+        rows.append((name, row.teats, change, p, *along))
     heads = "situation | >teats | >change [mm] | >p | >|x| [mm] | >|y| [mm] | >|z| [mm]"
     return table("Distance to the teat end", heads, rows)
 
@@ -303,7 +305,9 @@ def _changed(comparison: Comparison) -> Table:
     rows = []
     for _, grown, pair in shown[:50]:
         change = Cell(NOT_MEASURED if grown is None else f"{grown:+.3f}", sort=grown)
-        rows.append((pair.scene, pair.situation, outcome(pair.old), outcome(pair.new), change))
+        rows.append(
+            (pair.scene, spoken(pair.situation), outcome(pair.old), outcome(pair.new), change)
+        )
     return table(
         "Scenes that changed (at most 50, changed outcomes first)",
         "scene | situation | old | new | >change of the largest error [mm]",

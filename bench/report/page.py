@@ -38,6 +38,7 @@ from bench.scoring.rates import zero_failure_n
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.script.model import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
+from instruments.world.situations import spoken
 from reports import figures
 from reports.mail import write_single_file
 from reports.page import (
@@ -192,9 +193,10 @@ def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     for detector in run.detectors:
         counts = [scored(run, detector, name).counts for name in names]
         found, visible = [c.matched for c in counts], [c.visible for c in counts]
-        each = zip(names, found, visible, strict=True)
+        called = [*map(spoken, names)]
+        each = zip(called, found, visible, strict=True)
         yield Figure(
-            figures.found_bars(names, found, visible, theirs, name=f"found-{id_of(detector)}"),
+            figures.found_bars(called, found, visible, theirs, name=f"found-{id_of(detector)}"),
             f"Teats found by {detector}, beside the thesis's own count",
             "; ".join(f"{name}: {k} of {n}" for name, k, n in each) or "not measured",
         )
@@ -236,7 +238,7 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
         )
         errors = [scored(run, detector, situation).errors_mm for situation in names]
         yield Figure(
-            figures.per_axis_errors(names, errors, limit_mm, name=f"axes-{name}"),
+            figures.per_axis_errors([*map(spoken, names)], errors, limit_mm, name=f"axes-{name}"),
             f"Errors along the world's axes by situation, {detector}",
             "strips of signed errors",
             wide=True,

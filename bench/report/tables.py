@@ -18,6 +18,7 @@ from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import Rules
 from detector.protocol import Outcome
+from instruments.world.situations import spoken
 from reports.page import Cell, Notes, Part, Requirement, Requirements, Table
 
 CONFIDENCE = 0.95
@@ -54,8 +55,8 @@ def found_by_situation(
         found = f"{counts.matched} of {counts.visible}"
         scenes = f"{pool.frames.successes} of {pool.frames.trials}"
         thesis = f"{theirs[0]} of {theirs[1]}" if theirs else "no figure"
-        row = (situation, len(pool.scores), found, counts.missed, false, counts.hidden, scenes)
-        rows.append((*row, thesis))
+        row = (len(pool.scores), found, counts.missed, false, counts.hidden, scenes, thesis)
+        rows.append((spoken(situation), *row))
     heads = (
         "situation | >frame sets | >found of visible | >missed | >false",
         ">hidden ends # ends that a camera can't see: neither missed nor false",
@@ -88,7 +89,7 @@ def rates(run: RunRecord, detector: str) -> Table:
 def rates_by_situation(run: RunRecord, detector: str) -> Table:
     """The same rates, a row a situation."""
     rows = [
-        (situation, *map(_narrow, _rates(run, detector, situation).values()))
+        (spoken(situation), *map(_narrow, _rates(run, detector, situation).values()))
         for situation in situations(run)
     ]
     heads = ("situation", *(f">{name} [k of n, interval]" for name in _rates(run, detector)))
@@ -166,7 +167,8 @@ def _row(run: RunRecord, situation: str | None, detector: str) -> tuple[str, ...
     errors = (radial.mean_mm, radial.p95_mm, radial.max_mm)
     seconds = (times.median_s, times.p99_s)
     return (
-        (situation or ALL).replace("|", "\\|"),  # as Markdown takes it in a table
+        # as Markdown takes it in a table
+        (spoken(situation) if situation else ALL).replace("|", "\\|"),
         detector,
         str(len(pool.scores)),
         f"{counts.matched} of {counts.visible}",

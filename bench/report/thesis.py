@@ -49,6 +49,7 @@ from detector.calibration import Calibration
 from detector.calibration.thesis_rig import LEFT, RIGHT
 from detector.geometry import apply_homography
 from instruments.clock import wall_time
+from instruments.world.situations import spoken
 from reports.figures import error_histogram
 from reports.page import (
     Banner,
@@ -162,7 +163,7 @@ def _situations(run: RunRecord, known: Sequence[Situation]) -> Iterator[Row]:
             f" {sum(c.false for c in counts)} false; as many in {sum(as_many)} of {len(as_many)}"
         )
 
-    rows = [(one.name, one.section, [one], one.seen) for one in known]
+    rows = [(spoken(one.name), one.section, [one], one.seen) for one in known]
     for name, section, of, seen in [*rows, (f"all {len(known)}", "5.2", known, "")]:
         printed = f"{sum(one.found for one in of)} of {sum(one.present for one in of)}"
         found = _each({detector: ours(detector, of) for detector in run.detectors})

@@ -29,6 +29,7 @@ from detector.calibration import Calibration
 from detector.fused.model import COUNT, Outline, contours, pixels_of
 from detector.geometry import Motion
 from detector.protocol import Outcome
+from instruments.world.situations import spoken
 from reports.frames import (
     Circle,
     Cross,
@@ -93,7 +94,7 @@ def trial_table(run: RunRecord) -> Table:
             rows.append(
                 (
                     Cell(trial.id, href=f"#{trial_id(trial)}"),
-                    str(trial.head["situation"]),
+                    spoken(trial.head["situation"]),
                     str(detection["detector"]),
                     *counts,
                     # more digits make the page heavy, not the order right
@@ -128,11 +129,11 @@ def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: 
     return TrialPart(
         id=trial_id(trial),
         heading=trial.id,
-        situation=str(head["situation"]),
+        situation=spoken(head["situation"]),
         status=status,
         tone=tone,
         summary=(
-            ("situation", str(head["situation"])),
+            ("situation", spoken(head["situation"])),
             ("repeat", str(head["repeat"])),
             ("bath at capture", capture_told(run, trial)),
             ("teats' surface", surface_told(surface_at(run, trial))),

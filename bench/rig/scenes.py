@@ -23,7 +23,7 @@ from instruments.world import boards
 from instruments.world.phantom import Phantom
 from instruments.world.plant import PlantConstants
 from instruments.world.scene import Renderer, contact_sheet
-from instruments.world.situations import SITUATIONS, Situation, situation
+from instruments.world.situations import SITUATIONS, Situation, situation, spoken
 from instruments.world.state import SceneState
 
 BOARD_DEPTHS_MM = (450.0, 1300.0)
@@ -64,7 +64,9 @@ def write_sheet(
 ) -> None:
     """One PNG, a row for each family and seed. Raises ConfigError."""
     states = {
-        f"{name} {one}": warm(situation(name, one)) for name in chosen(names) for one in seeds
+        f"{spoken(name)} {one}": warm(situation(name, one))
+        for name in chosen(names)
+        for one in seeds
     }
     good, data = cv2.imencode(".png", contact_sheet(states, rig_renderer(rig, seed), seed))
     if not good:

@@ -205,11 +205,18 @@ LEAST_RISE_K = 1.0  # less says nothing of how fast a bath heats
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What a run will need: time, room on the disk at most, and how often a person is asked."""
+    """What a run will need: time, room on the disk at most, and how often a person is asked, by
+    what for.
+    """
 
     time: TimeEstimate
     disk_mb: float
-    prompts: int
+    asked: Mapping[str, int]
+
+    @property
+    def prompts(self) -> int:
+        """All of them."""
+        return sum(self.asked.values())
 
 
 def needs(
@@ -227,7 +234,6 @@ def needs(
     time = estimate(rig, script, figures)
     if emulated or "heating" not in learnt:
         time = replace(time, settling_s=settling_of(rig, script))
-    # homing, the arm check before and after, each set-up, each touch
     arm, touches = rig.rig.arm, _touches(rig, script)
     checks = 2 * arm.check_touches if arm.check_point_mm else 0
     # as if nothing could be compressed, with as much again for the pictures of detectors' stages
@@ -235,7 +241,10 @@ def needs(
     one = sum(w * h for w, h in (c.left.image_size, c.right.image_size, c.thermal.image_size))
     one += 2 * math.prod(c.thermal.sensor_size)
     disk_mb = 2.0 * len(script.planned) * one / 1e6
-    return Forecast(time, disk_mb, 1 + checks + sum(touches) + len(touches))
+    readings = script.script.truth.readings or arm.touches
+    of_ends = f"touches ({readings} for each teat end)"
+    asked = {"homing": 1, "arm check": checks, "set-ups": len(touches), of_ends: sum(touches)}
+    return Forecast(time, disk_mb, asked)
 
 
 def took(run: RunRecord) -> dict[str, float]:

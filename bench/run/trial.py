@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from math import hypot
 
@@ -19,10 +20,12 @@ from bench.results.answers import Answer, Examiner
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
+from bench.rig.urls import CONSOLE
 from bench.run.context import RunContext
 from bench.run.events import RunState
 from bench.run.recordings import Recorder
 from bench.run.rows import frame_rows, judged, truth_row
+from bench.run.set_up_picture import write_set_up_picture
 from bench.safety.stability import State
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
@@ -42,7 +45,7 @@ from instruments.camera.frame import FrameSet
 from instruments.camera.recording import TruthRow
 from instruments.clock import wall_time
 from instruments.errors import DeviceError, LimitError
-from instruments.operators.operator import NextTrial, OperatorRepeat, OperatorSkip
+from instruments.operators.operator import Arrangement, NextTrial, OperatorRepeat, OperatorSkip
 from instruments.stage.driver import Stage
 from instruments.world.phantom import PlatePose
 
@@ -250,6 +253,7 @@ class TrialRun:
         self._exact_ends = exact_ends
         self._recorder = recorder
         self.rehearsing = False
+        self._before: Arrangement | None = None  # with a picture
         # what of a pose the stage does; the operator does the rest
         self._axes = rig.stage.axes if ctx.devices.stage and rig.stage else ""
         self._examiner = Examiner(ctx.rig.calibration, rig.limits.detection_timeout_s)
@@ -277,7 +281,7 @@ class TrialRun:
         settled_s = ctx.states.away_s
         self._move(trial)
         asked = replace(trial.arrangement(self._axes), unattended=self._truth.unattended(there))
-        visible = ctx.ask(asked).visible
+        visible = ctx.ask(self._pictured(trial, asked)).visible
         ctx.wait(self._rig.cameras.settle_s)
         frames = self._capture_settled(trial.id)
         captured_s = ctx.clock.now()
@@ -326,6 +330,22 @@ class TrialRun:
                 hint = "Check level, lid and pump, or allow more time in the script."
                 raise DeviceError("bath", why, hint=hint)
         ctx.event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
+
+    def _pictured(self, trial: PlannedTrial, asked: Arrangement) -> Arrangement:
+        """With a picture for a person; the one before where nothing is to be changed by hand. One
+        that can't be made costs no trial.
+        """
+        if self._rig.operator.url != CONSOLE:
+            return asked
+        before = self._before
+        if before is None or replace(before, unattended=asked.unattended) != asked:
+            with suppress(OSError, ValueError):
+                path = write_set_up_picture(
+                    self._ctx.store.folder, trial.name, asked, self._ctx.rig
+                )
+                before = replace(asked, picture=str(path))
+        self._before = before
+        return replace(asked, picture=before.picture) if before else asked
 
     def _capture_settled(self, trial_id: str) -> FrameSet:
         """Frames of a bath in its band: the trial is suspended until it is stable again, and frames

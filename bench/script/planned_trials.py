@@ -18,7 +18,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from bench.config import Section, did_you_mean
 from bench.script.phantom import Layout, find_layout, load_layout, ordered
 from instruments.operators.operator import Arrangement
-from instruments.world.objects import make_object
+from instruments.world.objects import SceneObject, make_object
 from instruments.world.phantom import Phantom, PlatePose
 from instruments.world.situations import SITUATIONS, Situation, situation
 
@@ -278,10 +278,6 @@ class PlannedTrial:
         _, pose = shared(self.pose, axes)
         _, first = shared(self.approach or self.pose, axes)
         asked = [self.trial.set_up or (self.scene.about if self.scene else "")]
-        if self.trial.redraw or self.scene:
-            asked.append(described(self.phantom))
-        if self.scene and self.scene.objects:
-            asked.append(surrounded(self.scene))
         if first != pose:
             asked.append(
                 f"Move the plate to {told(first)} first, so that it comes from the {self.side}"
@@ -290,7 +286,17 @@ class PlannedTrial:
         if first != pose or pose != PlatePose() or "X" not in axes:
             asked.append(f"Move the plate to {told(pose)} from its reference place.")
         objects, said = self.trial.objects, " ".join(asked)
-        return Arrangement(self.situation, self.phantom, objects, said, pose, scene=self.scene)
+        things = self.scene.objects if self.scene else tuple(make_object(**one) for one in objects)
+        details = [described(self.phantom), *([surrounded(things)] if things else [])]
+        return Arrangement(
+            self.situation,
+            self.phantom,
+            objects,
+            said,
+            pose,
+            scene=self.scene,
+            details="\n".join(details),
+        )
 
 
 def shared(pose: PlatePose, axes: Collection[str]) -> tuple[PlatePose, PlatePose]:
@@ -370,26 +376,24 @@ def told(pose: PlatePose) -> str:
 
 
 def described(phantom: Phantom) -> str:
-    """Each teat's place, length and lean, for who sets them by hand."""
+    """Each teat's place on the plate, length and lean, for who sets them by hand."""
     teats = []
-    for number, teat in enumerate(phantom.teats, 1):
+    for name, teat in zip(phantom.called, phantom.teats, strict=True):
         (x, y), (lean_x, lean_y) = teat.base_mm, np.degrees(teat.tilt_rad)
-        teats.append(
-            f"{teat.name or number}: x {x:.1f}, y {y:.1f}, length {teat.shape.length_mm:.1f} mm"
-        )
+        teats.append(f"{name}: x {x:.1f}, y {y:.1f}, length {teat.shape.length_mm:.1f} mm")
         if any(teat.tilt_rad):
             teats[-1] += f", leaning {lean_x:+.1f} deg to x and {lean_y:+.1f} deg to y"
-    return f"Teats: {'; '.join(teats)}."
+    return "\n".join(["On the plate, before it is moved:", *(f"  {teat}" for teat in teats)])
 
 
-def surrounded(scene: Situation) -> str:
+def surrounded(things: Sequence[SceneObject]) -> str:
     """What else stands in a scene and where, for who puts it there."""
-    things = [
-        f"{thing.name.replace('_', ' ')} at x {thing.hulls[0].a_mm[0]:.0f}, y"
+    told = [
+        f"  {thing.name.replace('_', ' ')} at x {thing.hulls[0].a_mm[0]:.0f}, y"
         f" {thing.hulls[0].a_mm[1]:.0f} mm"
-        for thing in scene.objects
+        for thing in things
     ]
-    return f"Around them: {'; '.join(things)}."
+    return "\n".join(["On the table:", *told])
 
 
 def pose_set(

@@ -20,7 +20,7 @@ from instruments.world.phantom import Phantom, PlatePose
 
 def ends_of(phantom: Phantom, *, known: bool = True) -> Ends:
     """The ends of a phantom where it is expected to stand."""
-    return Ends(phantom.ends_mm, phantom.axes, known)
+    return Ends(phantom.ends_mm, phantom.axes, known, phantom.called)
 
 
 def stands_at(stage: Stage) -> Triple:

@@ -31,6 +31,7 @@ from instruments.errors import DeviceError
 from instruments.microscribe.errors import ArmMovesError
 from instruments.operators.operator import Release, Request, Touch
 from instruments.teat_end import end_under_ball_mm
+from instruments.world.phantom import called
 
 SPARE = 4  # touches of one end beyond those that are asked for, before it is given up
 FAR = 5.0
@@ -44,11 +45,11 @@ class NoTruthError(DeviceError):
     """A teat end could not be touched well; the trial has no truth."""
 
     @classmethod
-    def after(cls, teat: int, most: int, reasons: list[str]) -> NoTruthError:
+    def after(cls, teat: str, most: int, reasons: list[str]) -> NoTruthError:
         """Of these ``reasons`` not one of ``most`` touches is left."""
         return cls(
             "truth",
-            f"teat {teat}: {len(reasons)} of {most} touches could not be used; the last one:"
+            f"{teat}: {len(reasons)} of {most} touches could not be used; the last one:"
             f" {reasons[-1]}",
             hint="Is the teat loose, does the phantom stand where the script says, and are its"
             " teats counted as the layout counts them?",
@@ -58,12 +59,18 @@ class NoTruthError(DeviceError):
 @dataclass(frozen=True, slots=True, eq=False)
 class Ends:
     """What is to be touched: ``expected_mm`` (n, 3) places of all the ends, ``axes`` (n, 3) unit,
-    from base to end. Places not ``known`` well enough to tell teats apart aren't used.
+    from base to end. Places not ``known`` well enough to tell teats apart aren't used. ``names``:
+    what each is called, by its number where there are none.
     """
 
     expected_mm: Floats
     axes: Floats
     known: bool = True
+    names: tuple[str, ...] = ()
+
+    def called(self, teat: int) -> str:
+        """What the person is told of ``teat`` (from 1)."""
+        return self.names[teat - 1] if self.names else called(teat)
 
 
 class Toucher:
@@ -115,7 +122,7 @@ class Toucher:
         while (missing := self.readings - len(kept := _kept(taken))) > 0:
             if len(taken) + len(moves) >= (most := self.readings + SPARE):
                 reasons = [str(row["refused"]) for _, row in taken if row["refused"]] + moves
-                raise NoTruthError.after(teat, most, reasons)
+                raise NoTruthError.after(ends.called(teat), most, reasons)
             self._check()
             number = self.readings - missing + 1
             self._ask(Touch(teat, len(ends.expected_mm), number, self.readings, again))
@@ -123,11 +130,11 @@ class Toucher:
                 seen = self.tip.read()
             except ArmMovesError as error:
                 moves.append(str(error))
-                again = f"{error} Touch teat {teat} once more."
+                again = f"{error} Touch {ends.called(teat)}, once more."
                 continue
             end = end_under_ball_mm(seen.tip_mm, ends.axes[teat - 1], self._arm.tip_radius_mm)
-            refused = mistaken(end, teat, ends.expected_mm if ends.known else None, done)
-            again = f"{refused} Touch teat {teat}." if refused else ""
+            refused = mistaken(end, teat, ends, done)
+            again = f"{refused} Touch {ends.called(teat)}." if refused else ""
             row = {
                 "teat": str(teat),
                 "touch": len(taken) + 1,
@@ -145,7 +152,9 @@ class Toucher:
                 far = outliers(np.array([end for end, _ in kept]), reading_u_mm(self._arm))
                 for at, reason in far.items():
                     kept[at][1]["refused"] = reason
-                    again = again or f"A touch of teat {teat} is refused: {reason}. Once more."
+                    again = (
+                        again or f"A touch of {ends.called(teat)} is refused: {reason}. Once more."
+                    )
         points = np.array([end for end, _ in kept])
         u_mm = self.tip.u_registration_mm(points.mean(axis=0))
         return touched(points, self._arm, registration_mm=u_mm), [row for _, row in taken]
@@ -170,12 +179,11 @@ def outliers(points_mm: Floats, s0_mm: float) -> dict[int, str]:
     return {int(row): f"{away[row]:.2f} {told}" for row in np.flatnonzero(away > limit)}
 
 
-def mistaken(
-    point: Floats, teat: int, expected: Floats | None, done: Mapping[int, Floats]
-) -> str | None:
-    """Why a touch (3,) isn't one of ``teat`` (from 1); None where it may be. ``expected`` (n, 3) mm
-    are the places of all ends, None where not known; ``done`` what was touched by teat.
+def mistaken(point: Floats, teat: int, ends: Ends, done: Mapping[int, Floats]) -> str | None:
+    """Why a touch (3,) isn't one of ``teat`` (from 1) of ``ends``; None where it may be. ``done``:
+    what was touched by teat.
     """
+    expected = ends.expected_mm if ends.known else None
     for other, place in done.items():
         apart, same = float(np.linalg.norm(point - place)), LEAST_SPACING_MM
         if expected is not None:
@@ -183,8 +191,8 @@ def mistaken(
             same = max(same, SAME_SHARE * between)
         if other != teat and apart < same:
             return (
-                f"That is the end of teat {other} once more ({apart:.1f} mm from where it was"
-                " touched)."
+                f"That is the end of {ends.called(other)} once more ({apart:.1f} mm from where it"
+                " was touched)."
             )
     if expected is None:
         return None
@@ -194,8 +202,8 @@ def mistaken(
     if nearest == teat or away[nearest - 1] + TELL_MM >= away[teat - 1]:
         return None
     return (
-        f"That looks like teat {nearest}: it is {away[nearest - 1]:.0f} mm from that teat's place, "
-        f"and {away[teat - 1]:.0f} mm from the place of teat {teat}."
+        f"That looks like {ends.called(nearest)}: it is {away[nearest - 1]:.0f} mm from that teat's"
+        f" place, and {away[teat - 1]:.0f} mm from the place of {ends.called(teat)}."
     )
 
 

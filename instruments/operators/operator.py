@@ -61,7 +61,8 @@ class Arrangement:
 
     ``objects``: keyword tables of other things; ``pose``: of the plate relative to its reference,
     zero where a stage moves it; ``unattended``: an unchanged arrangement isn't asked for again;
-    ``scene``: a situation's light, background and things.
+    ``scene``: a situation's light, background and things; ``details``: all in coordinates, and
+    ``picture``: the path of a picture of it, both for who has not set this up before.
     """
 
     situation: str
@@ -71,6 +72,8 @@ class Arrangement:
     pose: PlatePose = field(default_factory=PlatePose)
     unattended: bool = False
     scene: Situation | None = None
+    details: str = ""
+    picture: str = field(default="", compare=False)
 
     @property
     def teats(self) -> int:

@@ -13,6 +13,8 @@ from typing import get_args
 
 from instruments.errors import ProtocolError
 from instruments.operators import operator as op
+from instruments.world.phantom import called
+from instruments.world.situations import spoken
 
 # in an answer that names hidden ends; how many there are is known only when it is given
 MOST_TEATS = 99
@@ -90,19 +92,9 @@ class PromptedOperator(ABC):
                 text += f" {LEANS[(touch - 1) % len(LEANS)]}, and hold it still."
                 return op.Prompt("check point", text, progress=f"touch {touch} of {of}", pedal=True)
             case op.Arrangement():
-                scene = f"Situation {request.situation}, layout {request.phantom.name}:"
-                text, hidden_to = f"{scene}\n{request.instruction}", request.teats
-                return op.Prompt("set up", text, progress=self._progress(), hidden_to=hidden_to)
-            case op.Touch(teat, of):
-                teats = self._stands[0].phantom.teats if self._stands else ()
-                name = teats[teat - 1].name if teat <= len(teats) else ""
-                which = f"{teat} ({name})" if name else teat
-                do = "Once more: touch" if request.again else "Touch"
-                text = f"{do} the end of teat {which} of {of} with the tip and hold it still."
-                repeated = f"touch {request.number} of {request.numbers}"
-                each = [repeated] if request.numbers > 1 else []
-                progress = self._progress(f"teat {teat} of {of}", *each)
-                return op.Prompt("touch", text, progress=progress, pedal=True)
+                return self._set_up_prompt(request)
+            case op.Touch():
+                return self._touch_prompt(request)
             case op.BoardAsked():
                 at = f"{'position' if request.fixed else 'view'} {request.number}"
                 text, enough = request.instruction, not request.fixed
@@ -111,6 +103,33 @@ class PromptedOperator(ABC):
                 return op.Prompt("corner", request.instruction, pedal=True)
             case op.Task(text, pedal):
                 return op.Prompt("task", text, pedal=pedal)
+
+    def _set_up_prompt(self, request: op.Arrangement) -> op.Prompt:
+        """In coordinates and with the picture, unless it stands so already."""
+        scene = f"Situation {spoken(request.situation)}, layout {request.phantom.name}:"
+        if self._stands and self._stands[0] == replace(request, unattended=False):
+            more = ["It stands so already: put the arm away and step out of the cameras' view."]
+        else:
+            more = [request.details, f"Picture: {request.picture}" if request.picture else ""]
+        text = "\n".join(filter(None, (scene, request.instruction, *more)))
+        return op.Prompt("set up", text, progress=self._progress(), hidden_to=request.teats)
+
+    def _touch_prompt(self, request: op.Touch) -> op.Prompt:
+        """By the teat's name, with how many touches of the trial are left."""
+        teat, of = request.teat, request.of
+        teats = self._stands[0].phantom.teats if self._stands else ()
+        name = teats[teat - 1].name if teat <= len(teats) else ""
+        which = f"{called(teat, name)}{',' if name else ''}"
+        if request.again:
+            text = f"Once more: touch the end of {which} with the tip and hold it still."
+        elif request.number > 1:
+            text = f"Lift the tip, then touch the end of {which} again."
+        else:
+            text = f"Touch the end of {which} with the tip and hold it still."
+        at = (teat - 1) * request.numbers + request.number
+        count = f"touch {at} of {of * request.numbers}"
+        progress = self._progress(f"teat {teat} of {of}", count)
+        return op.Prompt("touch", text, progress=progress, pedal=True)
 
     def _progress(self, *further: str) -> str:
         if self._trial is None:

@@ -46,6 +46,20 @@ class TeatShape:
             )
 
 
+SPOKEN = {"LF": "left front", "RF": "right front", "LR": "left rear", "RR": "right rear"}
+
+
+def called(number: int, name: str = "") -> str:
+    """How prompts and messages call a teat: ``teat 4, left front (LF)``; ``teat 4`` without a
+    name.
+    """
+    if not name:
+        return f"teat {number}"
+    return (
+        f"teat {number}, {SPOKEN[name]} ({name})" if name in SPOKEN else f"teat {number} ({name})"
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Teat:
     """One teat: where its axis leaves the plate (x, y, plate frame), shape, and lean towards +x and
@@ -101,6 +115,11 @@ class Phantom:
     def __post_init__(self) -> None:
         if not 0.0 < self.emissivity <= 1.0:
             raise ValueError(f"an emissivity must be above 0 and at most 1, is {self.emissivity}")
+
+    @property
+    def called(self) -> tuple[str, ...]:
+        """Each teat as prompts call it, with its number from 1."""
+        return tuple(called(number, teat.name) for number, teat in enumerate(self.teats, 1))
 
     @property
     def bases_mm(self) -> Floats:

@@ -516,6 +516,21 @@ def _clutter(draw: Draw) -> SceneObject:
 
 
 Family = Callable[[Draw], Situation | None]
+SPOKEN = {
+    "non_vertical": "non-vertical teats",
+    "overlapping": "overlapping teats",
+    "hot_body_at_base": "hot body at the base",
+    "hot_body_at_ends": "hot body at the ends",
+}
+
+
+def spoken(name: str) -> str:
+    """A situation's name as people say it, for all that is printed or drawn; files and JSON keep
+    the name itself.
+    """
+    return SPOKEN.get(name, name.replace("_", " "))
+
+
 SITUATIONS: dict[str, tuple[str, Family]] = {
     "ideal": ("Four upright teats, none touching or covering another; neutral background.", _ideal),
     "non_vertical": (

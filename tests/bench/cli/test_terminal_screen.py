@@ -27,7 +27,7 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
     columns: int, tmp_path: Path
 ) -> None:
     """The sentences wrap at 37 and 80 columns, and their last row may be as good as full."""
-    teats = [f"teat {teat} of 4; " for teat in (1, 2, 3, 4)]
+    teats = [f"teat {teat} of 4, touch {teat} of 4; " for teat in (1, 2, 3, 4)]
     asked = ["on its peg", "Situation ideal", *teats[:2], "Once more", *teats[2:]]
     mistake = 'mistakes = ["wrong teat"]'
     with at_terminal(
@@ -42,7 +42,7 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
     (refused,) = (
         touch["refused"] for touch in run_of(tmp_path).trials[0].touches if touch["refused"]
     )
-    assert f"{refused} Touch teat 2." in seen
+    assert f"{refused} Touch teat 2, right rear (RR)." in seen
     assert seen.count(f"Enter to go on ({LAST_WORDS}") == 1
     assert seen.count(f"Enter to go on ({IN_TRIAL}{LAST_WORDS}") == 5
     hidden = "if teat ends are hidden from a camera, their numbers first (1 to 4)"

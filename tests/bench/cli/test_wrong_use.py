@@ -29,6 +29,7 @@ WRONG_USE = {  # code 2
     "run --seed x": "'x' is not a whole number",
     "run --seed -1": "'-1' is not a whole number",
     "report nowhere": "is no run",
+    "runs nowhere": "no such folder",
     "score nowhere": "no such folder",
     "detect nowhere": "no such folder",
     "check emulatd": 'did you mean "emulated"',

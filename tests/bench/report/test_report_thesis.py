@@ -220,15 +220,15 @@ def test_the_six_situations_have_all_their_figures(situations: Path) -> None:
     start = "teats found, "
     found = {name.removeprefix(start): row for name, row in rows.items() if name.startswith(start)}
     assert {name: row[1] for name, row in found.items()} == {
-        "non_vertical": "4 of 4",
-        "overlapping": "3 of 4",
-        "spurious_teat": "4 of 4",
-        "hot_body_at_base": "4 of 4",
-        "hot_body_at_ends": "0 of 4",
-        "cooler_bodies": "3 of 4",
+        "non-vertical teats": "4 of 4",
+        "overlapping teats": "3 of 4",
+        "spurious teat": "4 of 4",
+        "hot body at the base": "4 of 4",
+        "hot body at the ends": "0 of 4",
+        "cooler bodies": "3 of 4",
         "all 6": "18 of 24",
     }
-    assert found["hot_body_at_ends"][3].startswith("0 of 4, ")
+    assert found["hot body at the ends"][3].startswith("0 of 4, ")
     mean = "test 1: mean of the signed components: the thesis's “average error” of test 1"
     assert rows[mean][:3] == ("5.1.1 and 5.1.3", "0.5 mm", "+0.54 mm (n = 4)")
     assert rows["test 1: mean distance to the teat end"][1:3] == ("", "2.09 mm (n = 4)")

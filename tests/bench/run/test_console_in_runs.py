@@ -4,6 +4,7 @@ hands follow each "go on".
 
 from __future__ import annotations
 
+import re
 import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -47,11 +48,16 @@ def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
         said = answer(terminal, "Move the plate to x +12 mm", "2, 4")
         trial = "[trial 1 of 2; about 4 min left] Situation ideal, layout table-5-1:\nTeats as in"
         assert f"{trial} table 5.1." in said
+        assert "teat 4, left front (LF): x -260.6, y 267.1, length 136.3 mm" in said
+        (picture,) = re.findall(r"Picture: (\S+\.png)", said.replace("\r", ""))
+        assert Path(picture).read_bytes().startswith(b"\x89PNG")
         assert "s REASON = skip this trial" in said
         for teat in (1, 2, 3, 4):
             for touch in (1, 2):
-                at = f"trial 1 of 2, teat {teat} of 4, touch {touch} of 2; about 4 min left"
-                answer(terminal, f"[{at}] Touch the end of teat {teat} (")
+                count = f"touch {2 * (teat - 1) + touch} of 8"
+                at = f"trial 1 of 2, teat {teat} of 4, {count}; about 4 min left"
+                do = "Touch" if touch == 1 else "Lift the tip, then touch"
+                answer(terminal, f"[{at}] {do} the end of teat {teat}, ")
         answer(terminal, "[trial 2 of 2; ", "s")
         terminal.expect("Why?")
         terminal.type("the hose came off")

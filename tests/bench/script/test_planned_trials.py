@@ -196,7 +196,7 @@ def test_the_prompt_says_what_no_motor_does() -> None:
         assert said in by_hand.instruction
     assert by_hand.pose == one.pose
     (udder,) = planned(layout="random-udder", redraw=True)
-    assert "LF: x " in udder.arrangement("XY").instruction
+    assert "left front (LF): x " in udder.arrangement("XY").details
 
 
 def test_the_record_tells_how_the_poses_were_chosen() -> None:
@@ -321,8 +321,8 @@ def test_the_operator_is_told_what_stands_where(tmp_path: Path) -> None:
     found = situation("hot_body_at_ends", 0)
     assert asked.scene == found
     assert found.about in asked.instruction
-    assert "warm arm at x" in asked.instruction
-    assert f"length {found.phantom.teats[2].shape.length_mm:.1f} mm" in asked.instruction
+    assert "warm arm at x" in asked.details
+    assert f"length {found.phantom.teats[2].shape.length_mm:.1f} mm" in asked.details
 
 
 def test_the_emulated_operator_sets_the_whole_scene_up(tmp_path: Path) -> None:

@@ -15,6 +15,8 @@ from bench.truth.uncertainty import reading_u_mm
 from instruments.teat_end import ball_centre_mm
 from tests.bench.truth.touches import ENDS_MM, UP, Hand, arm_settings, layout, table_5_1, toucher
 
+ENDS = Ends(ENDS_MM, UP)
+
 
 def test_every_end_is_read_as_often_as_asked() -> None:
     hand = Hand(ENDS_MM)
@@ -128,7 +130,7 @@ def test_a_wrong_order_is_noticed_wherever_the_phantom_came_to_stand(
     done: dict[int, np.ndarray] = {}
     noticed = False
     for asked, touched in zip((1, 2, 3, 4), order, strict=True):
-        reason = mistaken(there[touched - 1], asked, ENDS_MM, done)
+        reason = mistaken(there[touched - 1], asked, ENDS, done)
         if reason:
             noticed = True
             assert asked != touched
@@ -140,8 +142,8 @@ def test_a_wrong_order_is_noticed_wherever_the_phantom_came_to_stand(
 
 def test_near_teats_are_told_apart_and_a_place_between_is_left_to_the_operator() -> None:
     between = (ENDS_MM[0] + ENDS_MM[1]) / 2
-    assert mistaken(between, 1, ENDS_MM, {}) is mistaken(between, 2, ENDS_MM, {}) is None
+    assert mistaken(between, 1, ENDS, {}) is mistaken(between, 2, ENDS, {}) is None
     # 22 mm: the layout "overlapping"
     near = np.array([[-95.0, 232.0, 136.0], [-117.0, 232.0, 134.0]])
-    assert mistaken(near[0] + [3.0, 0.0, 0.0], 1, near, {}) is None
-    assert mistaken(near[1] + [3.0, 0.0, 0.0], 1, near, {}) is not None
+    assert mistaken(near[0] + [3.0, 0.0, 0.0], 1, Ends(near, UP[:2]), {}) is None
+    assert mistaken(near[1] + [3.0, 0.0, 0.0], 1, Ends(near, UP[:2]), {}) is not None

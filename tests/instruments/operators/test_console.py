@@ -52,8 +52,8 @@ def test_it_says_how_far_the_run_is() -> None:
     who.ask(op.CheckPoint(4, 5))
     said = out.getvalue()
     assert "[trial 3 of 18; about 13 min left] Situation ideal" in said
-    touch = "[trial 3 of 18, teat 2 of 4, touch 1 of 3; about 13 min left]"
-    assert f"{touch} Touch the end of teat 2 (RR) of 4" in said
+    touch = "[trial 3 of 18, teat 2 of 4, touch 4 of 12; about 13 min left]"
+    assert f"{touch} Touch the end of teat 2, right rear (RR), with" in said
     assert "[touch 4 of 5] Arm check" in said
 
     who.ask(op.NextTrial(1, 18, None))
@@ -73,13 +73,13 @@ def test_teats_are_told_by_their_names_where_they_have_some() -> None:
     )
     who.ask(replace(ASKED, phantom=replace(ASKED.phantom, teats=named)))
     who.ask(op.Touch(3, 4))
-    assert "Touch the end of teat 3 (LR) of 4" in out.getvalue()
+    assert "Touch the end of teat 3, left rear (LR), with" in out.getvalue()
 
 
 @pytest.mark.parametrize(
     ("request_", "text"),
     [
-        (op.Touch(2, 4, again="Not there."), "Once more: touch the end of teat 2 of 4"),
+        (op.Touch(2, 4, again="Not there."), "Once more: touch the end of teat 2 with"),
         (op.BoardTouch(0, "Touch point 1.", again="Not there."), "Touch point 1."),
     ],
 )

@@ -106,7 +106,7 @@ def desk(*, remind_s: float = 60.0, watch: Callable[[], Pedal] | None = None) ->
 def test_enter_goes_on_and_wrong_keys_do_not() -> None:
     with desk() as here:
         done = here.asked(TOUCH)
-        assert "Touch the end of teat 2 of 4" in here.expect(f"Enter to go on {KEYS}")
+        assert "Touch the end of teat 2 with" in here.expect(f"Enter to go on {KEYS}")
         for wrong in ("x", "2", "go on", "ö", "aa", "\x1b[A"):
             here.type(f"{wrong}\n")
             assert f"Not understood: {wrong!r}." in here.expect(KEYS)

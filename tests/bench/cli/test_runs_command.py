@@ -1,0 +1,66 @@
+"""`teatbench runs`: whole, old, damaged and foreign folders side by side."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.bench.commands import Said
+from tests.conftest import ROOT
+
+KEPT = ROOT / "tests" / "bench" / "record" / "kept"
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    folder = tmp_path / "my runs"
+    for name in ("schema-3", "schema-4"):
+        shutil.copytree(KEPT / name, folder / name)
+    damaged = shutil.copytree(KEPT / "schema-4", folder / "damaged")
+    next(damaged.glob("frames/*/left.png")).unlink()
+    (folder / "foreign").mkdir()
+    (folder / "cut").mkdir()
+    whole = (KEPT / "schema-4" / "run.sqlite").read_bytes()
+    (folder / "cut" / "run.sqlite").write_bytes(whole[:5000])
+    return folder
+
+
+def test_each_run_is_listed_and_each_other_folder_named(said: Said, runs: Path) -> None:
+    told = json.loads(said(0, "runs {} --json", runs).out)
+    by_name = {Path(run["folder"]).name: run for run in told["runs"]}
+    assert set(by_name) == {"schema-3", "schema-4", "damaged"}
+    (good,) = by_name["schema-4"]["results"]
+    assert good["detector"] == "fused"
+    assert good["verdict"] in ("met", "not met", "inconclusive")
+    assert good["found"] <= good["visible"]
+    assert by_name["damaged"]["results"][0]["verdict"] == "no verdict"
+    assert "left.png" in by_name["damaged"]["damage"][0]
+    assert by_name["schema-4"]["damage"] == []
+    others = {Path(one["folder"]).name: one["why"] for one in told["others"]}
+    assert set(others) == {"cut", "foreign"}
+    assert "no run.sqlite" in others["foreign"]
+    assert sum(len(one["runs"]) for one in told["history"]) == 3
+
+
+def test_the_page_stands_alone(said: Said, runs: Path) -> None:
+    seen = said(0, "runs {}", runs).out
+    assert "not a run: foreign" in seen
+    page = (runs / "index.html").read_text(encoding="utf-8")
+    assert f"Page: {runs / 'index.html'}" in seen
+    assert page.count("data:image/jpeg;base64,") >= 3
+    assert all(src.startswith("data:") for src in re.findall(r'src="([^"]+)"', page))
+    assert "http" not in page.replace("http-equiv", "")
+    said(0, "runs {}", runs)  # its own page is no foreign folder
+    assert (runs / "index.html").read_text(encoding="utf-8") == page
+
+
+def test_a_run_in_place_of_its_folder_is_refused(said: Said, runs: Path) -> None:
+    assert "is one run" in said(2, "runs {}", runs / "schema-4").err
+
+
+def test_an_empty_folder_has_a_page(said: Said, tmp_path: Path) -> None:
+    assert "0 runs" in said(0, "runs {}", tmp_path).out
