@@ -47,7 +47,12 @@ def test_a_report_opens_only_on_a_desktop(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, environment: dict[str, str], opens: bool
 ) -> None:
     opened: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", lambda uri: not opened.append(uri))
+
+    def note(uri: str) -> bool:
+        opened.append(uri)
+        return True
+
+    monkeypatch.setattr(webbrowser, "open", note)
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
     for name in ("CI", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
