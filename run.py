@@ -1,6 +1,6 @@
 """Everything from a fresh machine: make .venv, install, then run the demo or the tests.
 
-    python3 run.py demo [arguments of "teatbench run"]
+    python3 run.py demo [--no-open] [SCRIPT and options of "teatbench run"]
     python3 run.py test [arguments of pytest]
     python3 run.py install    only installs what the tests need
 
@@ -72,7 +72,10 @@ def main(arguments: Sequence[str]) -> int:
             [str(python()), "-m", "pytest", *PYTEST_OPTIONS, *rest],
             ROOT,
         )
-    code = call([str(python()), "-m", "bench.cli", "run", *rest])
+    script = [] if rest and not rest[0].startswith("-") else ["demo"]
+    opening = [] if "--no-open" in rest else ["--open"]
+    rest = [word for word in rest if word != "--no-open"]
+    code = call([str(python()), "-m", "bench.cli", "run", *script, *opening, *rest])
     return 0 if code in DID_ITS_WORK else code
 
 

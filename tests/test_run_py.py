@@ -103,6 +103,24 @@ def test_demo_gives_0_when_the_bench_did_its_work(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
+@pytest.mark.parametrize(
+    ("given", "called"),
+    [
+        ([], "run demo --open"),
+        (["--no-open", "--seed", "2"], "run demo --seed 2"),
+        (["plane-map"], "run --open plane-map"),
+    ],
+)
+def test_demo_runs_the_script_demo_and_opens_its_report(
+    run_py: ModuleType, tmp_path: Path, given: list[str], called: str
+) -> None:
+    log = tmp_path / "calls"
+    fake_python(run_py, f'echo "$*" >> "{log}"')
+    assert run_py.main(["demo", *given]) == 0
+    assert log.read_text(encoding="utf-8").splitlines()[-1] == f"-m bench.cli {called}"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="stands a shell script in for Python")
 def test_a_second_call_installs_nothing(run_py: ModuleType, tmp_path: Path) -> None:
     log = tmp_path / "calls"
     fake_python(run_py, f'echo "$*" >> "{log}"')

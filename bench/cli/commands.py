@@ -198,6 +198,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         OUT_RUNS,
         DETECTORS,
         EVENTS,
+        flag("--open", "open the report in the browser at the end, where there is a desktop"),
     ),
     "resume": (
         "go on with a run that stopped, at its first trial without a result",

@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,26 +16,16 @@ from bench.cli.arguments import CODES
 from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress
 from bench.config import ConfigError
-from bench.record.reader import RunRecord, read_run
+from bench.record.reader import read_run
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.urls import CONSOLE
-from bench.run.events import FAILURES, Events, SafeProgress, event_lines
+from bench.run.events import Events, SafeProgress, event_lines
 from bench.script.model import find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
 from instruments.operators.console import keyboard_of
 
 if TYPE_CHECKING:
-    from bench.results.verdicts import Judgement
     from reports.page import Section
-
-TONES = {
-    "met": "green",
-    "not met": "red",
-    "inconclusive": "yellow",
-    "not measured": "yellow",
-    "aborted": "red",
-    "no verdict": "yellow",
-}
 
 
 def run(given: argparse.Namespace) -> int:
@@ -54,6 +44,7 @@ def run(given: argparse.Namespace) -> int:
         from bench.cli.dry_run import look_ahead
 
         return look_ahead(rig, script, given.out, given.detector, given.seed)
+    from bench.cli.verdict import open_report, show_verdict
     from bench.report.page import write_run_report
     from bench.run.estimate import figures, needs, read_learnt, told, took, write_learnt
     from bench.run.start import RunOptions, run_script
@@ -73,7 +64,7 @@ def run(given: argparse.Namespace) -> int:
         folder, _ = run_script(rig, script, given.out, progress, how)
         progress.state("writing the report")
         written = write_run_report(folder)
-    code = _shown(console, *written)
+    code = show_verdict(console, *written)
     record = read_run(folder)
     spent = took(record)
     # the next estimate is better by what this run took; one that stopped shows nothing
@@ -81,10 +72,13 @@ def run(given: argparse.Namespace) -> int:
         expected = needs(rig, script, read_learnt(given.out, rig)).time
         write_learnt(folder, rig, expected, spent, figures(record, rig, script, spent))
         print(told(expected, spent))
+    if given.open:
+        open_report(written[0])
     return code
 
 
 def resume(given: argparse.Namespace) -> int:
+    from bench.cli.verdict import show_verdict
     from bench.report.page import write_run_report
     from bench.run.resume import files_of
     from bench.run.start import RunOptions, resume_run
@@ -100,7 +94,7 @@ def resume(given: argparse.Namespace) -> int:
             )
             progress.state("writing the report")
             written = write_run_report(given.run, damage=damage)
-        return _shown(console, *written)
+        return show_verdict(console, *written)
 
 
 def typed_lines(operator_url: str) -> Callable[[], str | None]:
@@ -121,6 +115,7 @@ def typed_lines(operator_url: str) -> Callable[[], str | None]:
 
 
 def score(given: argparse.Namespace) -> int:
+    from bench.cli.verdict import show_verdict
     from bench.report.page import write_run_report
     from bench.report.tables import score_table
     from bench.run.start import score_recording
@@ -131,7 +126,7 @@ def score(given: argparse.Namespace) -> int:
         folder = score_recording(given.recording, given.out, progress, given.detector or ["thesis"])
         progress.state("writing the report")
         written = write_run_report(folder)
-    code = _shown(console, *written)
+    code = show_verdict(console, *written)
     print(f"\n{score_table(read_run(folder))}")
     return code
 
@@ -151,6 +146,7 @@ def _offsets_reported(folder: Path) -> int:
 
 
 def report(given: argparse.Namespace) -> int:
+    from bench.cli.verdict import show_verdict
     from bench.report.page import PDF, REPORT, write_run_report
     from bench.report.thesis import is_offset_run
     from reports.pdf import find_browser, print_pdf
@@ -172,7 +168,7 @@ def report(given: argparse.Namespace) -> int:
 
                 chapters = (baseline_section(given.baseline, given.run, damage),)
             written = write_run_report(given.run, chapters, damage, single_file=given.single_file)
-            code = _shown(Terminal(), *written)
+            code = show_verdict(Terminal(), *written)
     if browser:
         folder = given.run / REPORT
         try:
@@ -182,34 +178,3 @@ def report(given: argparse.Namespace) -> int:
                 raise ConfigError.plain(str(error)) from error
             print(f"no PDF: {error}", file=sys.stderr)
     return code
-
-
-def _shown(
-    console: Terminal, report: Path, record: RunRecord, judgements: Sequence[Judgement]
-) -> int:
-    """Show the verdict and where the report is; gives back the exit code that the run deserves,
-    whether or not it can be shown.
-    """
-    from rich.table import Table
-    from rich.text import Text
-
-    from bench.report.wording import headline, limit, measured
-    from bench.results.verdicts import run_verdict
-
-    codes = {"met": CODES.met, "not met": CODES.not_met}
-    code = codes.get(run_verdict(judgements).value, CODES.inconclusive)
-    with suppress(*FAILURES):
-        for judgement in judgements:
-            table = Table(title=f"{record.facts['title']}: detector {judgement.detector}")
-            for title in ("requirement", "measured", "limit", "verdict"):
-                table.add_column(title)
-            for one in judgement.decisions:
-                word = Text(one.verdict.value, TONES[one.verdict.value])
-                table.add_row(one.name, measured(one), limit(one), word)
-            console.print(table)
-        verdict, why, then = headline(record, judgements)
-        console.print(Text.assemble("Verdict: ", (verdict, f"bold {TONES[verdict]}")))
-        console.print(why, markup=False)
-        console.print(f"Next: {then}", markup=False)
-        console.print(f"Report: {report}", markup=False, soft_wrap=True)
-    return code if record.ending == "finished" else CODES.fault

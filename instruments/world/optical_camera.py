@@ -170,6 +170,7 @@ class OpticalCamera:
         ] = {}
         self._layers = KeptLayers()
         self._latest: tuple[object, list[Expected]] = (None, [])
+        self.draw_backdrop = backdrops.draw
 
     def expose(
         self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator
@@ -262,7 +263,9 @@ class OpticalCamera:
             while len(self._backdrops) >= BACKDROPS_KEPT:
                 self._backdrops.pop(next(iter(self._backdrops)))
             sharp, view = self.readout.sensor.blur_px, self.view
-            empty, depth = backdrops.draw(state.backdrop, state.lighting, view.camera, view.rays)
+            empty, depth = self.draw_backdrop(
+                state.backdrop, state.lighting, view.camera, view.rays
+            )
             # blur grows both ways from what is in focus
             ends = self._sigma(np.array([depth.min(), depth.max()]))
             if float(ends.max()) - sharp > SHARP_PX:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import combinations
 from typing import Any
 
@@ -289,6 +289,7 @@ def apart(phantom: Phantom, eyes_mm: Sequence[tuple[float, float, float]]) -> fl
     return float(least)
 
 
+@lru_cache(maxsize=1024)
 def situation(name: str, seed: int) -> Situation:
     """Member ``seed`` of the family. Raises ValueError for an unknown name or negative seed."""
     check_known("situation", name, SITUATIONS)

@@ -56,7 +56,8 @@ class World:
 
     def close(self) -> None:
         """Drop the renderer's 100 MB: a closed rig stays in reference cycles for a while."""
-        self.__dict__.pop("renderer", None)
+        if renderer := self.__dict__.pop("renderer", None):
+            renderer.close()
 
     def arrange(
         self,

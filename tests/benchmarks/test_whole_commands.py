@@ -51,8 +51,8 @@ def show(what: str, stderr: str, aim: str) -> None:
     sys.platform == "win32", reason="the peak memory is read from the POSIX module resource"
 )
 def test_the_demo(benchmark: BenchmarkFixture, tmp_path: Path) -> None:
-    stderr = benchmark.pedantic(lambda: call("run", "--out", str(tmp_path)), rounds=1)
-    show("demo, six situations, 3 repeats each", stderr, "at most 60 s, under 1024 MiB")
+    stderr = benchmark.pedantic(lambda: call("run", "demo", "--out", str(tmp_path)), rounds=1)
+    show("demo, 60 scenes, two detectors", stderr, "at most 30 s, under 1024 MiB")
 
 
 @pytest.mark.skipif(

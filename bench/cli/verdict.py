@@ -1,0 +1,147 @@
+"""What a run found, at the terminal: that the bench works, the scoreboard of the detectors, a
+sentence for each, and the report as a link.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import webbrowser
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from rich.table import Table
+from rich.text import Text
+
+from bench.cli.arguments import CODES
+from bench.cli.terminal import Terminal
+from bench.record.reader import RunRecord
+from bench.report.wording import headline, limit, measured
+from bench.results.verdicts import Judgement, run_verdict
+from bench.run.events import FAILURES
+from bench.scoring.decisions import Decision, Verdict
+
+# symbol and colour of each verdict
+SIGNS: Mapping[str, tuple[str, str]] = {
+    "met": ("✓", "green"),
+    "not met": ("✕", "red"),
+    "inconclusive": ("?", "yellow"),
+    "not measured": ("–", "yellow"),
+    "aborted": ("!", "red"),
+    "no verdict": ("○", "yellow"),
+}
+EXIT_CODES = {Verdict.MET: CODES.met, Verdict.NOT_MET: CODES.not_met}
+
+
+def show_verdict(
+    console: Terminal, report: Path, record: RunRecord, judgements: Sequence[Judgement]
+) -> int:
+    """Show what a run found; gives back the exit code that the run deserves, whether or not it can
+    be shown.
+    """
+    with suppress(*FAILURES):
+        verdict, why, then = headline(record, judgements)
+        decided = record.ending == "finished" and not record.damage and bool(judgements)
+        if decided:
+            console.print(_bench(record, judgements[0]))
+        if judgements:
+            console.print(_scoreboard(console, record, judgements))
+        if decided and len(judgements) > 1:
+            for judgement in judgements:
+                console.print(_of_detector(console, judgement))
+        else:
+            console.print(Text.assemble("Verdict: ", (verdict, f"bold {SIGNS[verdict][1]}")))
+            console.print(why, markup=False)
+            console.print(f"Next: {then}", markup=False)
+        console.print(f"Report: {report.resolve().as_uri()}", markup=False, soft_wrap=True)
+    code = EXIT_CODES.get(run_verdict(judgements), CODES.inconclusive)
+    return code if record.ending == "finished" else CODES.fault
+
+
+def _bench(record: RunRecord, judgement: Judgement) -> Text:
+    """Whether the bench did its own part: all trials, and the requirements that it has to meet."""
+    own = [one for one in judgement.decisions if one.name in judgement.of_bench]
+    done, planned = len(record.trials), record.facts["planned"]
+    failed = [one.name for one in own if one.verdict is Verdict.NOT_MET]
+    open_ = [one.name for one in own if one.verdict in (Verdict.INCONCLUSIVE, Verdict.NOT_MEASURED)]
+    if failed:
+        text = f"The bench has to be put right first: {', '.join(failed)}."
+        return Text.assemble((text, "bold red"))
+    count = f"{done} of {planned} trials done"
+    met = [one.name for one in own if one.verdict is Verdict.MET]
+    told = [count, *met, *(f"{name}: not decided" for name in open_)]
+    return Text.assemble(("The bench works: ", "bold green"), f"{', '.join(told)}.")
+
+
+def _scoreboard(console: Terminal, record: RunRecord, judgements: Sequence[Judgement]) -> Table:
+    """Requirements by detector; of those of the bench only what is not met."""
+    several = len(judgements) > 1
+    title = record.facts["title"]
+    table = Table(title=title if several else f"{title}: detector {judgements[0].detector}")
+    table.add_column("requirement")
+    table.add_column("limit", justify="right")
+    for judgement in judgements:
+        table.add_column(judgement.detector if several else "measured")
+    for row in zip(*(judgement.decisions for judgement in judgements), strict=True):
+        if row[0].name in judgements[0].of_bench and row[0].verdict is Verdict.MET:
+            continue  # said before the table
+        table.add_row(row[0].name, limit(row[0]), *(_cell(console, one) for one in row))
+    return table
+
+
+def _cell(console: Terminal, decision: Decision) -> Text:
+    value = measured(replace(decision, uncertainty=None))  # its bound is in the report
+    return Text.assemble(_sign(console, decision.verdict.value), " ", value)
+
+
+def _sign(console: Terminal, verdict: str) -> tuple[str, str]:
+    """The symbol of a verdict with its colour; the word where the terminal has no such symbol."""
+    symbol, colour = SIGNS[verdict]
+    has = console.encoding.lower().startswith("utf")
+    return (symbol if has else f"{verdict}:", colour)
+
+
+def _of_detector(console: Terminal, judgement: Judgement) -> Text:
+    """One sentence: the verdict on a detector, and what keeps it from a better one."""
+    own = [one for one in judgement.decisions if one.name not in judgement.of_bench]
+    sign, colour = _sign(console, judgement.verdict.value)
+    return Text.assemble(
+        (f"{sign} {judgement.detector}", f"bold {colour}"), f" {'; '.join(_reasons(own))}."
+    )
+
+
+def _reasons(decisions: Sequence[Decision]) -> Iterator[str]:
+    """What of its own requirements a detector meets, and what not, with the figures."""
+    met = [one for one in decisions if one.verdict is Verdict.MET]
+    if len(met) == len(decisions):
+        yield f"meets all {len(decisions)} requirements"
+        return
+    yield f"meets {len(met)} of {len(decisions)} requirements"
+    for words, verdicts in (
+        ("does not meet", (Verdict.NOT_MET,)),
+        ("too few poses to decide", (Verdict.INCONCLUSIVE,)),
+        ("not measured", (Verdict.NOT_MEASURED,)),
+    ):
+        if which := [one for one in decisions if one.verdict in verdicts]:
+            yield f"{words}: " + ", ".join(f"{one.name} {measured(one)}" for one in which)
+
+
+def open_report(report: Path) -> bool:
+    """Open a report in the desktop's browser; False, and nothing happens, where there is none."""
+    with suppress(webbrowser.Error, OSError):
+        return on_a_desktop() and webbrowser.open(report.resolve().as_uri())
+    return False
+
+
+def on_a_desktop() -> bool:
+    """Whether a person sits before this terminal and its screen: not in CI, not in a pipe, not over
+    SSH, not without a display.
+    """
+    there = os.environ.get
+    if there("CI") or not (sys.stdout and sys.stdout.isatty()):
+        return False
+    if sys.platform in ("win32", "darwin"):
+        return not there("SSH_CONNECTION")
+    return bool(there("DISPLAY") or there("WAYLAND_DISPLAY"))
