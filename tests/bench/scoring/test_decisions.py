@@ -317,7 +317,7 @@ def test_nothing_measured_has_no_figures() -> None:
 
 
 def test_bad_rows() -> None:
-    with pytest.raises(ValueError, match="2 names for 3 values"):
+    with pytest.raises(ValueError, match="2 names for 3 rows"):
         error([1, 2, 3], poses=["a", "b"])
     with pytest.raises(ValueError, match="not finite"):
         error([1.0, float("nan")])
