@@ -45,6 +45,7 @@ BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 # of detector.calibration.cameras, which is heavy to import
 MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
 CAMERAS = ("left", "right", "thermal")
+LANGUAGES = ("python", "javascript", "cpp")
 
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
@@ -69,10 +70,10 @@ CAMERAS_OF = option(
 RUN = option("run", "the run's folder", Path)
 RECORDING = option("recording", "a recording's folder", Path)
 OUT_RUNS = option("--out DIR", "where run folders go", default=Path("runs"))
+DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md)"
 DETECTORS = option(
     "--detector NAME",
-    "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md); may be given"
-    " several times",
+    f"{DETECTOR_HELP}; may be given several times",
     many=True,
 )
 EVENTS = option("--events FILE", "also tell what goes on as JSON lines, for others to watch")
@@ -695,11 +696,33 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "the detectors that ship, that other packages bring, and that files in ./detectors declare",
         "detectors",
     ),
+    "detectors new": (
+        "write a detector of your own to begin with: a program that answers, and its declaration",
+        "detectors new python --name mine",
+        option("language LANGUAGE", "python, javascript or cpp", choices=LANGUAGES),
+        option("--name NAME", "what it is called", default="my_detector"),
+        option(
+            "--out DIR",
+            "where to (default: detectors, whose files are known by name)",
+            default=Path("detectors"),
+        ),
+    ),
+    "detectors try": (
+        "ask a detector about one frame, and say in plain words what is wrong",
+        "detectors try my_detector",
+        option("word WORD", DETECTOR_HELP),
+        option(
+            "recording RECORDING",
+            "whose first frame is shown (default: a simulated one)",
+            Path,
+            nargs="?",
+        ),
+    ),
 }
 # where a command's or a group's functions are, unless in the module of the same name
 MODULES = {
     "alone": ("camera", "stage"),
-    "rig": ("check", "detect", "detectors", "emulate", "replay-wire", "rigs", "scene"),
+    "rig": ("check", "detect", "emulate", "replay-wire", "rigs", "scene"),
     "run": ("report", "resume", "score"),
     "store": ("compare", "control"),
     "trials": ("plan",),
@@ -710,6 +733,8 @@ FUNCTIONS = {
     "camera list": "attached",
     "calibrate import": "take_over",
     "replay-wire": "replay_wire",
+    "detectors": "listed",
+    "detectors try": "try_out",
     "trials": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more
