@@ -156,7 +156,10 @@ SOURCES = option(
     nargs="*",
 )
 
-BOARD_HELP = "a shipped board by name, or a .toml file"
+BOARD_HELP = (
+    "a shipped board by name (charuco-11x7-25, chessboard-9x6-40, heated-circles-7x5-18),"
+    " checkerboard:5x7:30mm (inner corners, and their distance), or a .toml file"
+)
 RIG_SEED = option("--seed N", "of the emulators' noise (default: the rig's)", whole(0))
 LIVE = (
     option("--rig RIG", "live, with the cameras of this rig: by name, or a .toml file"),
@@ -175,8 +178,8 @@ FINDER = (
 )
 
 
-def _part(name: str) -> tuple[Argument, Argument, Argument]:
-    """Where a step writes its file, and who says so."""
+def _part(name: str) -> tuple[Argument, Argument, Argument, Argument]:
+    """Where a step writes its file, in a folder that it makes, and who says so."""
     return (
         option(
             "--out FILE",
@@ -185,6 +188,7 @@ def _part(name: str) -> tuple[Argument, Argument, Argument]:
         ),
         REPLACE,
         option("--by NAME", "who calibrated, for the record", default=""),
+        lambda to: to.set_defaults(makes_folder=True),
     )
 
 
@@ -344,7 +348,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "scene boards": (
         "pictures of a calibration board all over the view, for `teatbench calibrate`",
         "scene boards chessboard-9x6-40 --out recordings/boards",
-        option("board", "a shipped board by name, or a .toml file"),
+        option("board", BOARD_HELP),
         CAMERAS_OF,
         option(
             "--camera NAME",
@@ -540,7 +544,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "calibrate cameras --rig my-rig.toml --board chessboard-9x6-40 --out parts/cameras.toml",
         CAPTURE,
         FRAMES,
-        option("--board BOARD", BOARD_HELP, required=True),
+        option("--board BOARD", BOARD_HELP),
         *FINDER,
         *LIVE,
         option("--model", "distortion that is fitted", default="k1 k2 p1 p2", choices=MODELS),

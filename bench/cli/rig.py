@@ -206,10 +206,10 @@ def sheet(given: argparse.Namespace) -> int:
 
 
 def boards(given: argparse.Namespace) -> int:
-    from bench.rig.loading import find_board_file
+    from bench.rig.loading import find_board
     from bench.rig.scenes import record_boards
 
-    board, watching = find_board_file(given.board), given.camera or ["left", "right"]
+    (board, _), watching = find_board(given.board), given.camera or ["left", "right"]
     rig = load_rig(find_rig(given.rig))
     frames = record_boards(
         rig, board, watching, given.poses, given.out, given.seed, warmer_k=given.warmer_k
