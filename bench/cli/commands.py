@@ -27,6 +27,7 @@ TASKS = {
     "set up a rig": ("check", "rigs", "calibrate", "emulate"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
     "keep and exchange what was recorded": ("store", "replay-wire"),
+    "this program": ("completion",),
 }
 
 GROUPS = {
@@ -45,6 +46,7 @@ BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 # of detector.calibration.cameras, which is heavy to import
 MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
 CAMERAS = ("left", "right", "thermal")
+SHELLS = ("bash", "zsh", "fish", "powershell")
 LANGUAGES = ("python", "javascript", "cpp")
 
 SECONDS = number("a number of seconds above 0", above=0.0)
@@ -722,6 +724,11 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             nargs="?",
         ),
     ),
+    "completion": (
+        "print what makes a shell complete commands, options and names at Tab",
+        "completion bash",
+        option("shell SHELL", "bash, zsh, fish or powershell", choices=SHELLS),
+    ),
 }
 # where a command's or a group's functions are, unless in the module of the same name
 MODULES = {
@@ -739,6 +746,7 @@ FUNCTIONS = {
     "replay-wire": "replay_wire",
     "detectors": "listed",
     "detectors try": "try_out",
+    "completion": "shell_code",
     "trials": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more

@@ -42,7 +42,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         sys.stdout, sys.stderr = map(sanitizing, streams)
         with installed():
-            return _run(parser().parse_args(arguments))
+            top = parser()
+            if "_ARGCOMPLETE" in os.environ:
+                from bench.cli.completion import complete
+
+                complete(top)
+            return _run(top.parse_args(arguments))
     finally:
         sys.stdout, sys.stderr = streams
 
