@@ -18,6 +18,7 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     ProgressColumn,
+    Task,
     TextColumn,
     TimeElapsedColumn,
 )
@@ -30,12 +31,19 @@ from reports.sanitize import sanitized, unfiltered
 Report = Callable[[int, int], None]  # how many are done, of how many
 
 
+class _Count(MofNCompleteColumn):
+    """Done of total; nothing where nobody knows the total."""
+
+    def render(self, task: Task) -> Text:
+        return Text("") if task.total is None else super().render(task)
+
+
 def _columns() -> tuple[ProgressColumn, ...]:
     """What every bar is made of."""
     return (
         TextColumn("{task.description}"),
         BarColumn(),
-        MofNCompleteColumn(),
+        _Count(),
         TimeElapsedColumn(),
     )
 
