@@ -5,11 +5,12 @@ the left camera sees too, or as homographies from point pairs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import t
 
 from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import BoardViews
@@ -52,6 +53,7 @@ from detector.geometry import Array, Camera, Motion
 
 PAIR = ("left", "right")
 PAIR_COLUMNS = ("thermal_x", "thermal_y", "left_x", "left_y", "right_x", "right_y")
+NORMAL_95 = 1.96
 LEAST_FOR_HALVES = 10  # pairs of views; a half of fewer than five says nothing
 
 
@@ -92,6 +94,29 @@ class CamerasResult:
             pair.left, pair.right, pair.right_from_left, covariance=covariance, record=record
         )
 
+    def told(self) -> list[str]:
+        """Baseline, focal lengths and reprojection error, with 95 % intervals."""
+        pair, fit = self.pair, self.joint.fit
+        at = [fit.names.index(("right", name)) for name in POSE[3:]]
+        along = pair.right_from_left.T / np.linalg.norm(pair.right_from_left.T)
+        sd_mm = float(np.sqrt(along @ fit.covariance[np.ix_(at, at)] @ along))
+        baseline_mm = float(np.linalg.norm(pair.right_from_left.T))
+        lines = [f"baseline: {baseline_mm:.2f} ± {NORMAL_95 * sd_mm:.2f} mm"]
+        for camera in PAIR:
+            focal = []
+            for name, value in zip(("fx", "fy"), fit.rig.cameras[camera].fc, strict=True):
+                sd = fit.sd(camera, name)
+                focal.append(
+                    f"{name} {value:.2f}" + ("" if sd is None else f" ± {NORMAL_95 * sd:.2f}")
+                )
+            lines.append(f"focal lengths, {camera}: {', '.join(focal)} px")
+        for camera in PAIR:
+            views = [*self.joint.view_rms_px(camera).values()]
+            rms, (low, high) = float(np.sqrt(np.mean(np.square(views)))), _rms_interval(views)
+            told = f"{rms:.3f} px rms ({low:.3f} to {high:.3f})"
+            lines.append(f"reprojection error, {camera}: {told}")
+        return [*lines, "intervals: 95 %; that of the reprojection error by the views' scatter"]
+
     def good_to_mm(self, depths_mm: Array) -> Array:
         """Expanded uncertainty (k = 2) (n,) mm along a point's worst direction, midway before the
         pair at these distances, with pixels as noisy as the corners were.
@@ -100,6 +125,16 @@ class CamerasResult:
         points = np.array([[axis[0], axis[1], depth] for depth in np.asarray(depths_mm)])
         found = covariance_of_points(self.pair, self.covariance, points, self.joint.fit.sigma_px)
         return np.asarray(2.0 * np.sqrt(np.linalg.eigvalsh(found)[:, -1]))
+
+
+def _rms_interval(view_rms_px: Sequence[float]) -> tuple[float, float]:
+    """95 % interval of the rms over all views, by Student's t on their mean squares."""
+    squares = np.square(view_rms_px)
+    mean, count = float(squares.mean()), len(squares)
+    if count < 2:
+        return 0.0, float("inf")
+    half = float(t.ppf(0.975, count - 1) * squares.std(ddof=1) / np.sqrt(count))
+    return float(np.sqrt(max(mean - half, 0.0))), float(np.sqrt(mean + half))
 
 
 def _covariance(found: Calibrated, pose: str) -> ParameterCovariance:

@@ -151,22 +151,28 @@ class BoardViews:
 def find_views(
     pictures: PictureSet,
     board: Board,
-    tell: Callable[[str], None],
     *,
+    report: Callable[[int, int], None] = lambda _done, _of: None,
     window_px: int | None = None,
     max_views: int | None = None,
     mirrored: frozenset[str] = frozenset(),
 ) -> BoardViews:
     """The board in every picture; at most ``max_views``, spread over the set; ``mirrored`` cameras
-    are turned first. Raises ConfigError for unreadable pictures or mixed sizes.
+    are turned first. ``report`` gets how many pictures are done, of how many. Raises ConfigError
+    for unreadable pictures or mixed sizes.
     """
+    chosen_views = {
+        camera: _spread(views, max_views) for camera, views in pictures.pictures.items()
+    }
+    done, total = 0, sum(map(len, chosen_views.values()))
     found: dict[str, dict[str, Found]] = {}
     sizes: dict[str, tuple[int, int]] = {}
     refused: list[Refused] = []
-    for camera, all_views in pictures.pictures.items():
+    for camera, chosen in chosen_views.items():
         found[camera] = {}
-        chosen = _spread(all_views, max_views)
         for name, path in chosen.items():
+            report(done, total)
+            done += 1
             try:
                 image = read_grey(path)
             except RecordingError as error:
@@ -185,7 +191,6 @@ def find_views(
                 found[camera][name] = find_board(image, board, sub_pixel=SubPixel(window_px))
             except ViewRefusedError as why:
                 refused.append(Refused(camera, name, str(why)))
-                tell(f"{path}: left out: {why}")
     # boards that read the same when turned: all cameras count from the first camera's end
     first_camera, *others = found
     for camera in others:

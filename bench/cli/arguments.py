@@ -46,11 +46,17 @@ def complain(text: str, code: int) -> int:
     return code
 
 
-def refuse_existing(out: Path, *, replace: bool, option: str = "--out") -> None:
-    """Raises ConfigError before anybody has worked for a file that can't be written."""
+def refuse_existing(
+    out: Path, *, replace: bool, option: str = "--out", makes_folder: bool = False
+) -> None:
+    """Raises ConfigError before anybody has worked for a file that can't be written. With
+    ``makes_folder`` the command makes the folder when it writes.
+    """
     from bench.config import ConfigError
 
-    if out.is_dir() or not out.resolve().parent.is_dir():
+    parents = out.resolve().parents
+    folder = next(one for one in parents if one.exists()) if makes_folder else parents[0]
+    if out.is_dir() or not folder.is_dir():
         why = f"there is no folder {out.parent}" if not out.is_dir() else "this is a folder"
         raise ConfigError.plain(f"{option} {out}: {why}; name a file in a folder that is there.")
     if out.exists() and not replace:
@@ -74,7 +80,12 @@ def call(given: argparse.Namespace) -> int:
     work: Callable[[argparse.Namespace], int] = getattr(import_module(f"bench.cli.{module}"), name)
     out = "write_rig" if "write_rig" in given else "out"
     if "replace" in given and (path := getattr(given, out)):
-        refuse_existing(path, replace=given.replace, option=f"--{out.replace('_', '-')}")
+        refuse_existing(
+            path,
+            replace=given.replace,
+            option=f"--{out.replace('_', '-')}",
+            makes_folder="makes_folder" in given,
+        )
     if "capture" not in given:
         return work(given)
     from instruments.captures.capture import NO_CAPTURE, CaptureFile

@@ -8,6 +8,7 @@ and a page that says how good it is; from files, or live with ``--rig``.
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -18,9 +19,10 @@ from bench import __version__
 from bench.calibrate.merge import CAMERAS_INPUT, read_part
 from bench.calibrate.merge import merge as merged
 from bench.cli.arguments import CODES, command_line, complain, refuse_existing
+from bench.cli.terminal import working
 from bench.config import ConfigError
 from bench.files import write_synced
-from bench.rig.loading import LoadedRig, find_board_file, find_rig, load_board, load_rig
+from bench.rig.loading import LoadedRig, find_board, find_rig, load_rig
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
     Calibration,
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from reports.page import Page
 
 CHECK_VIEWS = 5
+SHOWN = 3  # pictures that are left out
 PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
 
 
@@ -65,19 +68,20 @@ def cameras(given: argparse.Namespace) -> int:
         identity = {**_gather_views(given), **identity}
     views, paths = _views_of(given, "left", "right")
     try:
-        result = calibrate_pair(views, Lens(given.model, given.square_pixels))
+        with working("fitting the cameras"):
+            result = calibrate_pair(views, Lens(given.model, given.square_pixels))
     except BundleError as why:
         raise ConfigError.plain(str(why)) from why
     record = _record(given, paths, identity)
     _write_step(given, result.part(record), cameras_page(result, record, command_line()))
     for camera, coverage in result.coverage.items():
-        for text in coverage.missing:
-            print(f"still missing, {camera}: {text}")
-    print(
-        f"misses {result.joint.fit.rms_px:.3f} px rms; good to"
-        f" {float(result.good_to_mm(np.array([1200.0]))[0]):.2f} mm at 1.2 m (k = 2)"
-    )
-    return _say(result.findings)
+        if coverage.missing:
+            print(f"still missing, {camera}: {'; '.join(coverage.missing)}")
+    for line in result.told():
+        print(line)
+    good_mm = float(result.good_to_mm(np.array([1200.0]))[0])
+    print(f"a point at 1.2 m: good to {good_mm:.2f} mm (k = 2)")
+    return _say(result.findings, on_page=True)
 
 
 def thermal(given: argparse.Namespace) -> int:
@@ -115,9 +119,10 @@ def thermal(given: argparse.Namespace) -> int:
         )
     views, paths = _views_of(given, "left", "thermal", mirrored=delivered.mirrored)
     try:
-        result = calibrate_thermal(
-            views, pair.part, delivered, given.plane or DEFAULT_PLANE_DEPTH_MM
-        )
+        with working("fitting the thermal camera"):
+            result = calibrate_thermal(
+                views, pair.part, delivered, given.plane or DEFAULT_PLANE_DEPTH_MM
+            )
     except BundleError as why:
         raise ConfigError.plain(str(why)) from why
     record = _record(given, paths, identity, {CAMERAS_INPUT: pair.sha256})
@@ -197,8 +202,6 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
     _one_source(
         given, given.frames, "folders of pictures (FRAMES), or touched points (--points CSV),"
     )
-    if not given.board:
-        raise ConfigError.plain("--board is needed: what is in the pictures")
     if given.rig:
         _gather_views(given, part, guided=(), most=CHECK_VIEWS)
     views, paths = _views_of(given, "left", "right")
@@ -245,17 +248,22 @@ def _views_of(
     """The board in the pictures of these cameras, and the files they were."""
     from bench.calibrate.views import find_pictures, find_views
 
-    board_file = find_board_file(given.board)
+    board, files = find_board(given.board)
     found = find_pictures(given.frames).only(*wanted)
-    views = find_views(
-        found,
-        load_board(board_file).board,
-        print,
-        window_px=given.window,
-        max_views=given.max_views,
-        mirrored=frozenset({"thermal"} if mirrored else ()),
-    )
-    return views, (board_file, *found.paths)
+    with working("finding the board in the pictures") as report:
+        views = find_views(
+            found,
+            board,
+            report=report,
+            window_px=given.window,
+            max_views=given.max_views,
+            mirrored=frozenset({"thermal"} if mirrored else ()),
+        )
+    for one in views.refused[:SHOWN]:
+        print(f"left out: {one.camera} {one.view}: {one.reason}")
+    if (more := len(views.refused) - SHOWN) > 0:
+        print(f"left out: {more} more")
+    return views, (*files, *found.paths)
 
 
 def _record(
@@ -280,6 +288,7 @@ def _record(
 
 def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page | None) -> None:
     """The step's file, whole or not at all, and its page beside it."""
+    given.out.resolve().parent.mkdir(parents=True, exist_ok=True)
     write_synced(given.out, dump_calibration(found, command_line()).encode("utf-8"))
     print(f"written: {given.out}")
     if page is not None:
@@ -288,10 +297,19 @@ def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page
         print(f"page: {write_report(page, given.out.with_suffix('.page'))}")
 
 
-def _say(findings: Sequence[Finding]) -> int:
-    """Say what was found wrong; the exit code for it."""
+def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
+    """Say what was found wrong; the exit code for it. Of several of a kind only the first where the
+    page has them all.
+    """
+    kinds = Counter(finding.name for finding in findings)
+    said: set[str] = set()
     for finding in findings:
-        complain(f"{finding.name}: {finding.sentence}", CODES.not_met)
+        if on_page and finding.name in said:
+            continue
+        said.add(finding.name)
+        more = kinds[finding.name] - 1 if on_page else 0
+        others = f" ({more} more of this kind on the page)" if more else ""
+        complain(f"{finding.name}: {finding.sentence}{others}", CODES.not_met)
     return CODES.not_met if findings else CODES.met
 
 
@@ -310,7 +328,7 @@ def _gather_views(
     from instruments.operators.operator import Finish
 
     request = ViewsRequest(**wanted)
-    board = load_board(find_board_file(given.board)).board
+    board, _ = find_board(given.board)
     folder = free_folder(given.out)
     with _opened(given, known, arm=False) as (parts, _, look):
         kept = gather(look, parts.operator, board, request, folder, tell)
@@ -330,7 +348,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
     from bench.truth.arm_tip import TipReader
     from instruments.operators.operator import Finish, Homing
 
-    board = load_board(find_board_file(given.board)).board
+    board, _ = find_board(given.board)
     folder = free_folder(given.out)
     with _opened(given, known, arm=True) as (parts, rig, look):
         arm = parts.arm
@@ -386,7 +404,7 @@ def board(given: argparse.Namespace) -> int:
     from bench.calibrate.board_print import board_pdf
 
     refuse_existing(given.pdf, replace=True, option="--pdf")
-    write_synced(given.pdf, board_pdf(load_board(find_board_file(given.board)).board, given.paper))
+    write_synced(given.pdf, board_pdf(find_board(given.board)[0], given.paper))
     print(f"written: {given.pdf}; print it at 100 % and measure the line at its foot")
     return CODES.met
 

@@ -1,5 +1,5 @@
-"""The whole command line as a table: commands in the order of the help, each with what it calls and
-its arguments. It imports nothing heavy, so that ``--help`` answers at once.
+"""The whole command line as a table: commands by task, each with what it is for, an example and its
+arguments. It imports nothing heavy, so that ``--help`` answers at once.
 """
 
 from __future__ import annotations
@@ -20,6 +20,16 @@ from bench.cli.arguments import (
     whole,
 )
 
+# the help of all: what somebody wants to do, and the commands and groups for it
+TASKS = {
+    "run trials": ("run", "resume", "control", "report", "runs", "trials", "plan"),
+    "test a detector": ("score", "detectors", "detect", "compare", "scene"),
+    "set up a rig": ("check", "rigs", "calibrate", "emulate"),
+    "use one instrument alone": ("arm", "bath", "stage", "camera"),
+    "keep and exchange what was recorded": ("store", "replay-wire"),
+    "this program": ("completion",),
+}
+
 GROUPS = {
     "store": "a run's record: whether it is as it was written, and for other programs"
     " (docs/record.md)",
@@ -36,6 +46,8 @@ BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 # of detector.calibration.cameras, which is heavy to import
 MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
 CAMERAS = ("left", "right", "thermal")
+SHELLS = ("bash", "zsh", "fish", "powershell")
+LANGUAGES = ("python", "javascript", "cpp")
 
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
@@ -60,10 +72,10 @@ CAMERAS_OF = option(
 RUN = option("run", "the run's folder", Path)
 RECORDING = option("recording", "a recording's folder", Path)
 OUT_RUNS = option("--out DIR", "where run folders go", default=Path("runs"))
+DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md)"
 DETECTORS = option(
     "--detector NAME",
-    "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md); may be given"
-    " several times",
+    f"{DETECTOR_HELP}; may be given several times",
     many=True,
 )
 EVENTS = option("--events FILE", "also tell what goes on as JSON lines, for others to watch")
@@ -146,7 +158,10 @@ SOURCES = option(
     nargs="*",
 )
 
-BOARD_HELP = "a shipped board by name, or a .toml file"
+BOARD_HELP = (
+    "a shipped board by name (charuco-11x7-25, chessboard-9x6-40, heated-circles-7x5-18),"
+    " checkerboard:5x7:30mm (inner corners, and their distance), or a .toml file"
+)
 RIG_SEED = option("--seed N", "of the emulators' noise (default: the rig's)", whole(0))
 LIVE = (
     option("--rig RIG", "live, with the cameras of this rig: by name, or a .toml file"),
@@ -165,8 +180,8 @@ FINDER = (
 )
 
 
-def _part(name: str) -> tuple[Argument, Argument, Argument]:
-    """Where a step writes its file, and who says so."""
+def _part(name: str) -> tuple[Argument, Argument, Argument, Argument]:
+    """Where a step writes its file, in a folder that it makes, and who says so."""
     return (
         option(
             "--out FILE",
@@ -175,13 +190,15 @@ def _part(name: str) -> tuple[Argument, Argument, Argument]:
         ),
         REPLACE,
         option("--by NAME", "who calibrated, for the record", default=""),
+        lambda to: to.set_defaults(makes_folder=True),
     )
 
 
-# what a command is for, and its arguments
-COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
+# what a command is for, an example of it, and its arguments
+COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "run": (
         "run a trial script on a rig and write the scored report",
+        "run six-situations --detector fused --detector thesis",
         CAPTURE,
         option(
             "script",
@@ -202,6 +219,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "resume": (
         "go on with a run that stopped, at its first trial without a result",
+        "resume runs/20260601-120000-six-situations",
         CAPTURE,
         RUN,
         EVENTS,
@@ -209,11 +227,13 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "control": (
         "ask a run that goes on to pause, go on, skip REASON, repeat REASON or abort",
+        "control runs/20260601-120000-six-situations pause",
         RUN,
         option("words", "pause, go on, skip REASON, repeat REASON or abort", nargs="+"),
     ),
     "report": (
         "(re)write the report of a run",
+        "report runs/20260601-120000-six-situations --single-file",
         RUN,
         option("--baseline RUN", "also hold it against this older run of the same scenes"),
         flag(
@@ -227,6 +247,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "runs": (
         "list all runs with each detector's verdicts, and write a page over them",
+        "runs runs",
         option(
             "folder DIR",
             "the folder that holds the runs (default: runs)",
@@ -238,12 +259,14 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "score": (
         "score detectors on recorded frames: a table, and a run folder with a report",
+        "score recordings/six --detector fused --detector thesis",
         RECORDING,
         OUT_RUNS,
         DETECTORS,
     ),
     "compare": (
         "paired differences between runs, or between the detectors of one run",
+        "compare runs/old runs/new --gate",
         option("run RUN", "folders of runs; the first is the old one", nargs="+"),
         option("--detector NAME", "only this one; may be given several times", many=True),
         option(
@@ -267,6 +290,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "plan": (
         "how many poses a claim needs, and what so many poses can show",
+        "plan --rate 0.95 --script plane-map",
         option("--rate R", "to be shown (default: 0.95, 0.99 and 0.999)", SHARE, many=True),
         option("--confidence P", "of the claim", SHARE, 0.95),
         option("--failures N", "plan for up to so many failures", whole(0, 1_000_000), 3),
@@ -290,6 +314,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "store check": (
         "verify database, hash chain, frames and files; 0 whole, 1 not as it was written",
+        "store check runs/20260601-120000-six-situations",
         RUN,
         option(
             "--digest HEX", "a digest that a report names: the record has to have passed through it"
@@ -297,6 +322,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "store export": (
         "write the record's tables, or all of it on one time line",
+        "store export runs/20260601-120000-six-situations --format csv --out tables",
         RUN,
         option(
             "--format",
@@ -309,12 +335,14 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "detect": (
         "detect only: what each detector finds in recorded frames",
+        "detect recordings/six --detector fused",
         RECORDING,
         flag("--json", "one JSON line a frame"),
         DETECTORS,
     ),
     "scene sheet": (
         "a contact sheet of situations, one PNG",
+        "scene sheet --situation overlapping --seeds 4 --out scene.png",
         *SITUATIONS,
         option("--seeds N", "members of each family", whole(1), 1),
         *FIRST_SEEDS,
@@ -322,6 +350,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "scene record": (
         "a recording of situations with exact truth, for `teatbench score`",
+        "scene record --situation overlapping --seeds 3 --out recordings/overlapping",
         *SITUATIONS,
         option("--seeds N", "members of each family", whole(1), 20),
         *FIRST_SEEDS,
@@ -333,7 +362,8 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "scene boards": (
         "pictures of a calibration board all over the view, for `teatbench calibrate`",
-        option("board", "a shipped board by name, or a .toml file"),
+        "scene boards chessboard-9x6-40 --out recordings/boards",
+        option("board", BOARD_HELP),
         CAMERAS_OF,
         option(
             "--camera NAME",
@@ -357,6 +387,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
             "errors over one quantity at a time, a figure each, beside the physical limit"
             " (docs/sensitivity.md)"
         ),
+        "scene sensitivity --detector fused --out sensitivity",
         DETECTORS,
         option("--quantity NAME", "several times (default: all eight)", many=True),
         CAMERAS_OF,
@@ -369,9 +400,15 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
             default=Path("sensitivity"),
         ),
     ),
-    "check": ("connect to every instrument, print who it is and one reading", CAPTURE, RIG),
+    "check": (
+        "connect to every instrument, print who it is and one reading",
+        "check my-rig.toml",
+        CAPTURE,
+        RIG,
+    ),
     "emulate": (
         "only the emulators of a rig, in real time, until Ctrl-C",
+        "emulate --write-rig elsewhere.toml",
         RIG,
         LISTEN,
         flag("--pty", "serial instruments on pseudo-terminals (Linux and macOS)"),
@@ -384,6 +421,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "arm read": (
         "one position",
+        "arm read --port /dev/ttyUSB0 --json",
         *HOMED,
         option("--packets N", "packets that make one reading", whole(1, 1000), 8),
         option("--frame FILE", "a table frame: gives the position in the world too"),
@@ -391,16 +429,19 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "arm watch": (
         "tip, pedals and rate, live, until Ctrl-C",
+        "arm watch --port /dev/ttyUSB0",
         *HOMED,
         option("--seconds S", "stop after this time", SECONDS),
     ),
     "arm home": (
         "load the home counts, with the stylus on its peg",
+        "arm home --port /dev/ttyUSB0",
         *ARM_LINK,
         flag("--on-peg", "the stylus is on its peg: don't ask"),
     ),
     "arm frame": (
         "set the table frame: three touches and check points (docs/arm.md)",
+        "arm frame --port /dev/ttyUSB0 --out frame.toml",
         *HOMED,
         option("--plane-checks N", "further touches anywhere in the plane", whole(0, 20), 1),
         option(
@@ -414,6 +455,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "arm verify": (
         "verify the arm: one divot at up to three distances, a calibrated length (docs/arm.md)",
+        "arm verify --port /dev/ttyUSB0 --out verification.toml",
         *HOMED,
         option("--distances N", "divots: 1 middle, 2 near and far, 3 all", whole(1, 3), 3),
         option("--touches N", "touches in each divot", whole(5, 100), 10),
@@ -422,28 +464,50 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         option("--script SCRIPT", "whose limits to hold it against (default: six-situations)"),
         *ARM_FILE,
     ),
-    "bath read": ("one reading, and who answered; changes nothing", *BATH_LINK, JSON),
+    "bath read": (
+        "one reading, and who answered; changes nothing",
+        "bath read --port tcp://192.168.0.40:502 --profile julabo-presto",
+        *BATH_LINK,
+        JSON,
+    ),
     "bath set": (
         "change the set point; starts and stops nothing",
+        "bath set --port tcp://192.168.0.40:502 --profile julabo-presto 33",
         *BATH_LINK,
         option("set_point DEGC", "the new set point in degC", number("a temperature in degC")),
         flag("--allow-inferred", "also write what the profile only infers"),
     ),
-    "bath watch": ("a live plot until Ctrl-C; changes nothing", *BATH_LINK, UNTIL),
-    "bath standby": ("heater off now, whatever the bath is doing", *BATH_LINK),
+    "bath watch": (
+        "a live plot until Ctrl-C; changes nothing",
+        "bath watch --port tcp://192.168.0.40:502 --profile julabo-presto",
+        *BATH_LINK,
+        UNTIL,
+    ),
+    "bath standby": (
+        "heater off now, whatever the bath is doing",
+        "bath standby --port tcp://192.168.0.40:502 --profile julabo-presto",
+        *BATH_LINK,
+    ),
     "bath acknowledge": (
         "after an interlock has tripped and its cause is gone: let the rig run again",
+        "bath acknowledge my-rig.toml",
         CAPTURE,
         RIG,
     ),
     "stage status": (
         f"who answered, its state, position and travel; moves nothing, but {RESETS}",
+        "stage status --rig my-rig.toml",
         *STAGE_LINK,
         JSON,
     ),
-    "stage home": ("run to the switches and set the position", *STAGE_LINK),
+    "stage home": (
+        "run to the switches and set the position",
+        "stage home --rig my-rig.toml",
+        *STAGE_LINK,
+    ),
     "stage move": (
         f"home, then move to a place in machine coordinates ({RESETS})",
+        "stage move --rig my-rig.toml -- -200 -150",
         *STAGE_LINK,
         option("x_mm X", "mm, 0 at the switch and negative elsewhere", number()),
         option("y_mm Y", "mm", number()),
@@ -453,6 +517,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "stage jog": (
         f"home, then go by so much, step by step; Ctrl-C ends a step at once ({RESETS})",
+        "stage jog --rig my-rig.toml X-5 X-5Y2.5",
         *STAGE_LINK,
         option(
             "steps STEP", "X-5, or X-5Y2.5 for both at once: mm, degrees for A", step, nargs="+"
@@ -461,30 +526,40 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "stage recover": (
         "leave an alarm or a hold: restart the controller. It has to be homed after it",
+        "stage recover --rig my-rig.toml",
         *STAGE_LINK,
     ),
     "camera list": (
         "cameras that this machine can see, or those of a rig",
+        "camera list",
         option("rig", "a shipped rig by name, or a .toml file (default: this machine)", nargs="?"),
     ),
-    "camera show": ("who each camera is, what it sees, and what is wrong with it", SOURCES, JSON),
+    "camera show": (
+        "who each camera is, what it sees, and what is wrong with it",
+        "camera show my-rig.toml",
+        SOURCES,
+        JSON,
+    ),
     "camera focus": (
         "a live figure of sharpness, to set a lens by, until Ctrl-C",
+        "camera focus opencv:0",
         SOURCES,
         UNTIL,
         option("--every N", "seconds between two figures", SECONDS, 0.2),
     ),
     "camera grab": (
         "save frame sets as a recording",
+        "camera grab my-rig.toml --out recordings/mine --count 5",
         SOURCES,
         option("--out FOLDER", "the recording; one that is there is added to", required=True),
         option("--count N", "how many frame sets", whole(1), 1),
     ),
     "calibrate cameras": (
         "the stereo pair from pictures of a board, or live from a rig's cameras",
+        "calibrate cameras --rig my-rig.toml --board chessboard-9x6-40 --out parts/cameras.toml",
         CAPTURE,
         FRAMES,
-        option("--board BOARD", BOARD_HELP, required=True),
+        option("--board BOARD", BOARD_HELP),
         *FINDER,
         *LIVE,
         option("--model", "distortion that is fitted", default="k1 k2 p1 p2", choices=MODELS),
@@ -494,6 +569,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "calibrate thermal": (
         "the thermal camera, from pictures of a heated board, live from a rig, or from point pairs",
+        "calibrate thermal --pairs pairs.csv --image-size 640x480 --out thermal.toml",
         CAPTURE,
         FRAMES,
         option("--board BOARD", BOARD_HELP),
@@ -528,6 +604,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "calibrate world": (
         "camera to table, from points that the arm touched and both cameras saw",
+        "calibrate world points.csv --cameras cameras.toml --out world.toml",
         CAPTURE,
         option(
             "points CSV", "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm, a point a line", nargs="?"
@@ -541,11 +618,13 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "calibrate merge": (
         "put the steps' files together into one calibration.toml",
+        "calibrate merge cameras.toml thermal.toml world.toml --out calibration.toml",
         option("parts PART", "the files that the steps wrote", nargs="+"),
         *_part("calibration.toml"),
     ),
     "calibrate check": (
         "measure a board or touched points again with an existing calibration: does it still hold?",
+        "calibrate check calibration.toml --rig my-rig.toml --board chessboard-9x6-40",
         CAPTURE,
         option("calibration CAL", "the calibration, or the cameras' file where a board is shown"),
         FRAMES,
@@ -559,6 +638,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "calibrate board": (
         "a calibration board as a PDF in true size",
+        "calibrate board chessboard-9x6-40 --pdf board.pdf",
         option("board BOARD", BOARD_HELP),
         option("--pdf FILE", "where to write it", required=True),
         option(
@@ -569,6 +649,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "calibrate export": (
         "write a calibration for another tool",
+        "calibrate export calibration.toml --format opencv --out calibration.yaml",
         option("calibration CAL"),
         option("--format", choices=("opencv", "bouguet", "ros"), required=True),
         option("--camera", "for ros, which has one camera a file", default="left", choices=CAMERAS),
@@ -577,6 +658,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "calibrate import": (
         "take the cameras of another tool over, as a part for merge",
+        "calibrate import left.yaml right.yaml --format ros --out cameras.toml",
         option("file FILE", "for ros two: left, right", nargs="+"),
         option("--format", choices=("opencv", "bouguet", "ros"), required=True),
         option("--image-size COLUMNSxROWS", "for opencv, whose files may leave it out", size),
@@ -587,6 +669,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
             "register the stage in the world: one teat end touched at several stage positions"
             " (docs/truth.md)"
         ),
+        "calibrate stage --rig my-rig.toml --out registration.toml",
         CAPTURE,
         option("--rig RIG", RIG_HELP),
         option("--out FILE", "where to write it; a script's [truth] names it", required=True),
@@ -605,6 +688,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "replay-wire": (
         "play the far end of a capture back, for drivers to talk to",
+        "replay-wire capture.jsonl --link bath",
         option("file", "what a command wrote with --capture", Path),
         LISTEN,
         option("--link NAME", "only this link; may be given several times", many=True),
@@ -613,23 +697,56 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     ),
     "trials": (
         "the trial scripts that ship; 'trials show SCRIPT' lists a script's poses",
+        "trials",
         flag("--json", "one JSON object instead of lines"),
     ),
     "trials show": (
         "list the poses of a script, and estimate the time",
+        "trials show plane-map",
         option("script SCRIPT", SCRIPT_HELP),
         option("--rig RIG", RIG_HELP),
         flag("--json", "one JSON object instead of a table"),
     ),
-    "rigs": ("the rig files that ship, and the one to copy for a real rig",),
+    "rigs": (
+        "the rig files that ship, and the one to copy for a real rig",
+        "rigs",
+    ),
     "detectors": (
         "the detectors that ship, that other packages bring, and that files in ./detectors declare",
+        "detectors",
+    ),
+    "detectors new": (
+        "write a detector of your own to begin with: a program that answers, and its declaration",
+        "detectors new python --name mine",
+        option("language LANGUAGE", "python, javascript or cpp", choices=LANGUAGES),
+        option("--name NAME", "what it is called", default="my_detector"),
+        option(
+            "--out DIR",
+            "where to (default: detectors, whose files are known by name)",
+            default=Path("detectors"),
+        ),
+    ),
+    "detectors try": (
+        "ask a detector about one frame, and say in plain words what is wrong",
+        "detectors try my_detector",
+        option("word WORD", DETECTOR_HELP),
+        option(
+            "recording RECORDING",
+            "whose first frame is shown (default: a simulated one)",
+            Path,
+            nargs="?",
+        ),
+    ),
+    "completion": (
+        "print what makes a shell complete commands, options and names at Tab",
+        "completion bash",
+        option("shell SHELL", "bash, zsh, fish or powershell", choices=SHELLS),
     ),
 }
 # where a command's or a group's functions are, unless in the module of the same name
 MODULES = {
     "alone": ("camera", "stage"),
-    "rig": ("check", "detect", "detectors", "emulate", "replay-wire", "rigs", "scene"),
+    "rig": ("check", "detect", "emulate", "replay-wire", "rigs", "scene"),
     "run": ("report", "resume", "score"),
     "store": ("compare", "control"),
     "trials": ("plan",),
@@ -640,6 +757,9 @@ FUNCTIONS = {
     "camera list": "attached",
     "calibrate import": "take_over",
     "replay-wire": "replay_wire",
+    "detectors": "listed",
+    "detectors try": "try_out",
+    "completion": "shell_code",
     "trials": "listed",
 }
 ONCE = {"control": ("tell",)}  # names of earlier releases, which work for one more

@@ -10,7 +10,7 @@ from pathlib import Path
 from shutil import disk_usage
 
 from bench.cli.arguments import CODES
-from bench.cli.terminal import Terminal
+from bench.cli.terminal import working
 from bench.dry_run.pose_checks import Finding, dry_run
 from bench.dry_run.rehearsal import NoTwinError, Rehearsal, rehearse
 from bench.results.answers import close_detectors
@@ -109,11 +109,7 @@ def _rehearsed(
     named = (detectors,) if detectors else (script.script.detectors, script.path.parent)
     under_test = make_detectors(*named)
     try:
-        with Terminal().status(REHEARSING) as status:
-
-            def shown(done: int, of: int) -> None:
-                status.update(f"{REHEARSING}: trial {min(done + 1, of)} of {of}")
-
+        with working(REHEARSING) as shown:
             return rehearse(rig, script, under_test, stage=stage, seed=seed, shown=shown), ()
     except NoTwinError as error:
         return None, (f"the script as a whole: there can be no emulated twin of this rig: {error}",)

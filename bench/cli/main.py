@@ -9,11 +9,12 @@ import sqlite3
 import sys
 import traceback
 from collections.abc import Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from bench import __version__
 from bench.cli.arguments import CODES, EXIT_CODES, call, complain
-from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE
+from bench.cli.commands import COMMANDS, FUNCTIONS, GROUPS, MODULES, ONCE, TASKS
 from bench.safety.signals import installed
 from reports.sanitize import sanitizing
 
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     SubParsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 FILENAME_EXCED_RANGE = 206  # of Windows, which gives it the errno of a file that is not there
+
+HELP_COLUMNS = 78
+MORE_HELP = "'teatbench COMMAND --help' has a command's arguments, and an example of it."
 
 # OpenCV and its FFmpeg write to the terminal themselves, unless this stands when they are loaded
 QUIET = {"OPENCV_LOG_LEVEL": "SILENT", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
@@ -38,7 +42,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         sys.stdout, sys.stderr = map(sanitizing, streams)
         with installed():
-            return _run(parser().parse_args(arguments))
+            top = parser()
+            if "_ARGCOMPLETE" in os.environ:
+                from bench.cli.completion import complete
+
+                complete(top)
+            return _run(top.parse_args(arguments))
     finally:
         sys.stdout, sys.stderr = streams
 
@@ -88,32 +97,64 @@ def _run(given: argparse.Namespace) -> int:
         return complain("internal error; please report the traceback above", CODES.fault)
 
 
+class TopParser(argparse.ArgumentParser):
+    """The help of all commands has them by task, with an example each."""
+
+    def format_help(self) -> str:
+        help_text = self._get_formatter()
+        help_text.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        help_text.add_text(self.description)
+        (commands,) = (one for one in self._actions if isinstance(one, argparse._SubParsersAction))
+        by_name = {action.dest: action for action in commands._choices_actions}
+        for task, names in TASKS.items():
+            help_text.start_section(task)
+            help_text.add_arguments([by_name[name] for name in names])
+            help_text.end_section()
+            first = next(one for one in COMMANDS if one.split()[0] == names[0])
+            help_text.add_text(f"  example: teatbench {COMMANDS[first][1]}")
+        help_text.start_section("options")
+        help_text.add_arguments([one for one in self._actions if one is not commands])
+        help_text.end_section()
+        help_text.add_text(MORE_HELP)
+        help_text.add_text(self.epilog)
+        return help_text.format_help()
+
+
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
-    top = argparse.ArgumentParser(
+    top = TopParser(
         prog="teatbench",
         description="A hardware-in-the-loop test bench for teat detectors.",
         epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"teatbench {__version__}")
-    parsers = {"": top}
+    parsers: dict[str, argparse.ArgumentParser] = {"": top}
     subparsers: dict[str, SubParsers] = {}
 
-    def add(name: str, what: str) -> argparse.ArgumentParser:
+    def add(name: str, what: str, example: str) -> argparse.ArgumentParser:
         group, _, own = name.rpartition(" ")
         if group not in parsers:
-            add(group, GROUPS[group])
+            add(group, GROUPS[group], example)
         if group not in subparsers:
             subparsers[group] = parsers[group].add_subparsers(
-                title="commands", metavar="COMMAND", required=group in ("", *GROUPS)
+                title="commands",
+                metavar="COMMAND",
+                required=group in ("", *GROUPS),
+                parser_class=argparse.ArgumentParser,  # only the first has tasks
             )
         parsers[name] = subparsers[group].add_parser(
-            own, aliases=ONCE.get(name, ()), help=what, description=what, epilog=EXIT_CODES
+            own,
+            aliases=ONCE.get(name, ()),
+            help=what,
+            description="\n".join(wrap(what.replace("%%", "%"), HELP_COLUMNS)),
+            epilog=f"example: teatbench {example}\n\n{EXIT_CODES}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
         )
         return parsers[name]
 
-    for name, (what, *arguments) in COMMANDS.items():
-        parser = add(name, what)
+    for name, (what, example, *arguments) in COMMANDS.items():
+        parser = add(name, what, example)
         for argument in arguments:
             argument(parser)
         first, last = name.split()[0], name.split()[-1]

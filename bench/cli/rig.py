@@ -1,5 +1,5 @@
-"""The rig without a run: `check` and `emulate`; `rigs` and `detectors`; `replay-wire`, the far end
-of a capture; `scene sheet|record|boards|sensitivity` and `detect`, scenes and frames.
+"""The rig without a run: `check` and `emulate`; `rigs`; `replay-wire`, the far end of a capture;
+`scene sheet|record|boards|sensitivity` and `detect`, scenes and frames.
 """
 
 from __future__ import annotations
@@ -116,19 +116,8 @@ def _rig_text(rig: LoadedRig, urls: Mapping[str, str]) -> str:
 
 def rigs(_: argparse.Namespace) -> int:
     names = {name: "" for name in shipped(RIGS) if name not in NO_RIGS}
-    return _list(names | {"for a real rig": f"copy {TO_COPY}, where every key is explained"})
-
-
-def detectors(_: argparse.Namespace) -> int:
-    from bench.script.detectors import declared
-    from detector.registry import available, broken
-
-    _list({**declared(), **available()})
-    return _list({name: f"BROKEN: {why}" for name, why in broken().items()})
-
-
-def _list(rows: dict[str, str]) -> int:
-    for name, what in rows.items():
+    names["for a real rig"] = f"copy {TO_COPY}, where every key is explained"
+    for name, what in names.items():
         print(f"{name}: {what}" if what else name)
     return CODES.met
 
@@ -217,10 +206,10 @@ def sheet(given: argparse.Namespace) -> int:
 
 
 def boards(given: argparse.Namespace) -> int:
-    from bench.rig.loading import find_board_file
+    from bench.rig.loading import find_board
     from bench.rig.scenes import record_boards
 
-    board, watching = find_board_file(given.board), given.camera or ["left", "right"]
+    (board, _), watching = find_board(given.board), given.camera or ["left", "right"]
     rig = load_rig(find_rig(given.rig))
     frames = record_boards(
         rig, board, watching, given.poses, given.out, given.seed, warmer_k=given.warmer_k

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from bench.cli.arguments import CODES
 from bench.cli.store import undamaged
-from bench.cli.terminal import Terminal, TerminalProgress
+from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.rig.loading import find_rig, load_rig
@@ -167,7 +167,10 @@ def report(given: argparse.Namespace) -> int:
                 from bench.report.comparison import baseline_section
 
                 chapters = (baseline_section(given.baseline, given.run, damage),)
-            written = write_run_report(given.run, chapters, damage, single_file=given.single_file)
+            with working("writing the report"):
+                written = write_run_report(
+                    given.run, chapters, damage, single_file=given.single_file
+                )
             code = show_verdict(Terminal(), *written)
     if browser:
         folder = given.run / REPORT

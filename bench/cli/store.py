@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.cli.arguments import CODES
+from bench.cli.terminal import working
 from bench.config import ConfigError
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN, check_run, checked_first, shortened
@@ -38,7 +39,8 @@ def undamaged(runs: Sequence[Path], given: argparse.Namespace) -> Iterator[tuple
 
 
 def check(given: argparse.Namespace) -> int:
-    done = check_run(given.run, given.digest)
+    with working("checking the record"):
+        done = check_run(given.run, given.digest)
     for finding in done.findings:
         print(f"{finding.weight.value}: {finding.text}")
     print("looked at " + ", ".join(f"{count} {name}" for name, count in done.counts.items()))
@@ -58,7 +60,9 @@ def export(given: argparse.Namespace) -> int:
     try:
         with undamaged([given.run], given) as damage:
             (given.out / DAMAGED).unlink(missing_ok=True)
-            for path in write(given.run, given.out):
+            with working(f"writing {given.format}"):
+                paths = list(write(given.run, given.out))
+            for path in paths:
                 print(path)
             if damage:
                 head = (

@@ -7,18 +7,61 @@ markup.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import TracebackType
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.live import Live
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.segment import Segment
 from rich.text import Text
 
 from bench.run.events import FAILURES
 from reports.sanitize import sanitized, unfiltered
+
+Report = Callable[[int, int], None]  # how many are done, of how many
+
+
+class _Count(MofNCompleteColumn):
+    """Done of total; nothing where nobody knows the total."""
+
+    def render(self, task: Task) -> Text:
+        return Text("") if task.total is None else super().render(task)
+
+
+def _columns() -> tuple[ProgressColumn, ...]:
+    """What every bar is made of."""
+    return (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        _Count(),
+        TimeElapsedColumn(),
+    )
+
+
+@contextmanager
+def working(what: str) -> Iterator[Report]:
+    """A bar while something goes on, gone after it; gives what to call with how much is done. It
+    writes to standard error, and nothing where that or the output is no terminal.
+    """
+    console = Console(stderr=True, file=unfiltered(sys.stderr), markup=False)
+    shown = console.is_terminal and Terminal().is_terminal
+    with Progress(*_columns(), console=console, transient=True, disable=not shown) as bar:
+        task = bar.add_task(what, total=None)
+
+        def report(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield report
 
 
 class TerminalProgress:
@@ -32,13 +75,7 @@ class TerminalProgress:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-        )
-        self._bar = Progress(*columns, console=console)
+        self._bar = Progress(*_columns(), console=console)
         self._task = self._bar.add_task("trials", total=None)
         self._doing = ""  # trial, what is done, bath, time left, last error
         self._live: Live | None = None

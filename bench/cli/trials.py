@@ -15,6 +15,7 @@ from bench.rig.loading import find_rig, load_rig, shipped
 from bench.script.model import TRIALS, find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets
 
+WIDEST = 500  # of a table in a file, in characters
 RATES = (0.95, 0.99, 0.999)
 
 
@@ -62,13 +63,31 @@ def show(given: argparse.Namespace) -> int:
     from instruments.world.situations import spoken
 
     many = f"{len(rows)} trials, {len({one.name for one in script.planned})} poses"
-    table = Table(title=f"{s.title}: {many}")
-    for column in ("trial", "situation", "layout", "x", "y", "z", "yaw", "from"):
-        table.add_column(column, justify="right" if len(column) <= 3 else "left")
-    for one, row in zip(script.planned, rows, strict=True):
-        values = (f"{row[key]:+.1f}" for key in ("x_mm", "y_mm", "z_mm", "yaw_deg"))
-        table.add_row(one.id, spoken(one.situation), one.phantom.name, *values, one.side or "")
     console = Terminal()
+    cells: dict[str, list[str]] = {
+        "trial": [one.id for one in script.planned],
+        "situation": [spoken(one.situation) for one in script.planned],
+        "layout": [one.phantom.name for one in script.planned],
+        **{
+            head: [f"{row[key]:+.1f}" for row in rows]
+            for head, key in (("x", "x_mm"), ("y", "y_mm"), ("z", "z_mm"), ("yaw", "yaw_deg"))
+        },
+        "from": [one.side or "" for one in script.planned],
+    }
+    zero = [head for head, column in cells.items() if set(column) <= {"+0.0", "-0.0", ""}]
+    told = [head for head in zero if head != "from"]
+    table = Table(
+        title=f"{s.title}: {many}",
+        caption=f"0 in all trials: {', '.join(told)}" if told else None,
+    )
+    heads = [head for head in cells if head not in zero]
+    for head in heads:
+        table.add_column(head, justify="right" if len(head) <= 3 else "left", overflow="fold")
+    for values in zip(*(cells[head] for head in heads), strict=True):
+        table.add_row(*values)
+    if not console.is_terminal:  # a file or a pipe has no edge
+        wide = console.options.update(max_width=WIDEST)
+        console.width = max(console.width, console.measure(table, options=wide).maximum)
     console.print(table)
     for trial in s.trials:
         console.print(chosen(trial), highlight=False)

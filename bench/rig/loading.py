@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -228,9 +229,33 @@ class BoardFile(Section):
         return Board(**self.model_dump(exclude={"pitch_u_mm"}))
 
 
-def find_board_file(name: str) -> Path:
-    """The file of a shipped board by name, or of any board by path. Raises ConfigError."""
-    return find_shipped(name, BOARDS, "board")
+BOARD_WORD = re.compile(r"(?:checker|chess)board:(\d{1,5})x(\d{1,5}):(\d{1,5}(?:\.\d{1,5})?)mm")
+
+
+def find_board(name: str | None) -> tuple[Board, tuple[Path, ...]]:
+    """A shipped board by name, any by the path of its file, or a checkerboard by its figures:
+    ``checkerboard:5x7:30mm``, which are inner corners. With the file, where it has one. Raises
+    ConfigError.
+    """
+    if name and re.match(r"\w\w+:", name) and not Path(name).is_file():
+        found = BOARD_WORD.fullmatch(name)
+        if found is None:
+            raise ConfigError.plain(
+                f'"{name}" is no board; write checkerboard:5x7:30mm for 5 x 7 inner corners, 30 mm'
+                " apart"
+            )
+        try:
+            return Board("chessboard", int(found[1]), int(found[2]), float(found[3])), ()
+        except ValueError as error:
+            raise ConfigError.plain(f"{name}: {error}") from error
+    if not name:
+        raise ConfigError.plain(
+            "--board is needed: what is in the pictures. Shipped:"
+            f" {', '.join(shipped(BOARDS))}; or checkerboard:5x7:30mm (inner corners, and their"
+            " distance), or the path of a .toml file."
+        )
+    path = find_shipped(name, BOARDS, "board")
+    return load_board(path).board, (path,)
 
 
 def load_board(path: Path) -> BoardFile:

@@ -15,8 +15,9 @@ import numpy as np
 
 from bench.config import ConfigError, read_text
 from bench.files import write_synced
-from bench.rig.loading import LoadedRig, drawn, load_board
+from bench.rig.loading import LoadedRig, drawn
 from bench.rig.model import make_renderer
+from detector.calibration.boards import Board
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import RecordingError, RecordingWriter, TruthRow
 from instruments.world import boards
@@ -113,7 +114,7 @@ def _taken(renderer: Renderer, state: SceneState, rng: np.random.Generator) -> F
 
 def record_boards(
     rig: LoadedRig,
-    board: Path,
+    board: Board,
     cameras: Sequence[str],
     poses: int,
     folder: Path,
@@ -124,7 +125,7 @@ def record_boards(
     """A recording, without truth, of a board in ``poses`` poses that ``cameras`` see whole; yields
     each frame's name. What is dark is ``warmer_k`` warmer than the room. Raises ConfigError.
     """
-    pattern = drawn(load_board(board).board, 0.3)
+    pattern = drawn(board, 0.3)
     renderer = rig_renderer(rig, seed)
     ambient_c = rig.rig.emulation.ambient_c
     watching = [camera for camera in renderer.cameras if camera.name in cameras]
@@ -145,7 +146,7 @@ def record_boards(
             yield f"pose-{number:02d}"
     except ValueError as error:
         raise (
-            error if isinstance(error, RecordingError) else ConfigError.plain(f"{board}: {error}")
+            error if isinstance(error, RecordingError) else ConfigError.plain(f"the board: {error}")
         ) from error
     except OSError as error:
         raise ConfigError.plain(f"{folder}: can't be written: {error}") from error

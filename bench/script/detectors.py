@@ -161,6 +161,6 @@ def _find_program(program: str, folder: Path) -> None:
         f"{program!r} may not be run: make it executable, or name what runs it, as in python3"
         f" {program}"
         if (folder / program).is_file()
-        else f"no program {program!r} is there that can be run: give its path, or look at the"
-        " environment's PATH"
+        else f"no program {program!r} is there that can be run: compile it, give its path, or look"
+        " at the environment's PATH"
     )

@@ -63,9 +63,7 @@ def test_from_files_to_a_calibration(
     benchmark: BenchmarkFixture, pictures: Path, two_cores: None
 ) -> None:
     result = benchmark.pedantic(
-        lambda: calibrate_pair(
-            find_views(find_pictures([pictures]), BOARD, lambda _: None), Lens()
-        ),
+        lambda: calibrate_pair(find_views(find_pictures([pictures]), BOARD), Lens()),
         rounds=1,
         iterations=1,
     )

@@ -4,13 +4,15 @@ calibration at the end.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bench.rig.loading import BOARDS, shipped
 from detector.calibration import load_calibration, load_part
-from tests.bench.calibrate.board_pictures import LEFT, RIGHT_FROM_LEFT, write_pairs
+from tests.bench.calibrate.board_pictures import BOARD, LEFT, RIGHT_FROM_LEFT, write_pairs
 from tests.bench.calibrate.conftest import calibrate_cameras
 from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
 from tests.bench.commands import Said
@@ -45,6 +47,35 @@ def test_cameras_come_out_as_they_were_put_in(lab: Path) -> None:
     )
     assert part.record is not None
     assert len(part.record.inputs) == 25, "24 pictures and the board"
+
+
+def test_a_board_by_its_figures_and_a_folder_that_is_not_there(
+    lab: Path, tmp_path: Path, in_lab: Said
+) -> None:
+    columns, rows, pitch_mm = BOARD.columns, BOARD.rows, f"{BOARD.pitch_mm:g}"
+    out, board = (
+        tmp_path / "new" / "folder" / "c.toml",
+        f"checkerboard:{columns}x{rows}:{pitch_mm}mm",
+    )
+    seen = in_lab(0, "calibrate cameras day1 --board {} --model {} --out {}", board, ["k1 k2"], out)
+    made, known = load_part(out).left, load_part(lab / "cameras.toml").left
+    assert made is not None
+    assert known is not None
+    assert made.fc == known.fc
+    told = re.findall(
+        r"^(baseline|focal lengths|reprojection error).* (?:±|to) [0-9.]+", seen.out, re.M
+    )
+    assert told == ["baseline", *["focal lengths"] * 2, *["reprojection error"] * 2]
+
+
+def test_the_boards_that_ship_are_named_where_none_is(in_lab: Said) -> None:
+    seen = in_lab(2, "calibrate cameras day1 --out never.toml").err
+    assert all(name in seen for name in (*shipped(BOARDS), "checkerboard:5x7:30mm"))
+    assert (
+        "write checkerboard:5x7:30mm" in in_lab(2, "calibrate board checkerboard:5x7 --pdf x").err
+    )
+    usage = " ".join(in_lab(0, "calibrate cameras --help").out.split())
+    assert all(name.split("-")[0] in usage for name in shipped(BOARDS))
 
 
 def test_its_page_says_what_it_is_good_for(lab: Path) -> None:

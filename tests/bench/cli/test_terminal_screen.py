@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.bench.calibrate.arm_terminal import at_terminal
+from tests.bench.commands import Said
 from tests.bench.operated_runs import SCRIPT, files, run_of
 
 pytestmark = pytest.mark.skipif(
@@ -59,3 +60,16 @@ def test_beside_a_refusal_there_is_no_bar(tmp_path: Path) -> None:
     assert rows
     assert rows[0].startswith("teatbench: ")
     assert not any("━" in row or row.startswith("trials") for row in rows)
+
+
+@pytest.mark.slow
+def test_a_bar_is_there_while_something_goes_on_and_gone_after_it(
+    tmp_path: Path, said: Said
+) -> None:
+    words = "going through the script on emulators"
+    with at_terminal(["run", "--dry-run", "--out", str(tmp_path)]) as terminal:
+        terminal.expect(words)
+        assert terminal.code() == 0
+    assert not any(words in row for row in terminal.screen.rows)
+    unseen = said(0, "run --dry-run --out {}", tmp_path)
+    assert words not in unseen.out + unseen.err

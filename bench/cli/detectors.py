@@ -1,0 +1,201 @@
+"""`detectors`: which there are; `new` writes one to begin with, `try` asks one about a frame and
+says what is wrong with its answer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.cli.arguments import CODES, complain
+from bench.config import ConfigError, read_calibration
+from bench.files import write_synced
+from bench.script.detectors import DECLARED, declared, make_detectors
+
+if TYPE_CHECKING:
+    from bench.results.answers import Answer
+    from detector.protocol import Teat
+    from instruments.camera.recording import TruthRow
+
+SITUATION = "ideal"  # whose first member is shown where no recording is named
+ENDING = {"python": "py", "javascript": "js", "cpp": "cpp"}
+COMPILED = "c++ -O2 -std=c++17 -o {name} {name}.cpp"
+FLUSH = (
+    "Flush standard output after each line: flush=True in Python, std::endl in C++. If the program"
+    " needs longer, set start_limit_s or time_limit_s in the file that declares it."
+)
+# what a failure's reason says -> what to do
+CURES = {
+    "was not ready within": f'The first line has to be {{"ready": true}}. {FLUSH}',
+    "gave no answer within": f"Each line of input needs one line of output. {FLUSH}",
+    "its first line must be": (
+        'Write {"ready": true} before all else. Other text belongs on standard error.'
+    ),
+    "is not JSON": (
+        "Standard output is for answers only, one JSON object a line. Other text belongs on"
+        " standard error."
+    ),
+    "is no JSON object": "An answer is one line: an object with frame and teats.",
+    "it was asked about frame": "Give the question's frame back, unchanged, as text.",
+    'no list "teats"': 'Give "teats": [] where nothing was found.',
+    "has neither": "A teat has world_mm [x, y, z], or left_px and right_px, each [column, row].",
+    "lead to no point in space": (
+        "left_px and right_px are the same point in both pictures, each [column, row]."
+    ),
+    "outside of the working volume": "world_mm is in millimetres, in the table's frame.",
+    "of memory": "Use less, or set memory_limit_mib in the file that declares it.",
+    "before it was ready": (
+        "The program ended at its start. Its last words are above; run its command by hand to see"
+        " more."
+    ),
+    "can't be started": "Is the program there, and may it be run?",
+    "ended": (
+        "The program ended instead of answering. It has to read lines until its input ends; its"
+        " last words are above."
+    ),
+}
+
+
+def listed(_: argparse.Namespace) -> int:
+    from detector.registry import available, broken
+
+    rows = {**declared(), **available(), **{name: f"BROKEN: {x}" for name, x in broken().items()}}
+    for name, what in rows.items():
+        print(f"{name}: {what}" if what else name)
+    return CODES.met
+
+
+def new(given: argparse.Namespace) -> int:
+    import detector.external
+    from bench.toml import toml_text
+
+    name = given.name
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}", name):
+        raise ConfigError.plain(f"--name {name}: letters, digits, - and _ only")
+    skeletons = Path(detector.external.__file__).parent / "skeletons"
+    program = given.out / f"{name}.{ENDING[given.language]}"
+    file = given.out / f"{name}.toml"
+    if there := [path for path in (program, file) if path.exists()]:
+        raise ConfigError.plain(f"{there[0]} is there already. Give another --name.")
+    command = {
+        "python": [_python(), program.name],
+        "javascript": ["node", program.name],
+        "cpp": [f"./{name}"],
+    }[given.language]
+    table = {
+        "about": f"{name}, a {given.language} skeleton",
+        "command": command,
+        "start_limit_s": 30.0,
+        "time_limit_s": 30.0,
+    }
+    heading = "A detector of your own; docs/detectors.md has all keys. The command runs here."
+    if given.language == "cpp":
+        heading += f"\nCompile it first: {COMPILED.format(name=name)}"
+    given.out.mkdir(parents=True, exist_ok=True)
+    skeleton = skeletons / f"detector{program.suffix}"
+    write_synced(program, skeleton.read_bytes())
+    write_synced(file, toml_text(table, heading).encode("utf-8"))
+    word = name if given.out == DECLARED else file
+    print(f"written: {program}\nwritten: {file}")
+    if given.language == "cpp":
+        print(f"compile: cd {given.out} && {COMPILED.format(name=name)}")
+    elif given.language == "javascript" and not shutil.which("node"):
+        print("node was not found: install Node.js")
+    print(f"try it:  teatbench detectors try {word}")
+    return CODES.met
+
+
+def _python() -> str:
+    """A Python by a name that holds on other machines too, where this one has it."""
+    names = ("python", "py") if os.name == "nt" else ("python3", "python")
+    return next((name for name in names if shutil.which(name)), sys.executable)
+
+
+def try_out(given: argparse.Namespace) -> int:
+    """Ask twice about one frame: what answers once may not read on."""
+    from bench.cli.terminal import working
+    from bench.results.answers import Examiner, close_detectors
+    from instruments.camera.recording import Recording
+
+    detectors = make_detectors([given.word])
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="teatbench-") as made,
+            working("asking the detector about a frame"),
+        ):
+            recording = Recording(given.recording or _drawn(Path(made)))
+            frame = recording.frames[0]
+            frames, truth = recording.load(frame), recording.truth.get(frame, ())
+            examiner = Examiner(read_calibration(recording.calibration_path))
+            answers = [examiner.ask(detectors[0], frames)]
+            if not _fault(answers[0]):
+                answers.append(examiner.ask(detectors[0], frames))
+    finally:
+        close_detectors(detectors)
+    where = given.recording or f"the simulated situation {SITUATION}"
+    print(f"detector {answers[0].detector}, frame {frame} of {where}")
+    for number, answer in enumerate(answers, 1):
+        if why := _fault(answer):
+            _explain(answer, number, why)
+            return CODES.not_met
+    _tell(answers, truth)
+    print(f"The format is right. Score it: teatbench score RECORDING --detector {given.word}")
+    return CODES.met
+
+
+def _drawn(folder: Path) -> Path:
+    from bench.rig.loading import find_rig, load_rig
+    from bench.rig.scenes import record
+
+    for _ in record(load_rig(find_rig(None)), [SITUATION], [0], folder, 1):
+        pass
+    return folder
+
+
+def _fault(answer: Answer) -> str:
+    """Why it is no answer; empty where it is one."""
+    from detector.protocol import Outcome
+
+    if answer.outcome is Outcome.ANSWERED:
+        return ""
+    return (answer.detection.reason or "").removeprefix("the detector failed: ")
+
+
+def _explain(answer: Answer, number: int, why: str) -> None:
+    for line in answer.stderr.splitlines():
+        print(f"  standard error: {line}")
+    sys.stdout.flush()
+    asked = "" if number == 1 else ", the second time that it was asked"
+    complain(f"no answer{asked}: {why}.", CODES.not_met)
+    cure = next((cure for words, cure in CURES.items() if words in why), "")
+    complain(f"what to do: {cure or 'docs/detectors.md has what is asked for'}", CODES.not_met)
+
+
+def _tell(answers: Sequence[Answer], truth: Sequence[TruthRow]) -> None:
+    first, again = answers
+    started = f", started in {first.start_up_s:.2f} s" if first.start_up_s is not None else ""
+    print(f"answered in {first.seconds:.3f} s, again in {again.seconds:.3f} s{started}")
+    found = first.detection
+    visible = f"; {sum(row.visible for row in truth)} can be seen" if truth else ""
+    print(f"teats found: {len(found.teats)}, said to be hidden: {found.hidden}{visible}")
+    for number, teat in enumerate(found.teats, 1):
+        print(f"  {number}: {', '.join(f'{v:.1f}' for v in teat.world_mm)} mm", end="")
+        print(_nearest(teat, truth))
+    if found.reason:
+        print(f"its reason: {found.reason}")
+
+
+def _nearest(teat: Teat, truth: Sequence[TruthRow]) -> str:
+    """How far the nearest true end is."""
+    if not truth:
+        return ""
+    away, name = min((math.dist(teat.world_mm, row.xyz_mm), row.teat) for row in truth)
+    return f"; {away:.1f} mm from the end of teat {name}"
