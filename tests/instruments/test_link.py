@@ -216,6 +216,7 @@ def test_an_emulator_that_is_held_up_amid_sending_does_not_let_time_move(
 INTERRUPTS = 300
 
 
+@pytest.mark.slow
 def test_a_conversation_that_was_interrupted_anywhere_goes_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

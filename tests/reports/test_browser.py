@@ -14,7 +14,7 @@ from tests.axe import violations
 from tests.chromium import Scheme, Seen, window
 from tests.reports.sample import sample_page
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.slow]  # a browser starts for some seconds
 
 
 @pytest.fixture

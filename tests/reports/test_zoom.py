@@ -11,7 +11,7 @@ from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 
 from tests.chromium import Seen, window
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.slow]  # a browser starts for some seconds
 
 View = list[float]
 PART: View = [139.5, 99.5, 400, 240]  # of the left and the right frame, at first

@@ -11,6 +11,7 @@ import contextlib
 import itertools
 
 import numpy as np
+import pytest
 from hypothesis import event, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -258,5 +259,5 @@ class ArmInAnyOrder(RuleBasedStateMachine):
         self.rig.close()
 
 
-TestArmInAnyOrder = ArmInAnyOrder.TestCase
+TestArmInAnyOrder = pytest.mark.slow(ArmInAnyOrder.TestCase)
 TestArmInAnyOrder.settings = settings(max_examples=40, stateful_step_count=30, deadline=None)

@@ -222,4 +222,4 @@ StageRules.TestCase.settings = settings(
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
-TestStageRules = StageRules.TestCase
+TestStageRules = pytest.mark.slow(StageRules.TestCase)
