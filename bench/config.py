@@ -244,8 +244,8 @@ def _rendered(path: Path | None, faults: Sequence[Fault], lines: Sequence[str]) 
         return [fault.message for fault in faults]
     out = [f"{path}: {len(faults)} fault{'s' if len(faults) > 1 else ''}"]
     for fault in faults:
-        told = fault.message
-        out.append(f"{path}:{fault.line}: {told if len(told) <= TOLD else told[:TOLD] + '...'}")
+        note = fault.message
+        out.append(f"{path}:{fault.line}: {note if len(note) <= TOLD else note[:TOLD] + '...'}")
         if 0 < fault.line <= len(lines):
             line = lines[fault.line - 1]  # a long one around its column only
             start = max(0, fault.column - SHOWN // 2) if len(line) > SHOWN else 0

@@ -14,11 +14,11 @@ from reports.trust import address, one_of
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a run found of one detector; ``told`` has the figures in words."""
+    """What a run found of one detector; ``text`` has the figures in words."""
 
     detector: str
     verdict: Verdict
-    told: str
+    text: str
 
     def __post_init__(self) -> None:
         one_of(self.verdict, VERDICTS, f"detector {self.detector!r}, verdict")
@@ -56,7 +56,7 @@ class Step:
     """One run in a detector's history; ``hint`` is shown on hovering."""
 
     verdict: Verdict
-    told: str
+    text: str
     href: str
     hint: str
 

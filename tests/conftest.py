@@ -65,15 +65,15 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     reports = [
         report for kind in ("passed", "failed") for report in terminalreporter.stats.get(kind, ())
     ]
-    told = [
+    note = [
         (name, value)
         for report in reports
         for name, value in report.user_properties
         if name.startswith("s to standby")
     ]
-    if told:
+    if note:
         terminalreporter.section("seconds to standby")
-        for name, value in told:
+        for name, value in note:
             terminalreporter.write_line(f"{value:8.3f}  {name.removeprefix('s to standby, ')}")
 
 

@@ -69,9 +69,9 @@ def test_what_was_missed_is_what_the_families_lack() -> None:
         for name, row in rows.items()
         if name != ALL and (by := int(row["visible"]) - int(row["found"]))
     }
-    total, told = rows[ALL], page("docs/detectors.md")
-    assert f"Missed, {int(total['visible']) - int(total['found'])}, by what" in told
-    assert f"Off by more than 4 mm, of those {total['found']} " in told
+    total, note = rows[ALL], page("docs/detectors.md")
+    assert f"Missed, {int(total['visible']) - int(total['found'])}, by what" in note
+    assert f"Off by more than 4 mm, of those {total['found']} " in note
 
 
 def test_the_ends_that_are_far_off_are_the_largest_of_their_families() -> None:
@@ -101,11 +101,11 @@ def test_sentences_on_the_path_traced_frames() -> None:
         f" {ours['max_mm']} mm at most; the thesis's detector {thesis['found']}, with"
         f" {thesis['false']} false." in page("README.md")
     )
-    told = (
+    note = (
         f"{found}, nothing false, {ours['mean_mm']} in the mean, p95 {ours['p95_mm']},"
         f" {ours['max_mm']} at most"
     )
-    assert told in page("docs/detectors.md")
+    assert note in page("docs/detectors.md")
 
 
 def test_the_sentence_on_covariances() -> None:
@@ -124,29 +124,29 @@ def test_sensitivity_as_measured_is_that_of_its_points() -> None:
 
 
 def test_sentences_on_sensitivity() -> None:
-    rows, told = read(SENSITIVITY + POINTS), page("docs/sensitivity.md")
+    rows, note = read(SENSITIVITY + POINTS), page("docs/sensitivity.md")
     medians = [
         float(row["median_mm"]) for row in rows if row["detector"] == "thesis" and row["median_mm"]
     ]
-    assert f"`thesis` is {min(medians):.0f} to {max(medians):.0f} mm off in the median" in told
+    assert f"`thesis` is {min(medians):.0f} to {max(medians):.0f} mm off in the median" in note
     fused = [row for row in rows if row["detector"] == "fused"]
     noise = {
         float(row["value"]): float(row["median_mm"])
         for row in fused
         if row["quantity"] == "pixel-noise"
     }
-    assert "flat until noise passes some four grey levels" in told
+    assert "flat until noise passes some four grey levels" in note
     flat, risen = (
         max(by for at, by in noise.items() if at <= 4),
         min(by for at, by in noise.items() if at > 4),
     )
     assert flat < 1.2 * noise[0.4] < risen
-    assert "It loses no end by lean, range, contrast, overlap or noise of the pictures" in told
+    assert "It loses no end by lean, range, contrast, overlap or noise of the pictures" in note
     lost = [
         (row["quantity"], float(row["value"])) for row in fused if row["found"] != row["visible"]
     ]
     assert {quantity for quantity, _ in lost} == {"calibration", "arm-gap", "netd"}
-    assert "and some where the calibration is wrong by 0.4 px and more" in told
+    assert "and some where the calibration is wrong by 0.4 px and more" in note
     assert min(value for quantity, value in lost if quantity == "calibration") == 0.4
 
 
@@ -161,11 +161,11 @@ def test_rows_of_families_are_made_from_a_run(
     )
     capsys.readouterr()
     main(["score", str(recording), "--detector", "thesis", "--out", str(runs)])
-    told = capsys.readouterr().out
+    note = capsys.readouterr().out
     (run,) = runs.iterdir()
     one, every = family_rows("here", run)
     assert {**one, "situation": ALL} == every
     assert list(one) == list(read("families.csv")[0])
-    cells = next(line for line in told.splitlines() if line.startswith("| ideal")).split("|")
+    cells = next(line for line in note.splitlines() if line.startswith("| ideal")).split("|")
     assert f"{one['found']} of {one['visible']}" in cells[4]
     assert cells[6].strip() == ", ".join(one[key] for key in ("mean_mm", "p95_mm", "max_mm"))

@@ -128,9 +128,9 @@ def test_the_readmes_first_two_commands_are_those_of_ci_and_its_exit_codes_those
     ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert "python3 run.py demo" in ci
     assert "\npython3 run.py test\n" in ci
-    told = re.search(r"Exit codes: (.*?)\.\n", README, re.DOTALL)
-    assert told is not None
-    assert " ".join(EXIT_CODES.split()) == f"exit codes: {told[1]}"
+    note = re.search(r"Exit codes: (.*?)\.\n", README, re.DOTALL)
+    assert note is not None
+    assert " ".join(EXIT_CODES.split()) == f"exit codes: {note[1]}"
 
 
 def test_links_of_the_readme_lead_somewhere() -> None:
@@ -221,8 +221,8 @@ def ran(line: str, desk: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int,
         with at_terminal(words, cwd=desk) as terminal:
             return terminal.press_enter_to_the_end(), terminal.text
     code = main(words)
-    told = capsys.readouterr()
-    return code, told.out + told.err
+    note = capsys.readouterr()
+    return code, note.out + note.err
 
 
 def rig_of(text: str, folder: Path) -> object:

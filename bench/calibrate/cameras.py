@@ -94,7 +94,7 @@ class CamerasResult:
             pair.left, pair.right, pair.right_from_left, covariance=covariance, record=record
         )
 
-    def told(self) -> list[str]:
+    def text(self) -> list[str]:
         """Baseline, focal lengths and reprojection error, with 95 % intervals."""
         pair, fit = self.pair, self.joint.fit
         at = [fit.names.index(("right", name)) for name in POSE[3:]]
@@ -113,8 +113,8 @@ class CamerasResult:
         for camera in PAIR:
             views = [*self.joint.view_rms_px(camera).values()]
             rms, (low, high) = float(np.sqrt(np.mean(np.square(views)))), _rms_interval(views)
-            told = f"{rms:.3f} px rms ({low:.3f} to {high:.3f})"
-            lines.append(f"reprojection error, {camera}: {told}")
+            text = f"{rms:.3f} px rms ({low:.3f} to {high:.3f})"
+            lines.append(f"reprojection error, {camera}: {text}")
         return [*lines, "intervals: 95 %; that of the reprojection error by the views' scatter"]
 
     def good_to_mm(self, depths_mm: Array) -> Array:

@@ -146,7 +146,7 @@ def write_ros(part: Part, path: Path, camera: str) -> None:
         rows, columns = values.shape
         return {"rows": rows, "cols": columns, "data": values.reshape(-1).tolist()}
 
-    told = {
+    read = {
         "image_width": lens.image_size[0],
         "image_height": lens.image_size[1],
         "camera_name": camera,
@@ -156,16 +156,16 @@ def write_ros(part: Part, path: Path, camera: str) -> None:
         "rectification_matrix": matrix(np.eye(3)),
         "projection_matrix": matrix(np.column_stack([K, np.zeros(3)])),
     }
-    path.write_text(yaml.safe_dump(told, sort_keys=False), encoding="utf-8", newline="\n")
+    path.write_text(yaml.safe_dump(read, sort_keys=False), encoding="utf-8", newline="\n")
 
 
 def _ros_camera(path: Path) -> Camera:
     try:
-        told = yaml.safe_load(path.read_text(encoding="utf-8"))
-        size = (int(told["image_width"]), int(told["image_height"]))
-        K = np.array(told["camera_matrix"]["data"], dtype=np.float64).reshape(3, 3)
-        kc = np.array(told["distortion_coefficients"]["data"], dtype=np.float64)
-        model = told.get("distortion_model", PLUMB_BOB)
+        read = yaml.safe_load(path.read_text(encoding="utf-8"))
+        size = (int(read["image_width"]), int(read["image_height"]))
+        K = np.array(read["camera_matrix"]["data"], dtype=np.float64).reshape(3, 3)
+        kc = np.array(read["distortion_coefficients"]["data"], dtype=np.float64)
+        model = read.get("distortion_model", PLUMB_BOB)
     except OSError as error:
         raise ConfigError.plain(f"{path}: can't be read: {error.strerror or error}") from error
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:

@@ -324,11 +324,11 @@ class Guide:
     @property
     def missing(self) -> tuple[str, ...]:
         """What is still to be shown, as instructions; one that two cameras share comes once."""
-        told: dict[str, list[str]] = {}
+        note: dict[str, list[str]] = {}
         for camera in self._guided:
             for text in self._coverage(camera).missing:
-                told.setdefault(text, []).append(camera)
-        return tuple(f"{' and '.join(cameras)}: {text}" for text, cameras in told.items())
+                note.setdefault(text, []).append(camera)
+        return tuple(f"{' and '.join(cameras)}: {text}" for text, cameras in note.items())
 
     def picture(self) -> NDArray[np.uint8]:
         """The last views side by side, BGR: points found, cells green where covered, else red."""

@@ -77,7 +77,7 @@ def cameras(given: argparse.Namespace) -> int:
     for camera, coverage in result.coverage.items():
         if coverage.missing:
             print(f"still missing, {camera}: {'; '.join(coverage.missing)}")
-    for line in result.told():
+    for line in result.text():
         print(line)
     good_mm = float(result.good_to_mm(np.array([1200.0]))[0])
     print(f"a point at 1.2 m: good to {good_mm:.2f} mm (k = 2)")

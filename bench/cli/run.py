@@ -46,7 +46,7 @@ def run(given: argparse.Namespace) -> int:
         return look_ahead(rig, script, given.out, given.detector, given.seed)
     from bench.cli.verdict import open_report, show_verdict
     from bench.report.page import write_run_report
-    from bench.run.estimate import figures, needs, read_learnt, told, took, write_learnt
+    from bench.run.estimate import estimate_text, figures, needs, read_learnt, took, write_learnt
     from bench.run.start import RunOptions, run_script
 
     console = Terminal()
@@ -71,7 +71,7 @@ def run(given: argparse.Namespace) -> int:
     if record.ending == "finished" and "total_s" in spent:
         expected = needs(rig, script, read_learnt(given.out, rig)).time
         write_learnt(folder, rig, expected, spent, figures(record, rig, script, spent))
-        print(told(expected, spent))
+        print(estimate_text(expected, spent))
     if given.open:
         open_report(written[0])
     return code
@@ -132,7 +132,7 @@ def score(given: argparse.Namespace) -> int:
 
 
 def _offsets_reported(folder: Path) -> int:
-    from bench.report.thesis import offset_told, report_offsets
+    from bench.report.thesis import offset_text, report_offsets
 
     page, loaded, found, verdict = report_offsets(folder)
     for one in found:
@@ -140,7 +140,7 @@ def _offsets_reported(folder: Path) -> int:
             f"up to {one.worst_mm:.2f} mm in the worst of {len(one.errors_mm)} directions, median"
             f" {one.median_mm:.2f} mm"
         )
-        print(f"teat {one.offset.teat}, {offset_told(one.offset)}: {figures}")
+        print(f"teat {one.offset.teat}, {offset_text(one.offset)}: {figures}")
     print(f"Verdict: {verdict} (limit {loaded.script.limit_mm:g} mm)\nReport: {page}")
     return CODES.met if verdict == "met" else CODES.not_met
 

@@ -14,7 +14,7 @@ def runs(given: argparse.Namespace) -> int:
 
     found = list_runs(given.folder)
     if given.json:
-        told = {
+        text = {
             "runs": [run.as_dict() for run in found.runs],
             "history": [
                 {"detector": detector, "script": script, "runs": [str(run.folder) for run, _ in of]}
@@ -25,7 +25,7 @@ def runs(given: argparse.Namespace) -> int:
             ],
             "page": str(write_runs_page(found)),
         }
-        print(json.dumps(told, indent=1, ensure_ascii=False))
+        print(json.dumps(text, indent=1, ensure_ascii=False))
         return CODES.met
     from rich.table import Table
 

@@ -122,7 +122,7 @@ def _show(found: Sequence[Comparison]) -> None:
     from rich.table import Table
 
     from bench.cli.terminal import Terminal
-    from bench.report.comparison import distance_table, heading, notes, success_table, verdict_told
+    from bench.report.comparison import distance_table, heading, notes, success_table, verdict_text
 
     console = Terminal()
     for comparison in found:
@@ -138,7 +138,7 @@ def _show(found: Sequence[Comparison]) -> None:
             for row in page.rows:
                 table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in row))
             console.print(table)
-        for line in (*notes(comparison), verdict_told(comparison)):
+        for line in (*notes(comparison), verdict_text(comparison)):
             console.print(line)
         for reason in comparison.compared.gate.reasons:
             console.print(f"  {reason}")

@@ -37,7 +37,7 @@ def show(given: argparse.Namespace) -> int:
     path = find_script(given.script)
     if is_offset_script(path):
         return _show_offsets(path, as_json=given.json)
-    from bench.run.estimate import ASSUMED, UNITS, assumed_told, estimate
+    from bench.run.estimate import ASSUMED, UNITS, assumed_text, estimate
     from bench.script.planned_trials import POSE_KEYS, chosen, pose_set
 
     rig = load_rig(find_rig(given.rig))
@@ -75,10 +75,10 @@ def show(given: argparse.Namespace) -> int:
         "from": [one.side or "" for one in script.planned],
     }
     zero = [head for head, column in cells.items() if set(column) <= {"+0.0", "-0.0", ""}]
-    told = [head for head in zero if head != "from"]
+    text = [head for head in zero if head != "from"]
     table = Table(
         title=f"{s.title}: {many}",
-        caption=f"0 in all trials: {', '.join(told)}" if told else None,
+        caption=f"0 in all trials: {', '.join(text)}" if text else None,
     )
     heads = [head for head in cells if head not in zero]
     for head in heads:
@@ -98,7 +98,7 @@ def show(given: argparse.Namespace) -> int:
     console.print(
         f"About {time.total_s / 3600:.1f} h with a person at the arm: {spent}.", highlight=False
     )
-    console.print(assumed_told(), highlight=False)
+    console.print(assumed_text(), highlight=False)
     return CODES.met
 
 

@@ -71,8 +71,8 @@ def _bench(record: RunRecord, judgement: Judgement) -> Text:
         return Text.assemble((text, "bold red"))
     count = f"{done} of {planned} trials done"
     met = [one.name for one in own if one.verdict is Verdict.MET]
-    told = [count, *met, *(f"{name}: not decided" for name in open_)]
-    return Text.assemble(("The bench works: ", "bold green"), f"{', '.join(told)}.")
+    note = [count, *met, *(f"{name}: not decided" for name in open_)]
+    return Text.assemble(("The bench works: ", "bold green"), f"{', '.join(note)}.")
 
 
 def _scoreboard(console: Terminal, record: RunRecord, judgements: Sequence[Judgement]) -> Table:

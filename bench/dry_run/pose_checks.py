@@ -18,7 +18,7 @@ from bench.rig.loading import LoadedRig
 from bench.rig.urls import EMULATED
 from bench.run.estimate import carry_touches
 from bench.script.model import FIRST, LoadedScript
-from bench.script.planned_trials import PlannedTrial, shared, told
+from bench.script.planned_trials import PlannedTrial, pose_text, shared
 from bench.truth.stage_registration import around
 from detector.calibration import Calibration
 from detector.geometry import Camera, Motion
@@ -60,7 +60,7 @@ def dry_run(
     distinct = {(one.name, one.side): one for one in script.planned}.values()
     views = _views_of(rig.calibration)
     places = [(one.name, pose) for one in distinct for pose in (one.approach, one.pose) if pose]
-    places += [(f"registration at {told(pose)}", pose) for pose in registered_at(rig, script)]
+    places += [(f"registration at {pose_text(pose)}", pose) for pose in registered_at(rig, script)]
     findings = (
         *(found for name, pose in places for found in _beyond(rig, name, pose, travel or {})),
         *(found for one in {o.name: o for o in distinct}.values() for found in _unseen(one, views)),
@@ -106,7 +106,8 @@ def _beyond(
     for key, value in stage.machine(shared(pose, stage.axes)[0]).items() if stage else ():
         limits = travel.get(KEYS[key])
         if limits is not None and not limits.hold(value):
-            text = f"{told(pose)} needs the stage's {KEYS[key]} axis at {value:g}, which goes from"
+            text = f"{pose_text(pose)} needs the stage's {KEYS[key]} axis at {value:g},"
+            text += " which goes from"
             yield Finding(name, "limits", f"{text} {limits.low_mm:g} to {limits.high_mm:g}")
 
 
@@ -162,7 +163,7 @@ def _out_of_reach(rig: LoadedRig, script: LoadedScript) -> Iterator[Finding]:
         for pose in registered_at(rig, script):
             stands = planned[0].phantom.moved(shared(planned[0].pose, axes)[1].carried(pose))
             touched = replace(stands, teats=stands.teats[truth.registration_teat - 1 :][:1])
-            to_touch.append((f"registration at {told(pose)}", touched))
+            to_touch.append((f"registration at {pose_text(pose)}", touched))
     distinct = {planned[index].name: planned[index] for index in at}
     to_touch += [(name, one.phantom.moved(one.pose)) for name, one in distinct.items()]
     unit, placed = rig.arm_unit or shipped_unit(USUAL_ARM), rig.rig.emulation.arm_placed

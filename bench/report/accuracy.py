@@ -227,10 +227,10 @@ def limit_table(ends_mm: Floats, calibration: Calibration) -> Table:
         " direction | "
         f">with {PIXEL_SD_PX:g} px noise [mm] ~.2f # the same with noise of the pixels besides"
     )
-    told = " This calibration states no uncertainty, so that its own share is not in it."
+    text = " This calibration states no uncertainty, so that its own share is not in it."
     note = (
         "What can be reached on this rig at best: k = 2, worst direction, the farthest of each"
-        f" row.{'' if known else told}"
+        f" row.{'' if known else text}"
     )
     return table("Limit of what can be reached, by distance from the cameras", heads, rows, note)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.report.wording import NOT_MEASURED, guardian_told, key_values, number, spanned, table
+from bench.report.wording import NOT_MEASURED, guardian_text, key_values, number, spanned, table
 from bench.results.teat_temperature import Figures, Surface, surface
 from bench.safety.interlocks import RULES
 from bench.script.model import Rules, Script
@@ -64,16 +64,16 @@ def surface_at(run: RunRecord, trial: TrialRecord) -> Surface | None:
     return surface(*_readings(run, trial), Figures(**figures))
 
 
-def capture_told(run: RunRecord, trial: TrialRecord) -> str:
+def capture_text(run: RunRecord, trial: TrialRecord) -> str:
     """The bath at a trial's capture: value, range of the readings about then, and state."""
-    told = number(trial.head["bath_c"], "°C")
+    text = number(trial.head["bath_c"], "°C")
     readings = _readings(run, trial)[0] if trial.head["captured_s"] is not None else []
     if readings:
-        told += f" ({spanned(readings)} within {AROUND_S:g} s)"
-    return f"{told}, {trial.head['bath_state']}" if trial.head["bath_state"] else told
+        text += f" ({spanned(readings)} within {AROUND_S:g} s)"
+    return f"{text}, {trial.head['bath_state']}" if trial.head["bath_state"] else text
 
 
-def surface_told(found: Surface | None) -> str:
+def surface_text(found: Surface | None) -> str:
     """``32.68 ± 0.35 °C (plant model)``; twice the standard uncertainty."""
     if found is None:
         return NOT_MEASURED
@@ -135,12 +135,12 @@ def _stability_table(
         end_s = trial.head["captured_s"]
         inside = (run.bath[:, 0] >= end_s - window_s) & (run.bath[:, 0] <= end_s)
         t_s, bath_c, teats_c = run.bath[inside, 0], run.bath[inside, 1], run.external_c[inside]
-        told = np.isfinite(teats_c)
+        text = np.isfinite(teats_c)
         mean_c = _mean(bath_c)
         off_k = None if mean_c is None else mean_c - set_point_c
         half_k = np.ptp(bath_c) / 2.0 if len(bath_c) else None
-        slopes = _k_per_min(t_s, bath_c), _k_per_min(t_s[told], teats_c[told])
-        away_k = _mean(bath_c[told] - teats_c[told])
+        slopes = _k_per_min(t_s, bath_c), _k_per_min(t_s[text], teats_c[text])
+        away_k = _mean(bath_c[text] - teats_c[text])
         rows.append((trial.id, len(bath_c), off_k, half_k, *slopes, away_k))
     heads = (
         "trial | >readings | >mean from set point [K] ~+.4f | >half the range [K] ~+.4f"
@@ -177,7 +177,7 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
         entries["independent cut-out tested on"] = tested
     yield key_values("Care", entries)
     if run.guardian:
-        yield Paragraph(guardian_told(run.guardian), tone="warn")
+        yield Paragraph(guardian_text(run.guardian), tone="warn")
     trip = facts.get("trip", {})
     states = dict.fromkeys(
         facts["interlocks asleep"], "asleep: the controller doesn't tell what it needs"

@@ -346,8 +346,8 @@ def _lens(fit: Calibrated, camera: str, alone: Calibrated | None = None) -> Tabl
     for at, name in enumerate(LENS):
         digits = 5 if name[0] in "kp" else 3
         sd = _sd(fit.fit.sd(camera, name), digits)
-        told = [f"{values(of)[at]:.{digits}f}" for of in (fit, alone) if of is not None]
-        rows.append((name, UNITS.get(name, ""), told[0], sd, *told[1:]))
+        message = [f"{values(of)[at]:.{digits}f}" for of in (fit, alone) if of is not None]
+        rows.append((name, UNITS.get(name, ""), message[0], sd, *message[1:]))
     heads = f"parameter | unit | >value | >sd{'' if alone is None else ' | >alone'}"
     return table(f"Lens of the {camera} camera", heads, rows)
 
@@ -371,11 +371,11 @@ def _residuals(fits: Mapping[str, Calibrated], views: BoardViews) -> Iterator[Pa
         at, miss = (np.concatenate(arrays) for arrays in zip(*pairs, strict=True))
         (x, y), (dx, dy), size = at.T, miss.T, views.image_size[camera]
         svg = residual_field(x, y, dx, dy, size, name=f"residuals-{camera}")
-        told = (
+        message = (
             f"{len(miss)} points, rms {np.sqrt(np.mean(np.sum(miss**2, axis=1))):.3f} px, mean"
             f" {listed(miss.mean(axis=0), '+.3f')} px"
         )
-        yield Figure(svg, f"Corners of the {camera} camera: seen less predicted", told)
+        yield Figure(svg, f"Corners of the {camera} camera: seen less predicted", message)
 
 
 def _held_out(result: CamerasResult) -> Iterator[Part]:

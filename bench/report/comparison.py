@@ -85,7 +85,7 @@ def heading(comparison: Comparison) -> str:
     return f"{comparison.new.label} (new) against {comparison.old.label} (old)"
 
 
-def verdict_told(comparison: Comparison) -> str:
+def verdict_text(comparison: Comparison) -> str:
     """The gate's verdict as a sentence."""
     return GATE[comparison.compared.gate.verdict][1]
 
@@ -216,9 +216,9 @@ def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
 
 def _numbers(row: Row, confidence: float) -> dict[str, Any]:
     success = row.success
-    told = {"difference": success.difference, "interval": success.interval(confidence)}
-    told["p_value"] = success.p_value
-    return {**asdict(row), "success": {**asdict(success), **told}}
+    note = {"difference": success.difference, "interval": success.interval(confidence)}
+    note["p_value"] = success.p_value
+    return {**asdict(row), "success": {**asdict(success), **note}}
 
 
 def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
@@ -269,7 +269,7 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
 def _sentence(comparison: Comparison, most: int = 5) -> str:
     reasons = comparison.compared.gate.reasons
     more = f"; and {len(reasons) - most} more" if len(reasons) > most else ""
-    return f"{verdict_told(comparison)} {'; '.join(reasons[:most])}{more}."
+    return f"{verdict_text(comparison)} {'; '.join(reasons[:most])}{more}."
 
 
 def comparison_parts(comparison: Comparison) -> Iterator[Part]:

@@ -27,7 +27,7 @@ from bench.results.exports import write_exports
 from bench.results.verdicts import (
     LATENCY_RULE,
     Judgement,
-    failures_told,
+    failures_text,
     judge,
     latency_of,
     scored,
@@ -176,14 +176,16 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
             f" {sure}."
         )
     best = (1.0 - confidence) ** (1.0 / poses)
-    told = f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %, with"
-    told += f" {sure}."
+    message = (
+        f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %, with"
+    )
+    message += f" {sure}."
     if poses < needed:
-        told += f" To show {100 * rate:g} % takes {needed} poses without a failure."
+        message += f" To show {100 * rate:g} % takes {needed} poses without a failure."
     known = [row["u_mm"] for trial in run.counted for row in trial.truth if row["u_mm"] is not None]
     if known:
-        told += f" The truth is known to ± {2 * max(known):.2f} mm (k = 2)."
-    return told
+        message += f" The truth is known to ± {2 * max(known):.2f} mm (k = 2)."
+    return message
 
 
 def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
@@ -272,8 +274,8 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         quantiles = (times.median_s, times.p95_s, times.p99_s, max(seconds, default=None))
         first = (max(times.cold_s, default=None), times.start_up_s)
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
-        told = failures_told(times)
-        rows.append((detector, len(seconds), *quantiles, *first, *over, told))
+        message = failures_text(times)
+        rows.append((detector, len(seconds), *quantiles, *first, *over, message))
     heads = (
         "detector | >n | >median [s] ~.3f | >p95 [s] ~.3f | >p99 [s] ~.3f | >max [s] ~.3f"
         " | >first call (cold) [s] ~.3f | >start-up [s] ~.3f | above 1 s | above 2 s | no answer"
@@ -342,13 +344,15 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
     yield KeyValues("Raw data and exports", tuple(links))
     yield Code("The command that repeats it", str(facts["command"]))
     # all of them, or of many the first and the last
-    told = []
+    message = []
     for event in run.events:
         time = "" if event["t_s"] is None else f"{event['t_s']:.0f} s: "
-        told.append(f"{time}{event['kind']}: {event['text']}")
-    if len(told) > 2 * MOST_EVENTS:
-        told[MOST_EVENTS:-MOST_EVENTS] = [f"… {len(told) - 2 * MOST_EVENTS} more, in run.sqlite …"]
-    yield Notes("Events", tuple(told))
+        message.append(f"{time}{event['kind']}: {event['text']}")
+    if len(message) > 2 * MOST_EVENTS:
+        message[MOST_EVENTS:-MOST_EVENTS] = [
+            f"… {len(message) - 2 * MOST_EVENTS} more, in run.sqlite …"
+        ]
+    yield Notes("Events", tuple(message))
 
 
 def fault_parts(run: RunRecord) -> Iterator[Part]:

@@ -53,7 +53,7 @@ class DetectorResult:
         return f"{100 * self.found // self.visible} %" if self.visible else "–"
 
     @property
-    def told(self) -> str:
+    def text(self) -> str:
         """Its figures in a sentence."""
         if not self.visible:
             return "No visible teat was scored."
@@ -233,7 +233,7 @@ def write_runs_page(found: RunList) -> Path:
             script=run.script,
             kind=run.kind,
             note=run.note,
-            results=tuple(Result(one.detector, one.verdict, one.told) for one in run.results),
+            results=tuple(Result(one.detector, one.verdict, one.text) for one in run.results),
             thumbnails=run.thumbnails,
         )
         for run in found.runs
@@ -256,7 +256,7 @@ def write_runs_page(found: RunList) -> Path:
 
 def _step(run: ListedRun, result: DetectorResult) -> Step:
     version = f" {result.version}" if result.version else ""
-    hint = f"{run.date}, {result.detector}{version}: {result.verdict}. {result.told}"
+    hint = f"{run.date}, {result.detector}{version}: {result.verdict}. {result.text}"
     return Step(result.verdict, result.share, run.report, hint)
 
 
@@ -266,9 +266,9 @@ def _counted(count: int, what: str) -> str:
 
 def counted(found: RunList) -> str:
     """How many there are, and what could not be read."""
-    told = _counted(len(found.runs), "run")
+    text = _counted(len(found.runs), "run")
     if found.runs:
-        told += f", {found.runs[-1].date[:10]} to {found.runs[0].date[:10]}"
+        text += f", {found.runs[-1].date[:10]} to {found.runs[0].date[:10]}"
     held = sum(bool(run.damage) for run in found.runs)
-    told += f"; not as written: {held}" if held else ""
-    return told + (f"; {_counted(len(found.others), 'other folder')}." if found.others else ".")
+    text += f"; not as written: {held}" if held else ""
+    return text + (f"; {_counted(len(found.others), 'other folder')}." if found.others else ".")

@@ -149,9 +149,9 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
         slopes.append(figures.Slope(name, response, effect, low, high, line.significant))
         interval = f"{line.low * factor:+.3g} to {line.high * factor:+.3g}"
         p = line.p_value if line.p_holm is None else line.p_holm
-        told = Cell("trend shown", "warn") if line.significant else Cell("no trend shown", "muted")
+        text = Cell("trend shown", "warn") if line.significant else Cell("no trend shown", "muted")
         most = max(abs(low), abs(high))
-        drawn = (span, line.slope * factor, interval, effect, most, p, told)
+        drawn = (span, line.slope * factor, interval, effect, most, p, text)
         measured.append((response, *sizes, *drawn))
     shown = [f"{slope.response} with {slope.against}" for slope in slopes if slope.shown]
     says = f"Trend shown: {', '.join(shown)}." if shown else "No trend is shown."
@@ -253,14 +253,14 @@ def _drawn(
         f"{name}: {len(means)} poses{'' if len(means) >= LEAST_POSES else ', too few'}"
         for name, means, _ in clouds
     )
-    told = (
+    text = (
         f"Errors with their 95 % ellipsoids, {detector}: from above, from the front, and along the"
         " view. A point is a teat's mean error at one pose, and opens its worst trial; n counts"
         f" poses. A line holds the next pose's error with 95 %; below {LEAST_POSES} poses there is"
         " none. The red circle is the limit's sphere."
     )
     alt = f"Errors with 95 % ellipsoids by teat. {counts or 'none'}."
-    return Figure(svg, told, alt, wide=True)
+    return Figure(svg, text, alt, wide=True)
 
 
 def _ellipsoids(run: RunRecord, whole: Bias, teats: Sequence[TeatErrors], detector: str) -> Part:
@@ -287,12 +287,12 @@ def _ellipsoids(run: RunRecord, whole: Bias, teats: Sequence[TeatErrors], detect
             ("bias, 95 % confidence", bias.bias),
         )
     ]
-    told = (
+    text = (
         ""
         if test.p_value is None
         else f"Is there a bias? Hotelling's T² = {test.t_squared:.2f}, p = {test.p_value:.3g}. "
     )
-    note = told + _consistent(run, detector)
+    note = text + _consistent(run, detector)
     return table(f"Ellipsoids of the error, {detector}", heads, lines, note)
 
 

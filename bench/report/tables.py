@@ -13,7 +13,7 @@ from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import Row
 from bench.report.wording import NOT_MEASURED, limit, listed, margin, measured, table
 from bench.results.attribution import Cause, What, attributed, counted
-from bench.results.verdicts import LATENCY_RULE, Judgement, failures_told, latency_of, scored
+from bench.results.verdicts import LATENCY_RULE, Judgement, failures_text, latency_of, scored
 from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import Rules
@@ -175,7 +175,7 @@ def _row(run: RunRecord, situation: str | None, detector: str) -> tuple[str, ...
         str(counts.false),
         listed([mm for mm in errors if mm is not None]) or NOT_MEASURED,
         listed([1e3 * s for s in seconds if s is not None], ".0f") or NOT_MEASURED,
-        failures_told(times),
+        failures_text(times),
     )
 
 

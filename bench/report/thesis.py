@@ -137,11 +137,11 @@ def published_counts(rules: Rules) -> dict[str, tuple[int, int]]:
     return known | {name: (one.found, one.present) for name, one in rules.published.items()}
 
 
-def _each(told: Mapping[str, str]) -> str:
+def _each(sentence: Mapping[str, str]) -> str:
     """One alone as it is; several with their names."""
-    if len(told) > 1:
-        return "; ".join(f"{name}: {text}" for name, text in told.items())
-    return next(iter(told.values()), NOT_MEASURED)
+    if len(sentence) > 1:
+        return "; ".join(f"{name}: {text}" for name, text in sentence.items())
+    return next(iter(sentence.values()), NOT_MEASURED)
 
 
 def _situations(run: RunRecord, known: Sequence[Situation]) -> Iterator[Row]:
@@ -196,9 +196,9 @@ def rows_of_test(
         else ""
     )
     for key, what in STATISTICS.items():
-        told = _each({name: _figure(one, key) for name, one in stats.items()}) if stats else ""
+        sentence = _each({name: _figure(one, key) for name, one in stats.items()}) if stats else ""
         wrong = same + test.wrong if key == "signed_mean" else ""
-        row = (printed.get(key, ""), _figure(theirs, key), told, wrong)
+        row = (printed.get(key, ""), _figure(theirs, key), sentence, wrong)
         yield f"test {which}: {what}", test.section, *row
 
 
@@ -218,7 +218,9 @@ def components_table(figures: Thesis) -> Table:
         zip(first, second, figures.test_2.errors_mm, strict=True), 1
     ):
         pairs = zip("xyz", off.tolist(), printed, strict=True)
-        wrong = ", ".join(axis for axis, value, told in pairs if round(abs(value), 1) != told)
+        wrong = ", ".join(
+            axis for axis, value, sentence in pairs if round(abs(value), 1) != sentence
+        )
         far = (np.linalg.norm(plain), np.linalg.norm(off))
         rows.append((teat, plain, far[0], off, far[1], printed, wrong or "nothing"))
     heads = (
@@ -250,7 +252,7 @@ class Places:
         found = self.found[of].sum()
         return float((self.mean_mm * self.found)[of].sum() / found) if found else None
 
-    def told(self, of: Bools) -> str:
+    def sentence(self, of: Bools) -> str:
         """``8.11 mm (of 12 found of 15)``."""
         counts = f"({self.found[of].sum():.0f} of {self.teats[of].sum():.0f} found)"
         return f"{number(self.average_mm(of), 'mm')} {counts}"
@@ -302,21 +304,21 @@ def _plane(run: RunRecord, figures: Thesis) -> Iterator[Row]:
         return (
             _area(p.span_mm),
             f"{p.teats.sum():.0f}, {p.found.sum():.0f} found",
-            p.told(np.ones(len(p.teats), dtype=np.bool_)),
+            p.sentence(np.ones(len(p.teats), dtype=np.bool_)),
             number(float(p.largest_mm.max()) if found.any() else None, "mm"),
             # of places, each with the mean of its repeats
             number(float(p.mean_mm[found].min()) if found.any() else None, "mm"),
-            p.told(p.within(width, depth)),
-            "none" if best is None else f"{_area(best)}, {p.told(p.within(*best))}",
+            p.sentence(p.within(width, depth)),
+            "none" if best is None else f"{_area(best)}, {p.sentence(p.within(*best))}",
         )
 
-    told = {detector: ours(places_of(run, detector)) for detector in run.detectors}
+    sentence = {detector: ours(places_of(run, detector)) for detector in run.detectors}
     remark = (
         "The thesis quotes these of the optical-only system that it set out to beat."
         f" {theirs.wrong}"
     )
     for at, (what, figure) in enumerate(printed.items()):
-        measured = _each({name: texts[at] for name, texts in told.items()})
+        measured = _each({name: texts[at] for name, texts in sentence.items()})
         yield what, theirs.section, figure, "", measured, "" if at else remark
 
 
@@ -380,9 +382,11 @@ def _rig(run: RunRecord, figures: Thesis, calibration: Calibration) -> Iterator[
         world.wrong,
     )
     known = [row["u_mm"] for t in run.counted for row in t.truth if row["u_mm"] is not None]
-    told = f"truth known to {max(known):.2f} mm along an axis (k = 1)" if known else NOT_MEASURED
+    sentence = (
+        f"truth known to {max(known):.2f} mm along an axis (k = 1)" if known else NOT_MEASURED
+    )
     printed = f"{arm.accuracy_mm[0]:g} mm, {arm.accuracy_mm[1]:g} mm"
-    yield "accuracy of the arm", arm.section, printed, "", told, arm.wrong
+    yield "accuracy of the arm", arm.section, printed, "", sentence, arm.wrong
     temps = [trial.head["bath_c"] for trial in run.trials if trial.head["bath_c"] is not None]
     span = f"{spanned(temps, unit='°C')} at the captures" if temps else NOT_MEASURED
     yield "bath", bath.section, spanned(bath.range_c, "g", "°C"), "", span, bath.wrong
@@ -399,16 +403,16 @@ def _homographies(ends_mm: Floats, figures: Thesis, calibration: Calibration) ->
     # the printed matrices are of those cameras only
     if (calibration.left, calibration.right) == (LEFT, RIGHT):
         sets["the printed ones"] = (np.array(theirs.left), np.array(theirs.right))
-    told = {}
+    sentence = {}
     for name, matrices in sets.items():
         pairs = zip(matrices, (seen["left"], seen["right"]), strict=True)
         off = [apply_homography(H, thermal) - at for H, at in pairs if at is not None]
         px = np.linalg.norm(np.concatenate(off), axis=1)
         px = px[np.isfinite(px)]
-        told[name] = NOT_MEASURED
+        sentence[name] = NOT_MEASURED
         if len(px):
-            told[name] = f"{px.mean():.1f} px on the mean, {px.max():.1f} px at most"
-    return _each(told)
+            sentence[name] = f"{px.mean():.1f} px on the mean, {px.max():.1f} px at most"
+    return _each(sentence)
 
 
 def _stretch(matrix: Floats) -> str:
@@ -436,7 +440,7 @@ def offset_page(loaded: LoadedOffsets, found: Sequence[Outcome], calibration_sha
             f" {sum(len(one.errors_mm) for one in found)} directions in all."
         ),
         sentence=(
-            f"{offset_told(worst.offset)} moves teat {worst.offset.teat} by up to"
+            f"{offset_text(worst.offset)} moves teat {worst.offset.teat} by up to"
             f" {worst.worst_mm:.1f} mm; the limit is {limit:g} mm."
         ),
         confidence="Computed from the calibration alone: no noise, no chance, nothing to repeat.",
@@ -462,7 +466,7 @@ def _requirements(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Requiremen
     limit = loaded.script.limit_mm
     rows = tuple(
         Requirement(
-            name=f"teat {one.offset.teat}, {offset_told(one.offset)}",
+            name=f"teat {one.offset.teat}, {offset_text(one.offset)}",
             rule="the largest error of all directions is at most the limit",
             n=len(one.errors_mm),
             measured=f"{one.worst_mm:.2f} mm",
@@ -479,7 +483,7 @@ def _requirements(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Requiremen
 def _directions(found: Sequence[Outcome], limit: float) -> Table:
     rows = []
     for one in found:
-        far, who = one.distances_mm, (one.offset.teat, offset_told(one.offset))
+        far, who = one.distances_mm, (one.offset.teat, offset_text(one.offset))
         above = f"{int((far > limit).sum())} of {len(far)}"
         figures = (far.min(), np.median(far), far.max(), *one.most_mm)
         rows.append((*who, len(far), *figures, above))
@@ -497,7 +501,7 @@ def _figures(found: Sequence[Outcome], limit: float) -> Iterator[Figure]:
         within = int((one.distances_mm <= limit).sum())
         yield Figure(
             error_histogram(one.distances_mm, limit, name=f"offset-{at}"),
-            f"Teat {one.offset.teat}, {offset_told(one.offset)}: error over all directions",
+            f"Teat {one.offset.teat}, {offset_text(one.offset)}: error over all directions",
             f"{within} of {len(one.distances_mm)} within",
         )
 
@@ -511,7 +515,7 @@ def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part
         off = NOT_SAID if end is None else f"{np.linalg.norm(np.subtract(end, truth_mm)):.2f}"
         printed = NOT_SAID if moved is None else listed(moved, "+.1f")
         beyond = ", ".join(beyond_axes(one)) or "no"
-        rows.append((one.offset.teat, offset_told(one.offset), printed, one.most_mm, off, beyond))
+        rows.append((one.offset.teat, offset_text(one.offset), printed, one.most_mm, off, beyond))
     yield table(
         "The thesis's figures",
         ">teat | offset | >published: x, y, z [mm] | >most possible: x, y, z [mm] ~.1f"
@@ -542,9 +546,9 @@ def _beside(figures: Thesis, found: Sequence[Outcome]) -> Iterator[Row]:
     one = figures.one_pixel
     for outcome in found:
         if {outcome.offset.left_px, outcome.offset.right_px} == {0.0, 1.0}:
-            what = f"one pixel: teat {outcome.offset.teat}, {offset_told(outcome.offset)}"
-            told = f"median {outcome.median_mm:.2f} mm, at most {outcome.worst_mm:.2f} mm"
-            yield what, one.section, f"{one.error_mm:g} mm", "", told, one.wrong
+            what = f"one pixel: teat {outcome.offset.teat}, {offset_text(outcome.offset)}"
+            sentence = f"median {outcome.median_mm:.2f} mm, at most {outcome.worst_mm:.2f} mm"
+            yield what, one.section, f"{one.error_mm:g} mm", "", sentence, one.wrong
 
 
 def _method(loaded: LoadedOffsets, calibration_sha256: str) -> Iterator[Part]:
@@ -578,7 +582,7 @@ def beyond_axes(one: Outcome) -> list[str]:
     return [axis for axis, value, most in pairs if value > most]
 
 
-def offset_told(offset: Offset) -> str:
+def offset_text(offset: Offset) -> str:
     """``1 px left and 1 px right``."""
     offsets = {"left": offset.left_px, "right": offset.right_px}
     return " and ".join(f"{px:g} px {name}" for name, px in offsets.items() if px)

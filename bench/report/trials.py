@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import Row
-from bench.report.bath import capture_told, surface_at, surface_told
+from bench.report.bath import capture_text, surface_at, surface_text
 from bench.report.tables import covariance_of
 from bench.report.truth import trial_truth
 from bench.report.wording import number, table, xyz
@@ -135,9 +135,9 @@ def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: 
         summary=(
             ("situation", spoken(head["situation"])),
             ("repeat", str(head["repeat"])),
-            ("bath at capture", capture_told(run, trial)),
-            ("teats' surface", surface_told(surface_at(run, trial))),
-            *((f"time, {d['detector']}", _time_told(d)) for d in detections),
+            ("bath at capture", capture_text(run, trial)),
+            ("teats' surface", surface_text(surface_at(run, trial))),
+            *((f"time, {d['detector']}", _time_text(d)) for d in detections),
             *((f"hidden, {d['detector']}", f"claims {d['hidden']}") for d in detections),
         ),
         images=tuple(pictures(run, trial, calibration, folder)),
@@ -146,7 +146,7 @@ def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: 
     )
 
 
-def _time_told(detection: Row) -> str:
+def _time_text(detection: Row) -> str:
     """The time of one call, and what it can't be compared with."""
     first = " (first call)" if detection["cold"] else ""
     start_up_s = detection["wall_start_up_s"]
@@ -176,7 +176,7 @@ def _status(trial: TrialRecord, score: SceneScore | None) -> tuple[str, Tone]:
         "beyond the limit": any(mm > score.limit_mm for mm in score.radial_mm),
         "too slow": not score.in_time,
     }
-    return ", ".join(told for told, is_so in faults.items() if is_so), "bad"
+    return ", ".join(text for text, is_so in faults.items() if is_so), "bad"
 
 
 def _teats(trial: TrialRecord, detector: str) -> Table:
@@ -189,18 +189,18 @@ def _teats(trial: TrialRecord, detector: str) -> Table:
     rows: list[tuple[object, ...]] = []
     for index, row in enumerate(trial.truth):
         answered: tuple[object, ...] = ("",) * 5
-        told = Cell("missed", "bad") if row["visible"] else Cell("hidden", "muted")
+        text = Cell("missed", "bad") if row["visible"] else Cell("hidden", "muted")
         if score and index in pairs:
             answer, k = pairs[index]
             mm = score.radial_mm[k]
             answered = (xyz(found[answer]), *score.errors_mm[k], mm)
-            told = Cell("found", "good")
+            text = Cell("found", "good")
             if mm > score.limit_mm:
-                told = Cell("found, beyond the limit", "warn")
-        rows.append((str(row["teat"]), xyz(row), row["u_mm"], *answered, told))
+                text = Cell("found, beyond the limit", "warn")
+        rows.append((str(row["teat"]), xyz(row), row["u_mm"], *answered, text))
     for answer in score.match.false if score else range(len(found)):
-        told = Cell("false", "bad") if score else Cell("not scored", "muted")
-        rows.append(("", "", "", xyz(found[answer]), "", "", "", "", told))
+        text = Cell("false", "bad") if score else Cell("not scored", "muted")
+        rows.append(("", "", "", xyz(found[answer]), "", "", "", "", text))
     heads = (
         "teat | >truth x, y, z [mm] | >u [mm] ~.2f? | >found x, y, z [mm] | >dx [mm] ~+.2f"
         " | >dy [mm] ~+.2f | >dz [mm] ~+.2f | >distance [mm] ~.2f | is"
@@ -417,9 +417,9 @@ def _models(
     lines = pixels_of(contours(teats, from_right, OUTLINE).points, lens)
     for line, reason in zip(lines, reasons, strict=False):
         if np.isfinite(line).all():
-            told = f"{detector}: rejected, {reason}" if reason else f"{detector}: fitted teat"
+            text = f"{detector}: rejected, {reason}" if reason else f"{detector}: fitted teat"
             tone: LayerTone = "other" if reason else "model"
-            yield tone, Polyline(tuple((float(x), float(y)) for x, y in line), title=told)
+            yield tone, Polyline(tuple((float(x), float(y)) for x, y in line), title=text)
 
 
 def _final(row: Row, camera: str) -> Iterator[Shape]:
@@ -444,6 +444,6 @@ def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:
     sizes, directions = np.linalg.eigh(slope @ covariance @ slope.T)
     minor, major = np.sqrt(CHI2_95_OF_2 * np.clip(sizes, 0.0, None)).tolist()
     turn_deg = float(np.degrees(np.arctan2(directions[1, 1], directions[0, 1])))
-    told = f"{row['detector']}: stated 95 % region, {major:.1f} by {minor:.1f} px"
+    text = f"{row['detector']}: stated 95 % region, {major:.1f} by {minor:.1f} px"
     x, y = seen[0].tolist()
-    yield Ellipse(x, y, major, minor, turn_deg, told)
+    yield Ellipse(x, y, major, minor, turn_deg, text)

@@ -173,8 +173,8 @@ def deviation_parts(run: RunRecord) -> Iterator[Part]:
         if trial.invalid:
             why.setdefault(trial.invalid, []).append(trial.id)
     if why:
-        told = tuple(f"{', '.join(trials)}: {reason}" for reason, trials in why.items())
-        yield Notes("Trials whose truth was invalidated; they are in no count", told)
+        text = tuple(f"{', '.join(trials)}: {reason}" for reason, trials in why.items())
+        yield Notes("Trials whose truth was invalidated; they are in no count", text)
     state = resumed(run)
     since = [*state.unconfirmed, *state.since]
     if since:

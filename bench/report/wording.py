@@ -110,10 +110,10 @@ def _column(text: str) -> tuple[Column, str]:
 def key_values(title: str, entries: Mapping[str, object]) -> KeyValues:
     """A list of names and values as text."""
 
-    def told(value: object) -> str | Cell:
+    def message(value: object) -> str | Cell:
         return value if isinstance(value, Cell) else NOT_MEASURED if value is None else str(value)
 
-    return KeyValues(title, tuple((name, told(value)) for name, value in entries.items()))
+    return KeyValues(title, tuple((name, message(value)) for name, value in entries.items()))
 
 
 def measured(decision: Decision) -> str:
@@ -124,12 +124,12 @@ def measured(decision: Decision) -> str:
         return text
     above = (decision.verdict is Verdict.NOT_MET) == (unit == "%")
     bound = value + decision.uncertainty if above else value - decision.uncertainty
-    told = (
+    message = (
         percent_apart(bound / 100, decision.limit / 100)
         if unit == "%"
         else number(bound, unit, digits)
     )
-    return f"{text} ({'at most' if above else 'at least'} {told})"
+    return f"{text} ({'at most' if above else 'at least'} {message})"
 
 
 def limit(decision: Decision) -> str:
@@ -153,7 +153,7 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
     if run.ending != "finished":
         return "aborted", _why_ended(run), _after_ending(run)
     verdict, why, then = _finished(run, judgements)
-    silent = [told for name in run.detectors for told in _silence(run, name)]
+    silent = [message for name in run.detectors for message in _silence(run, name)]
     if not silent:
         return verdict, why, then
     first = (
@@ -203,18 +203,18 @@ def _finished(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerd
 
 
 def _why_ended(run: RunRecord) -> str:
-    told = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
+    message = [event["text"] for event in run.events if event["kind"] in ("fault", "aborted")]
     done, planned = len(run.trials), run.facts.get("planned", "?")
     if run.ending == "interrupted":
         died = f"The bench died before the run was over; {done} of {planned} trials are kept."
-        return f"{died} {guardian_told(run.guardian)}" if run.guardian else died
+        return f"{died} {guardian_text(run.guardian)}" if run.guardian else died
     return (
         f"The run was {run.ending} after {done} of {planned} trials:"
-        f" {told[-1] if told else 'no reason was recorded'}."
+        f" {message[-1] if message else 'no reason was recorded'}."
     )
 
 
-def guardian_told(record: Mapping[str, Any]) -> str:
+def guardian_text(record: Mapping[str, Any]) -> str:
     """What happened to the bench and when, and whether the guardian reached standby."""
     when, why = record["wall_noticed"], record["why"]
     befell = {

@@ -196,9 +196,9 @@ def check_limits(old: Side, new: Side) -> None:
     times = [{rule.time_limit_s} if rule else set() for rule in rules]
     for what, limits in (("mm", errors), ("s", times)):
         if all(limits) and limits[0] != limits[1]:
-            told = " and ".join(", ".join(f"{one:g}" for one in sorted(each)) for each in limits)
+            note = " and ".join(", ".join(f"{one:g}" for one in sorted(each)) for each in limits)
             raise ConfigError.plain(
-                f"{old.label} and {new.label} were held against different limits ({told} {what}):"
+                f"{old.label} and {new.label} were held against different limits ({note} {what}):"
                 " success would mean two things. Run or score both by the same rules."
             )
 

@@ -80,7 +80,7 @@ class Quantity:
     values: tuple[float, ...]
     set_up: SetUp
     optics: Callable[[float, Optics], Optics] = same_optics
-    told: Callable[[float, int, Calibration], Calibration] = true_calibration
+    stated: Callable[[float, int, Calibration], Calibration] = true_calibration
     thermal: bool = False
     logarithmic: bool = False
 
@@ -171,18 +171,18 @@ def _at(bench: Bench, quantity: Quantity, value: float, renderer: Renderer) -> M
                 " others by --first"
             ) from error
         frames = FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
-        told = quantity.told(value, member, truth)
+        stated = quantity.stated(value, member, truth)
         seen = renderer.visible_ends(state).all(axis=1)
         teats, ends = np.flatnonzero(seen).tolist(), state.phantom.ends_mm
         for detector in bench.detectors:
-            answer = examine(detector, frames, told)
+            answer = examine(detector, frames, stated)
             found = match(points_of(answer.detection), ends, seen, gate_mm(ends))
             failed = int(answer.outcome is not Outcome.ANSWERED)
             tallies[detector.name] += Tally(found.distances_mm, len(found.false), failed)
         if teats:
             depths = truth.depth_per_disparity_px_mm(ends[teats])
             covariances = end_covariances(renderer, state, teats)
-            bounds.append((covariances, shifts_mm(truth, told, ends[teats]), depths))
+            bounds.append((covariances, shifts_mm(truth, stated, ends[teats]), depths))
         if teats and quantity.thermal:
             shares.append((len(teats), nominated_share(renderer, state, teats)))
     if not bounds:
@@ -194,9 +194,9 @@ def _at(bench: Bench, quantity: Quantity, value: float, renderer: Renderer) -> M
     return Measured(value, len(shifts), tallies, Limit(median, p95, disparity, share))
 
 
-def shifts_mm(calibration: Calibration, told: Calibration, ends_mm: Array) -> Array:
+def shifts_mm(calibration: Calibration, stated: Calibration, ends_mm: Array) -> Array:
     """How far (n, 3) exact pixels of the ends are triangulated off with the given calibration."""
-    return told.place(*calibration.project(ends_mm)) - ends_mm
+    return stated.place(*calibration.project(ends_mm)) - ends_mm
 
 
 BESIDE_PX = 3.0  # past the blurred edge, still within the narrowest teat
@@ -466,7 +466,7 @@ QUANTITIES = {
             f" {BASELINE_MM_PER_PX:g} mm a pixel along each.",
             (0.0, 0.1, 0.2, 0.3, 0.4, 0.5),
             plain,
-            told=miscalibrated,
+            stated=miscalibrated,
         ),
         Quantity(
             "range",

@@ -381,7 +381,7 @@ def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> L
     )
 
 
-def failures_told(latency: Latency) -> str:
+def failures_text(latency: Latency) -> str:
     """``3 timeout, 1 failure``; ``none``."""
     counts = sorted(latency.unanswered.items())
     return ", ".join(f"{count} {outcome}" for outcome, count in counts) or "none"

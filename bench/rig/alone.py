@@ -285,14 +285,14 @@ def check_rig(
             try:
                 with open_instruments(rig, (name,), clock, twin=twin, capture=capture) as devices:
                     device = getattr(devices, name)
-                    told = [*_READ[name](device)]
+                    note = [*_READ[name](device)]
                     who: Any = device.identity
                     if is_dataclass(who) and not isinstance(who, type):
                         who = asdict(who)
-                    told += who.items()
+                    note += who.items()
                     if hasattr(device, "safe_state"):  # cameras have none
-                        told.append(("safe state", device.safe_state))
-                    yield name, False, [f"{key}: {value}" for key, value in told]
+                        note.append(("safe state", device.safe_state))
+                    yield name, False, [f"{key}: {value}" for key, value in note]
             except InstrumentError as error:
                 yield name, True, [str(error)]
 

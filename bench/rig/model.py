@@ -283,7 +283,7 @@ class Cameras(Section):
         return {name: table for name, table in named.items() if table}
 
     @property
-    def told(self) -> str:
+    def note(self) -> str:
         return self.url or ", ".join(f"{name} {table.url}" for name, table in self.tables.items())
 
 
@@ -534,7 +534,7 @@ class Rig(Section):
         tables = {name: getattr(self, name, None) for name in ("arm", "bath", "stage", "operator")}
         urls = {name: table.url for name, table in tables.items() if table}
         cameras: Cameras | None = getattr(self, "cameras", None)
-        return urls | ({"cameras": cameras.told} if cameras else {})
+        return urls | ({"cameras": cameras.note} if cameras else {})
 
     @property
     def emulated(self) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from bench.run.trial import Attempts, TrialRun, choose_truth
 from bench.safety.interlocks import InterlockTrip
 from bench.safety.signals import current, undisturbed
 from bench.script.planned_trials import PlannedTrial
-from bench.truth.arm_tip import AFTER, BEFORE, CHECK_FACT, check_arm, told
+from bench.truth.arm_tip import AFTER, BEFORE, CHECK_FACT, check_arm, check_text
 from detector.protocol import Detector
 from instruments.bath.sequence import start_bath
 from instruments.clock import wall_time
@@ -162,7 +162,7 @@ class Engine:
         ctx.events.state(f"checking the arm {when} the trials")
         found = check_arm(ctx.ask, ctx.tip, arm, ctx.clock, ctx.check)
         (self._fact if when == BEFORE else ctx.store.fact)(CHECK_FACT.format(when), found)
-        ctx.event("arm", told(found, when))
+        ctx.event("arm", check_text(found, when))
 
     def _fact(self, key: str, value: object) -> None:
         """Under its own name in the first session, apart from it in each later one."""

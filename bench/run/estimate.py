@@ -168,7 +168,7 @@ def _touches(rig: LoadedRig, script: LoadedScript) -> list[int]:
     return [each * len(planned[index].phantom.teats) for index in at]
 
 
-def assumed_told() -> str:
+def assumed_text() -> str:
     """What was assumed, as a sentence."""
     each = (f"{what} {value:g} {UNITS.get(what, 's')}" for what, value in ASSUMED.items())
     return f"Assumed: {', '.join(each)}."
@@ -310,7 +310,7 @@ def write_learnt(
     write_synced(run / FILE, json.dumps(known, indent=1).encode())
 
 
-def told(expected: TimeEstimate, spent: Mapping[str, float]) -> str:
+def estimate_text(expected: TimeEstimate, spent: Mapping[str, float]) -> str:
     """``It took 20 min of the bench's time; 38 min were expected.``"""
     took_min, expected_min = spent["total_s"] / 60, expected.total_s / 60
     return f"It took {took_min:.0f} min of the bench's time; {expected_min:.0f} min were expected."

@@ -145,8 +145,8 @@ class Recovery:
                     raise fault
                 ctx.wait(EVERY_S)
             ctx.check()
-            told = f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s"
-            ctx.event("back", f"{told}; done again from its start: {what}")
+            note = f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s"
+            ctx.event("back", f"{note}; done again from its start: {what}")
         self._missing = None
 
     def _back(self, name: str) -> bool:
@@ -240,8 +240,8 @@ class Requests:
     def forget(self) -> None:
         """What was left for a bench that died before it took it isn't this one's."""
         if words := self._left():
-            told = "Nobody took this in the last session, and it counts no more"
-            self._tell(f"{told}: {words.strip()}")
+            note = "Nobody took this in the last session, and it counts no more"
+            self._tell(f"{note}: {words.strip()}")
 
     def look(self, *, amid: bool = True) -> None:
         """Amid a trial or between two; raises OperatorAbort, amid a trial OperatorSkip and

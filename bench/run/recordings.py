@@ -92,8 +92,8 @@ class Recorder:
             yield
         except (OSError, RecordingError) as error:
             self._broken = True
-            told = f"the recording in {self._folder} ends here: {error}"
-            self._warn(f"{told}. The run goes on, and its own folder has all")
+            text = f"the recording in {self._folder} ends here: {error}"
+            self._warn(f"{text}. The run goes on, and its own folder has all")
 
     def _catch_up(self, run: RunRecord) -> None:
         """Put in what was written down but not yet recorded, and remember whose truth is open."""

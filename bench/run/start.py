@@ -196,8 +196,8 @@ def _run(
         expected = needs(rig, script, read_learnt(store.folder.parent, rig)).time
         trials = len(script.planned)
         to_do = trials - len(left.done) if left else trials
-        told = time_left(expected.settling_s + to_do * expected.each_s(trials))
-        how.begun(f"{to_do} trials, {told} of the bench's time. Run folder: {store.folder}")
+        note = time_left(expected.settling_s + to_do * expected.each_s(trials))
+        how.begun(f"{to_do} trials, {note} of the bench's time. Run folder: {store.folder}")
         with (
             events.kept_in(store.folder),
             open_instruments(

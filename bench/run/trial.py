@@ -215,8 +215,8 @@ class Attempts:
         try:
             self._through(f"trial {trial.id}", lambda: self._once(trial))
         except OperatorRepeat as wish:
-            told = f"{trial.id}: the operator asked for it again from its set-up"
-            self._ctx.event("repeated", f"{told}: {wish.reason}" if wish.reason else told)
+            message = f"{trial.id}: the operator asked for it again from its set-up"
+            self._ctx.event("repeated", f"{message}: {wish.reason}" if wish.reason else message)
             return False
         return True
 

@@ -30,7 +30,7 @@ from bench.safety.interlocks import (
 from bench.safety.latch import latch_path, set_latch
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.reading import BathReading
-from instruments.bath.sequence import cause_of, heater_off, pump_on, pump_told
+from instruments.bath.sequence import cause_of, heater_off, pump_on, pump_text
 from instruments.clock import Clock, wall_time
 from instruments.errors import InstrumentError, LinkError
 
@@ -228,7 +228,7 @@ class TripHandler:
         accuracy = rig.rig.bath.model_dump(include={"accuracy_k", "external_accuracy_k"})
         facts = {
             "interlocks asleep": interlocks.inactive,
-            "pump": pump_told(devices.bath),
+            "pump": pump_text(devices.bath),
             "comms loss": rig.profile.comms_loss,
             "cut-out tested": rig.rig.bath.cut_out_tested,
             "safe states": devices.safe_states(),

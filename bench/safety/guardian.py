@@ -132,7 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     noticed, silent = wall_time(), timedelta(seconds=stopwatch_s() - last_sign_s)
     record: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url}
     record |= {"guardian": os.getpid(), **preferred}
-    record |= {"wall_last_sign": _told(noticed - silent), "wall_noticed": _told(noticed)}
+    record |= {"wall_last_sign": _text(noticed - silent), "wall_noticed": _text(noticed)}
     hung = given.bench if cause == "hung" else None
     reached = _make_safe(bath, clock, given.record, record, bench=hung)
     if reached and has_own_pump(bath):
@@ -149,9 +149,9 @@ def _is_dying(process: int) -> bool:
         status = Path(f"/proc/{process}/status").read_text(encoding="ascii", errors="replace")
     except OSError:
         return Path("/proc/self/status").exists()
-    told = dict(line.split(":", 1) for line in status.splitlines())
+    text = dict(line.split(":", 1) for line in status.splitlines())
     killed = 1 << (signal.SIGKILL - 1)
-    return "VmRSS" not in told or bool((int(told["SigPnd"], 16) | int(told["ShdPnd"], 16)) & killed)
+    return "VmRSS" not in text or bool((int(text["SigPnd"], 16) | int(text["ShdPnd"], 16)) & killed)
 
 
 def _preferred() -> dict[str, Any]:
@@ -189,7 +189,7 @@ def _make_safe(
             "standby": True,
             "tries": tries,
             "seconds": round(stopwatch_s() - start_s, 3),
-            "wall_safe": _told(wall_time()),
+            "wall_safe": _text(wall_time()),
         }
         _write(path, record)
         return True
@@ -234,7 +234,7 @@ def _write(path: Path, record: dict[str, Any]) -> None:
         part.replace(path)
 
 
-def _told(when: datetime) -> str:
+def _text(when: datetime) -> str:
     return when.isoformat(timespec="milliseconds")
 
 

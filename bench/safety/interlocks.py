@@ -143,8 +143,8 @@ def changed(look: Look) -> str | None:
 
 
 def still_hot(now: BathReading, limits: Limits) -> str | None:
-    told = (now.temp_c, now.safety_c, now.external_c)
-    hottest, limit_c = max(v for v in told if v is not None), limits.bath_max_c - 1.0
+    readings = (now.temp_c, now.safety_c, now.external_c)
+    hottest, limit_c = max(v for v in readings if v is not None), limits.bath_max_c - 1.0
     if hottest < limit_c:
         return None
     return f"it is still at {hottest:.2f} degC; it has to cool below {limit_c:g} degC"

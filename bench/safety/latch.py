@@ -36,17 +36,17 @@ class Latch:
     """What tripped, as the file tells it."""
 
     path: Path
-    told: Mapping[str, Any]
+    content: Mapping[str, Any]
 
     @property
     def rule(self) -> str:
         """The rule's name."""
-        return str(self.told.get("rule", "unknown"))
+        return str(self.content.get("rule", "unknown"))
 
     def __str__(self) -> str:
         return (
-            f"interlock {self.rule} at {self.told.get('wall_time', 'an unknown time')}:"
-            f" {self.told.get('why', 'no reason can be read')}"
+            f"interlock {self.rule} at {self.content.get('wall_time', 'an unknown time')}:"
+            f" {self.content.get('why', 'no reason can be read')}"
         )
 
 
@@ -59,13 +59,13 @@ def set_latch(path: Path, trip: Exception, run: str) -> None:
     """Keep ``trip`` of the run in folder ``run``. The first one stays. Raises OSError."""
     if path.exists():
         return
-    told: dict[str, object] = (
+    content: dict[str, object] = (
         trip.as_dict()
         if isinstance(trip, InterlockTrip)
         else {"rule": "mistake of the bench", "why": f"{type(trip).__name__}: {trip}"}
     )
-    told |= {"wall_time": wall_time().isoformat(timespec="seconds"), "run": run}
-    write_synced(path, json.dumps(told, indent=1).encode())
+    content |= {"wall_time": wall_time().isoformat(timespec="seconds"), "run": run}
+    write_synced(path, json.dumps(content, indent=1).encode())
 
 
 def read_latch(path: Path | None) -> Latch | None:
@@ -73,17 +73,17 @@ def read_latch(path: Path | None) -> Latch | None:
     if path is None or not path.exists():
         return None
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        told = {"why": f"the file can't be read ({error})"}
-    return Latch(path, told if isinstance(told, dict) else {})
+        content = {"why": f"the file can't be read ({error})"}
+    return Latch(path, content if isinstance(content, dict) else {})
 
 
 def refuse_latched(rig: LoadedRig) -> None:
     """Raises LatchedError where a trip of this rig has not been acknowledged."""
     latch = read_latch(latch_path(rig))
     if latch is not None:
-        then = str(latch.told.get("then", ""))
+        then = str(latch.content.get("then", ""))
         hint = f"{then} Then: teatbench bath acknowledge {rig.path}".strip()
         raise LatchedError("rig", f"not started: {latch}", hint=hint)
 

@@ -271,10 +271,10 @@ class StabilityGate:
         if len(w) < 2:
             return ["too few readings"]
         short = w.span_s < self.window_s - TIME_SLACK_S
-        told = self._criteria(w) if w.span_s >= FIGURES_FROM * self.window_s else ()
+        note = self._criteria(w) if w.span_s >= FIGURES_FROM * self.window_s else ()
         return [
             *([f"stable for {_of(w.span_s, self.window_s)}"] if short else []),
-            *(f"{text}, needs {limit:g}" for failed, text, limit in told if failed),
+            *(f"{text}, needs {limit:g}" for failed, text, limit in note if failed),
         ]
 
 

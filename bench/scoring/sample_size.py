@@ -268,9 +268,9 @@ def plan_lines(plan: Plan) -> Iterator[str]:
         " poses bounds the same share of errors."
     )
     if plan.poses is not None:
-        yield from _told_of_poses(plan, sure)
+        yield from _text_of_poses(plan, sure)
     if plan.limit_mm is not None and plan.u_mm is not None:
-        yield from _told_of_error(plan)
+        yield from _text_of_error(plan)
     alpha = exact_percent(plan.alpha)
     yield (
         f"Two detectors on the same poses: at least {plan.discordant_needed} must be lost, and none"
@@ -284,7 +284,7 @@ def plan_lines(plan: Plan) -> Iterator[str]:
         )
 
 
-def _told_of_error(plan: Plan) -> Iterator[str]:
+def _text_of_error(plan: Plan) -> Iterator[str]:
     """How near to its limit the largest error may lie."""
     truth = f"An error below {plan.limit_mm:g} mm, against a truth of u = {plan.u_mm:g} mm along an"
     if plan.accept_mm is None:
@@ -302,7 +302,7 @@ def _told_of_error(plan: Plan) -> Iterator[str]:
         yield f"  {share}: {poses} {shown}; {edge} up to the acceptance limit."
 
 
-def _told_of_poses(plan: Plan, sure: str) -> Iterator[str]:
+def _text_of_poses(plan: Plan, sure: str) -> Iterator[str]:
     if plan.rate_shown is None:
         yield "No pose shows anything."
         return

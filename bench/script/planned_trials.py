@@ -280,11 +280,11 @@ class PlannedTrial:
         asked = [self.trial.set_up or (self.scene.about if self.scene else "")]
         if first != pose:
             asked.append(
-                f"Move the plate to {told(first)} first, so that it comes from the {self.side}"
+                f"Move the plate to {pose_text(first)} first, so that it comes from the {self.side}"
                 " side."
             )
         if first != pose or pose != PlatePose() or "X" not in axes:
-            asked.append(f"Move the plate to {told(pose)} from its reference place.")
+            asked.append(f"Move the plate to {pose_text(pose)} from its reference place.")
         objects, said = self.trial.objects, " ".join(asked)
         things = self.scene.objects if self.scene else tuple(make_object(**one) for one in objects)
         details = [described(self.phantom), *([surrounded(things)] if things else [])]
@@ -367,7 +367,7 @@ def _poses(trial: Trial, seed: int) -> tuple[list[PlatePose], Sequence[int]]:
     return poses, range(len(poses))
 
 
-def told(pose: PlatePose) -> str:
+def pose_text(pose: PlatePose) -> str:
     """``x +10 mm, y -5 mm``, with z and yaw where they aren't zero."""
     parts = [f"x {pose.x_mm:+g} mm", f"y {pose.y_mm:+g} mm"]
     parts += [f"z {pose.z_mm:+g} mm"] if pose.z_mm else []
@@ -388,12 +388,12 @@ def described(phantom: Phantom) -> str:
 
 def surrounded(things: Sequence[SceneObject]) -> str:
     """What else stands in a scene and where, for who puts it there."""
-    told = [
+    pose_text = [
         f"  {thing.name.replace('_', ' ')} at x {thing.hulls[0].a_mm[0]:.0f}, y"
         f" {thing.hulls[0].a_mm[1]:.0f} mm"
         for thing in things
     ]
-    return "\n".join(["On the table:", *told])
+    return "\n".join(["On the table:", *pose_text])
 
 
 def pose_set(

@@ -104,7 +104,7 @@ def shift_mm(fact: Mapping[str, Any]) -> float:
     return float(np.linalg.norm(location_of(fact, "").centre_mm - np.array(fact["check_point_mm"])))
 
 
-def told(fact: Mapping[str, Any], when: str) -> str:
+def check_text(fact: Mapping[str, Any], when: str) -> str:
     """The sentence for the events."""
     test = location_of(fact, when)
     return (

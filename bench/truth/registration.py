@@ -287,22 +287,22 @@ class Registration:
     @property
     def faults(self) -> tuple[str, ...]:
         """What speaks against this stage or these touches, a sentence each."""
-        told = []
+        text = []
         if self.contradicted:
             off = [
                 f"{d.name} {d.value:+.2e} (u {d.u:.1e})" for d in self.diagnostics if d.significant
             ] or ["all of them together"]
-            told.append(
+            text.append(
                 f"The stage's axes are worse than the rig file states (p = {self.p_value:.1e}):"
                 f" {'; '.join(off)}. Set its steps per mm, square its axes, or state scale_u and"
                 " squareness_u_rad as they are; until then every carried truth is less certain."
             )
         if self.u_mm > self.stated_u_mm:
-            told.append(
+            text.append(
                 f"The touches scatter more than their budget says: u = {self.u_mm:.2f} mm along an"
                 f" axis, not {self.stated_u_mm:.2f} mm."
             )
-        return tuple(told)
+        return tuple(text)
 
     @cached_property
     def _q(self) -> Floats:

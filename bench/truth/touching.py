@@ -175,8 +175,8 @@ def outliers(points_mm: Floats, s0_mm: float) -> dict[int, str]:
         return dict.fromkeys((0, 1), reason) if apart > limit else {}
     away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
     limit = FAR * max(s0_mm, float(np.median(away)) / MEDIAN_LENGTH)
-    told = f"mm from the median of {len(points)} readings, limit {limit:.2f} mm"
-    return {int(row): f"{away[row]:.2f} {told}" for row in np.flatnonzero(away > limit)}
+    text = f"mm from the median of {len(points)} readings, limit {limit:.2f} mm"
+    return {int(row): f"{away[row]:.2f} {text}" for row in np.flatnonzero(away > limit)}
 
 
 def mistaken(point: Floats, teat: int, ends: Ends, done: Mapping[int, Floats]) -> str | None:

@@ -23,14 +23,14 @@ STRAY = 0.25  # of the distance between corners
 
 def between_neighbours(grid_px: NDArray[Any]) -> Array:
     """Expected corners (rows, columns, 2) by the neighbours; three or more each way."""
-    told: list[Array] = []
+    text: list[Array] = []
     for axis in (0, 1):
         along = np.moveaxis(np.asarray(grid_px, dtype=np.float64), axis, 0)
         padded = np.pad(along, [(2, 2), (0, 0), (0, 0)], constant_values=np.nan)
         before, last, following, after = padded[:-4], padded[1:-3], padded[3:-1], padded[4:]
         ways = (0.5 * (last + following), 2.0 * last - before, 2.0 * following - after)
-        told += [np.moveaxis(way, 0, axis) for way in ways]
-    return np.asarray(np.nanmedian(told, axis=0))
+        text += [np.moveaxis(way, 0, axis) for way in ways]
+    return np.asarray(np.nanmedian(text, axis=0))
 
 
 def strays(grid_px: NDArray[Any]) -> NDArray[np.bool_]:

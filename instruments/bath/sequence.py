@@ -38,7 +38,7 @@ def has_own_pump(bath: Bath) -> bool:
     return bath.pump == "own" and bath.profile.find(PUMP) is not None
 
 
-def pump_told(bath: Bath) -> str:
+def pump_text(bath: Bath) -> str:
     """What the record says of the pump."""
     if has_own_pump(bath):
         return f"switched by itself: {FLOW_S:g} s before the heater, {OVERRUN_S:g} s after it"

@@ -269,31 +269,31 @@ class _Reader:
         if not line:
             raise CaptureError(self._path, [(0, f"is empty; {hint}")])
         try:
-            told = _parsed(line)
-            if told.pop("format", None) != FORMAT:
+            message = _parsed(line)
+            if message.pop("format", None) != FORMAT:
                 raise _WrongError(f'no "format": "{FORMAT}"; {hint}')
-            version = told.pop("version", None)
+            version = message.pop("version", None)
             if version != VERSION or isinstance(version, bool):
                 raise _WrongError(
                     f"written in version {version!r} of the format, and only {VERSION} is"
                     " understood here: update teatbench"
                 )
-            _check_keys(told, frozenset(FACTS), frozenset())
-            return {key: _text(told, key) for key in FACTS}
+            _check_keys(message, frozenset(FACTS), frozenset())
+            return {key: _text(message, key) for key in FACTS}
         except _WrongError as wrong:
             raise CaptureError(self._path, [(1, str(wrong))]) from None
 
-    def _event(self, number: int, told: dict[str, Any]) -> None:
-        kind = told.get("event")
+    def _event(self, number: int, message: dict[str, Any]) -> None:
+        kind = message.get("event")
         if not isinstance(kind, str) or kind not in EVENTS:
             raise _WrongError(f"no event {kind!r}; there are {', '.join(EVENTS)}")
         must, may = EVENTS[kind]
-        _check_keys(told, ALWAYS | must, may)
-        link, t_s = _text(told, "link"), self._time(told["t_s"])
+        _check_keys(message, ALWAYS | must, may)
+        link, t_s = _text(message, "link"), self._time(message["t_s"])
         if not LINK_NAME.fullmatch(link):
             raise _WrongError(f"no name for a link: {link!r}")
         if kind == "opened":
-            talk = Conversation(_text(told, "url"), t_s, [Exchange(t_s, number)])
+            talk = Conversation(_text(message, "url"), t_s, [Exchange(t_s, number)])
             self._links.setdefault(link, []).append(talk)
             return
         if link not in self._links:
@@ -304,13 +304,13 @@ class _Reader:
             )
         talk = self._links[link][-1]
         if kind == "received":  # also what is read only after the link broke
-            talk.exchanges[-1].came.append(Piece(t_s, _bytes(told), number))
+            talk.exchanges[-1].came.append(Piece(t_s, _bytes(message), number))
         elif kind == "closed":
-            why = _text(told, "why") if "why" in told else ""
+            why = _text(message, "why") if "why" in message else ""
             if talk.closed_s is None:
                 talk.closed_s, talk.broke = t_s, why
         else:
-            data = _bytes(told)
+            data = _bytes(message)
             if talk.closed_s is None:  # into a broken link it never arrived
                 if len(talk.exchanges) == 1 or talk.exchanges[-1].came:
                     talk.exchanges.append(Exchange(t_s, number))
@@ -334,38 +334,38 @@ def _parsed(line: bytes) -> dict[str, Any]:
     if len(line) > LONGEST_LINE:
         raise _WrongError(f"the line is longer than {LONGEST_LINE} bytes")
     try:
-        told = json.loads(line.decode("utf-8"), object_pairs_hook=_no_key_twice)
+        message = json.loads(line.decode("utf-8"), object_pairs_hook=_no_key_twice)
     except UnicodeDecodeError as error:
         raise _NoJsonError(f"not UTF-8 text: {error}") from error
     except (ValueError, RecursionError) as error:
         raise _NoJsonError(f"not JSON: {error}") from error
-    if not isinstance(told, dict):
+    if not isinstance(message, dict):
         raise _WrongError("not a JSON object")
-    return told
+    return message
 
 
 def _no_key_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    told = dict(pairs)
-    if len(told) != len(pairs):
+    message = dict(pairs)
+    if len(message) != len(pairs):
         raise ValueError("a key is there twice")
-    return told
+    return message
 
 
-def _check_keys(told: Mapping[str, Any], must: frozenset[str], may: frozenset[str]) -> None:
-    if missing := must - told.keys():
+def _check_keys(message: Mapping[str, Any], must: frozenset[str], may: frozenset[str]) -> None:
+    if missing := must - message.keys():
         raise _WrongError(f"{', '.join(sorted(missing))}: missing")
-    if unknown := told.keys() - must - may:
+    if unknown := message.keys() - must - may:
         raise _WrongError(f"{', '.join(ascii(key) for key in sorted(unknown))}: unknown here")
 
 
-def _text(told: Mapping[str, Any], key: str) -> str:
-    if not isinstance(told[key], str):
-        raise _WrongError(f"{key} is no text: {told[key]!r:.60}")
-    return str(told[key])
+def _text(message: Mapping[str, Any], key: str) -> str:
+    if not isinstance(message[key], str):
+        raise _WrongError(f"{key} is no text: {message[key]!r:.60}")
+    return str(message[key])
 
 
-def _bytes(told: Mapping[str, Any]) -> bytes:
-    text = _text(told, "data")
+def _bytes(message: Mapping[str, Any]) -> bytes:
+    text = _text(message, "data")
     try:
         data = bytes.fromhex(text)
     except ValueError:

@@ -321,7 +321,7 @@ def telling(weight: Floats, most: int = MOST_POINTS) -> NDArray[np.intp]:
     return np.union1d(heavy, others)
 
 
-def told(drawn: int, of: int) -> str:
+def count_text(drawn: int, of: int) -> str:
     """What a figure says of the choice."""
     return f"{drawn} of {of} drawn, the worst among them"
 

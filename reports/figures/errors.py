@@ -22,6 +22,7 @@ from reports.figures.drawing import (
     Floats,
     LegendEntry,
     circle,
+    count_text,
     cross_and_circle,
     draw,
     finite,
@@ -33,7 +34,6 @@ from reports.figures.drawing import (
     plain,
     telling,
     together,
-    told,
 )
 
 _SQUARE = (HALF_INCHES, 4.2)
@@ -99,7 +99,7 @@ def error_scatter(
         linked(axes, across, along, drawn, links, alpha=0.7)
         legend(figure, _limits(limit_mm, accept_mm))
         if len(drawn) < across.size:
-            left_out = told(len(drawn), across.size)
+            left_out = count_text(len(drawn), across.size)
             axes.set_title(left_out, loc="left", color=COLOURS["muted"])
 
     return draw(name, _SQUARE, plot)

@@ -21,6 +21,7 @@ from reports.figures.drawing import (
     Floats,
     LegendEntry,
     Marker,
+    count_text,
     cross_and_circle,
     draw,
     finite,
@@ -30,7 +31,6 @@ from reports.figures.drawing import (
     one_each,
     plain,
     telling,
-    told,
 )
 
 _INCHES = (WIDE_INCHES, 5.6)
@@ -287,6 +287,6 @@ def error_regions(
         legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])
         shown = sum(map(len, drawn))
         if shown < sum(counts):
-            figure.supxlabel(told(shown, sum(counts)), fontsize=8.5, color=COLOURS["muted"])
+            figure.supxlabel(count_text(shown, sum(counts)), fontsize=8.5, color=COLOURS["muted"])
 
     return draw(name, _REGIONS, plot)

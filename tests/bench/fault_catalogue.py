@@ -130,26 +130,26 @@ def check_sound(run: RunRecord) -> None:
 def reaction(run: RunRecord) -> str:
     """In a few words."""
     kinds = [event["kind"] for event in run.events]
-    told = []
+    note = []
     if "trip" in run.facts:
-        told.append(f"interlock {run.facts['trip']['rule']}")
+        note.append(f"interlock {run.facts['trip']['rule']}")
     back = [event["text"].split()[1] for event in run.events if event["kind"] == "back"]
-    told += [
+    note += [
         f"paused for the {name}{f' {back.count(name)} times' if back.count(name) > 1 else ''}"
         for name in dict.fromkeys(back)
     ]
-    told += ["waited in vain"] if "given up" in kinds else []
-    told += ["frames taken again"] if "camera" in kinds else []
-    told += ["suspended until stable"] if "suspended" in kinds else []
-    told += (
+    note += ["waited in vain"] if "given up" in kinds else []
+    note += ["frames taken again"] if "camera" in kinds else []
+    note += ["suspended until stable"] if "suspended" in kinds else []
+    note += (
         [f"{len(run.skipped)} trial{'s' if len(run.skipped) > 1 else ''} left out"]
         if run.skipped
         else []
     )
     if run.ending == "faulted":
         unsafe = any("could not be made safe" in event["text"] for event in run.events)
-        told.append("ended, told as NOT SAFE" if unsafe else "ended, safe")
-    return ", ".join(told) or "-"
+        note.append("ended, told as NOT SAFE" if unsafe else "ended, safe")
+    return ", ".join(note) or "-"
 
 
 def row(instrument: str, name: str) -> list[str]:

@@ -183,7 +183,7 @@ def test_a_question_takes_no_longer_than_by_pymodbus_alone(
             turns, args=(bath, 60, 15, 0.003 if kind == "pty" else 0.0), rounds=1
         )
         silence_s = len(bath.polled) * LEAST_GAP_S if kind == "pty" else 0.0
-    told(benchmark, f"{kind} {family}", took_s, silence_s)
+    text(benchmark, f"{kind} {family}", took_s, silence_s)
 
 
 @pty
@@ -202,7 +202,7 @@ def test_at_9600_baud_a_question_takes_the_wires_time(
         size * character_s,
         sum(size + GAP_CHARACTERS for size in sizes) * character_s,
     )
-    told(benchmark, f"pty at {BAUD} {family}", took_s, len(sizes) * GAP_CHARACTERS * character_s)
+    text(benchmark, f"pty at {BAUD} {family}", took_s, len(sizes) * GAP_CHARACTERS * character_s)
     for name, wire_s in (("question", question_s), ("poll", poll_s)):
         figure(
             benchmark,
@@ -217,7 +217,7 @@ def answered(function: int, count: int) -> int:
     return 8 + 5 + (2 * count if function in (3, 4) else -(-count // 8))
 
 
-def told(
+def text(
     benchmark: BenchmarkFixture, link: str, took_s: dict[str, float], silence_s: float
 ) -> None:
     """Ours over pymodbus's own, for single questions and for whole polls; ``silence_s`` is what a

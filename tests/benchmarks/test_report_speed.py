@@ -33,14 +33,14 @@ def run(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> RunReco
     (folder,) = out.iterdir()
     short = read_run(folder)
     shutil.rmtree(folder / "report")
-    told = [short.trials[k % len(short.trials)] for k in range(TRIALS)]
+    text = [short.trials[k % len(short.trials)] for k in range(TRIALS)]
     heads = [
         {**trial.head, "number": k, "id": f"{k:04d}-{trial.pose}"}
-        for k, trial in enumerate(told, 1)
+        for k, trial in enumerate(text, 1)
     ]
     return replace(
         short,
-        trials=tuple(replace(trial, head=head) for trial, head in zip(told, heads, strict=True)),
+        trials=tuple(replace(trial, head=head) for trial, head in zip(text, heads, strict=True)),
     )
 
 

@@ -174,8 +174,8 @@ def test_the_window_that_is_chosen_does_no_worse_than_the_best_fixed_one(shared_
 
 class TestRefusals:
     def test_too_few_views(self) -> None:
-        told = "left has 2 usable views of the board, at least 3"
-        with pytest.raises(TooFewViewsError, match=told):
+        text = "left has 2 usable views of the board, at least 3"
+        with pytest.raises(TooFewViewsError, match=text):
             calibrate_camera("left", seen(thesis_rig(), 1)["left"][:2], SIZE)
 
     def test_views_from_one_side(self) -> None:

@@ -100,9 +100,9 @@ def world_of(scale: float, seed: int = 3) -> WorldFit:
     """18 touched points, seen by a pair whose board's squares were wrong by ``scale``."""
     rig, rng = thesis_rig(), np.random.default_rng(seed)
     left, right = (pixels + rng.normal(0, 0.1, pixels.shape) for pixels in rig.project(TOUCHED))
-    told = Motion(rig.right_from_left.R, rig.right_from_left.T / scale)
+    note = Motion(rig.right_from_left.R, rig.right_from_left.T / scale)
     seen_mm = TOUCHED + rng.normal(0, 0.2, TOUCHED.shape)
-    pair = rig.left, rig.right, told
+    pair = rig.left, rig.right, note
     return world_fit(*pair, left, right, seen_mm, pair_covariance=None)
 
 

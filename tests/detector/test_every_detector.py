@@ -72,7 +72,7 @@ HOPELESS = {
 DECEPTIVE = {"noise only", "thermal noise", "swapped"}
 
 
-def told(found: Detection) -> None:
+def text(found: Detection) -> None:
     """Held to be an answer: numbers that are finite, or one sentence."""
     assert isinstance(found, Detection)
     assert all(
@@ -92,7 +92,7 @@ def told(found: Detection) -> None:
 @pytest.mark.parametrize("what", list(MET))
 def test_it_works_or_says_why_not(name: str, what: str, frames: Pictures, rig: Calibration) -> None:
     found = create(name, []).detect(MET[what](frames), rig)
-    told(found)
+    text(found)
     if what in HOPELESS or (what in DECEPTIVE and not name.startswith("thesis")):
         assert found.teats == (), what
         assert found.reason, what
@@ -108,7 +108,7 @@ def test_the_published_chain_is_deceived(what: str, frames: Pictures, rig: Calib
 def test_a_calibration_without_a_thermal_pose(name: str, frames: Pictures) -> None:
     calibration = thesis_published()
     assert calibration.thermal_from_left is None
-    told(create(name, []).detect(frames, calibration))
+    text(create(name, []).detect(frames, calibration))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -125,7 +125,7 @@ def test_read_only_pictures_are_enough(name: str, frames: Pictures, rig: Calibra
     for picture in (frames.left, frames.right, frames.thermal):
         assert picture is not None
         picture.setflags(write=False)
-    told(create(name, []).detect(frames, rig))
+    text(create(name, []).detect(frames, rig))
     for picture in (frames.left, frames.right, frames.thermal):
         assert picture is not None
         picture.setflags(write=True)

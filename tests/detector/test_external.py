@@ -68,8 +68,8 @@ def test_a_full_disk(start: Start, rig: Calibration, monkeypatch: pytest.MonkeyP
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
-        assert "its pictures can't be put into" in (told := str(failure(detector, rig)))
-        assert told.endswith(": No space left on device")
+        assert "its pictures can't be put into" in (text := str(failure(detector, rig)))
+        assert text.endswith(": No space left on device")
     assert ask(detector, rig).hidden == 1
 
 
@@ -80,7 +80,7 @@ FLOOD = 'print("{}\\n" * 500, flush=True)'
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("what", "outcome", "told"),
+    ("what", "outcome", "text"),
     [
         (SILENT, Outcome.TIMEOUT, "it gave no answer within 1.5 s"),
         (PARTIAL, Outcome.TIMEOUT, 'stuck in the middle of a line that begins "{"frame":"'),
@@ -97,18 +97,18 @@ FLOOD = 'print("{}\\n" * 500, flush=True)'
     ],
 )
 def test_a_bad_call_is_what_it_is(
-    start: Start, rig: Calibration, what: str, outcome: Outcome, told: str
+    start: Start, rig: Calibration, what: str, outcome: Outcome, text: str
 ) -> None:
     if os.name == "nt" and "kill" in what:
         pytest.skip("no such signal")
     answer_s = 1.5 if outcome is Outcome.TIMEOUT else 60.0
     found = failure(start(answering(what), answer_s=answer_s), rig)
     assert found.outcome is outcome
-    assert any(part in str(found) for part in told.split("|")), found
+    assert any(part in str(found) for part in text.split("|")), found
 
 
 @pytest.mark.parametrize(
-    ("ready", "outcome", "told"),
+    ("ready", "outcome", "text"),
     [
         ("time.sleep(60)", Outcome.TIMEOUT, "it was not ready within 0.5 s of its start"),
         ("sys.exit(2)", Outcome.FAILED, "exit code 2 before it was ready"),
@@ -117,11 +117,11 @@ def test_a_bad_call_is_what_it_is(
     ],
 )
 def test_a_bad_start_is_what_it_is(
-    start: Start, rig: Calibration, ready: str, outcome: Outcome, told: str
+    start: Start, rig: Calibration, ready: str, outcome: Outcome, text: str
 ) -> None:
     detector = start(answering("pass", ready), start_s=0.5 if outcome is Outcome.TIMEOUT else 30.0)
     found = failure(detector, rig)
-    assert (found.outcome, told in str(found)) == (outcome, True), found
+    assert (found.outcome, text in str(found)) == (outcome, True), found
     assert detector.start_up_s is None
 
 

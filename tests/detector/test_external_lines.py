@@ -58,13 +58,13 @@ def test_pixel_pairs_are_triangulated(rig: Calibration) -> None:
 
 @pytest.mark.parametrize("left", [[float("nan"), 1.0], [1e308, -1e308], [float("inf"), 0.0]])
 def test_pixels_that_lead_nowhere_are_told_as_pixels(rig: Calibration, left: list[float]) -> None:
-    told = r'"left_px" .* and "right_px" .* of teat 1 lead to no point in space'
-    with pytest.raises(BadAnswer, match=told):
+    note = r'"left_px" .* and "right_px" .* of teat 1 lead to no point in space'
+    with pytest.raises(BadAnswer, match=note):
         parse_answer(line(teats=[{"left_px": left, "right_px": [1.0, 2.0]}]), "7", rig)
 
 
 @pytest.mark.parametrize(
-    ("sent", "told"),
+    ("sent", "note"),
     [
         (b"nonsense", "not JSON"),
         (b"\xff\xfe\n", "not JSON"),
@@ -76,13 +76,13 @@ def test_pixels_that_lead_nowhere_are_told_as_pixels(rig: Calibration, left: lis
         (b'{"teats": []}', "asked about frame"),
     ],
 )
-def test_what_is_no_answer_is_garbled(rig: Calibration, sent: bytes, told: str) -> None:
-    with pytest.raises(Garbled, match=told):
+def test_what_is_no_answer_is_garbled(rig: Calibration, sent: bytes, note: str) -> None:
+    with pytest.raises(Garbled, match=note):
         parse_answer(sent, "7", rig)
 
 
 @pytest.mark.parametrize(
-    ("answer", "told"),
+    ("answer", "note"),
     [
         ({"teats": None}, 'no list "teats"'),
         ({"teats": {}}, 'no list "teats"'),
@@ -102,16 +102,16 @@ def test_what_is_no_answer_is_garbled(rig: Calibration, sent: bytes, told: str) 
         ({"reason": 5}, "not text"),
     ],
 )
-def test_wrong_values_are_told(rig: Calibration, answer: dict[str, Any], told: str) -> None:
-    with pytest.raises(BadAnswer, match=told):
+def test_wrong_values_are_told(rig: Calibration, answer: dict[str, Any], note: str) -> None:
+    with pytest.raises(BadAnswer, match=note):
         parse_answer(line(**answer), "7", rig)
 
 
 def test_the_first_line_says_ready() -> None:
     check_ready(b'{"ready": true, "name": "mine"}\n')
-    told = r'its first line must be {"ready": true}, (is|but its line is)'
+    note = r'its first line must be {"ready": true}, (is|but its line is)'
     for wrong in (b'{"ready": 1}', b"ready", b'{"frame": "1"}', b"null"):
-        with pytest.raises(Garbled, match=told):
+        with pytest.raises(Garbled, match=note):
             check_ready(wrong)
 
 

@@ -110,13 +110,13 @@ os.kill(os.getppid(), signal.SIGKILL)
 def test_a_killed_supervisor(start: Start, rig: Calibration, tmp_path: Path, goes_on: bool) -> None:
     then = NO_TEATS if goes_on else "time.sleep(600)"
     detector = start(answering(f"{ESCAPE % str(tmp_path / 'pids')}{then}"), answer_s=600.0)
-    told = "has lost its supervisor, which was ended by signal 9"
+    note = "has lost its supervisor, which was ended by signal 9"
     if goes_on:
         ask(detector, rig)
-        with pytest.raises(DetectionFailure, match=told):
+        with pytest.raises(DetectionFailure, match=note):
             look_for_a_minute(detector)
     else:
-        assert told in str(failure(detector, rig))
+        assert note in str(failure(detector, rig))
     assert len(pids := kept_in(tmp_path)) == 4
     assert left_of(pids) == []
 

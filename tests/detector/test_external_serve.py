@@ -81,14 +81,14 @@ def test_prints_are_kept(tmp_path: Path, rig: Calibration, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("words", "told"), [([], "needs the name of one detector"), (["fusde"], "did you mean 'fused'")]
+    ("words", "note"), [([], "needs the name of one detector"), (["fusde"], "did you mean 'fused'")]
 )
-def test_serving_nobody_is_a_sentence(words: list[str], told: str) -> None:
+def test_serving_nobody_is_a_sentence(words: list[str], note: str) -> None:
     done = subprocess.run(
         [*SERVE, *words], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
     )
     assert (done.returncode, done.stdout) == (2, "")
-    assert told in done.stderr
+    assert note in done.stderr
     assert "Traceback" not in done.stderr
 
 

@@ -108,7 +108,7 @@ def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) ->
 
 
 @pytest.mark.parametrize(
-    ("how", "told"),
+    ("how", "note"),
     [
         ("fails", "RuntimeError: no licence"),
         ("number", "TypeError"),
@@ -119,11 +119,11 @@ def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) ->
         ("nothing", "AttributeError"),
     ],
 )
-def test_a_broken_one_is_told_by_name(plugs: dict[str, EntryPoint], how: str, told: str) -> None:
-    said = f"detector '{how.lower()}' of .*udders:{how}.* can't be loaded: .*{told}"
+def test_a_broken_one_is_told_by_name(plugs: dict[str, EntryPoint], how: str, note: str) -> None:
+    said = f"detector '{how.lower()}' of .*udders:{how}.* can't be loaded: .*{note}"
     with pytest.raises(BrokenDetectorError, match=said):
         create(how.lower(), plugs.values())
-    assert told in broken(plugs.values())[how.lower()]
+    assert note in broken(plugs.values())[how.lower()]
     assert "plain" not in broken(plugs.values())
     assert how.lower() in available(plugs.values())
 

@@ -130,18 +130,18 @@ def test_the_printed_homographies_are_those_of_the_printed_calibration(
 def test_the_printed_homographies_are_refused_for_other_pictures(rig: Calibration) -> None:
     frames = tables.frames()
     halved = replace(frames, left=np.ascontiguousarray(frames.left[::2, ::2]))
-    told = published_homography_no_refinement().detect(
+    text = published_homography_no_refinement().detect(
         halved, replace(rig, left=replace(rig.left, image_size=(680, 512)))
     )
-    assert told.teats == ()
+    assert text.teats == ()
     sizes = "pictures of 640 x 480 and 1360 x 1024, not for the calibration's"
-    assert told.reason == f"the published homographies are for {sizes}"
+    assert text.reason == f"the published homographies are for {sizes}"
 
 
 def test_names_and_settings_tell_the_variants_apart() -> None:
     variants = (published_homography, no_refinement, published_homography_no_refinement)
     made = [make() for make in (*variants, ThesisDetector)]
     assert len({detector.name for detector in made}) == 4
-    told = [(d.parameters["homographies"], d.parameters["refinement"]) for d in made]
+    text = [(d.parameters["homographies"], d.parameters["refinement"]) for d in made]
     ours, published = "calibration", "published"
-    assert told == [(published, True), (ours, False), (published, False), (ours, True)]
+    assert text == [(published, True), (ours, False), (published, False), (ours, True)]

@@ -16,19 +16,19 @@ class Heard:
     """``told``: each event with its fact, in order."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[str, bytes | str]] = []
+        self.text: list[tuple[str, bytes | str]] = []
 
     def opened(self, url: str) -> None:
-        self.told.append(("opened", url))
+        self.text.append(("opened", url))
 
     def sent(self, data: bytes) -> None:
-        self.told.append(("sent", data))
+        self.text.append(("sent", data))
 
     def received(self, data: bytes) -> None:
-        self.told.append(("received", data))
+        self.text.append(("received", data))
 
     def closed(self, why: str = "") -> None:
-        self.told.append(("closed", why))
+        self.text.append(("closed", why))
 
 
 class Echo:

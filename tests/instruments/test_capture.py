@@ -24,7 +24,7 @@ from tests.instruments.listening_in import Echo, linked
 FACTS = {"teatbench": "1.2.3", "command": "teatbench check 'my rig.toml'", "machine": "Linux"}
 
 
-def told(path: Path) -> list[dict[str, Any]]:
+def text(path: Path) -> list[dict[str, Any]]:
     """The file's lines behind the header."""
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()[1:]]
 
@@ -63,7 +63,7 @@ def test_the_file_is_json_lines_as_documented(tmp_path: Path) -> None:
 def test_every_line_is_there_before_the_file_is_closed(tmp_path: Path) -> None:
     with opened(tmp_path / "c") as (_, tap):
         for count in range(1, 20):
-            assert len(told(tmp_path / "c")) == count
+            assert len(text(tmp_path / "c")) == count
             tap.sent(b"x")
 
 
@@ -79,7 +79,7 @@ def test_a_link_tells_all_it_sees_and_why_it_broke(tmp_path: Path) -> None:
                 link.receive(1.0)
             link.close()
     assert [
-        (line["event"], line.get("data"), line.get("why")) for line in told(tmp_path / "c")
+        (line["event"], line.get("data"), line.get("why")) for line in text(tmp_path / "c")
     ] == [
         ("opened", None, None),
         ("received", b"hello".hex(), None),
@@ -195,7 +195,7 @@ def test_what_comes_after_the_end_is_dropped(tmp_path: Path) -> None:
     tap.sent(b"late")
     tap.closed()
     capture.close()
-    assert len(told(tmp_path / "c")) == 1
+    assert len(text(tmp_path / "c")) == 1
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits a file's size as POSIX does")

@@ -155,7 +155,7 @@ def test_a_tap_hears_every_byte_once_and_in_order() -> None:
         link.write(b"one\ntwo")
         link.read_until(b"\n", 1.0)
         link.read(3, 1.0)
-    assert tap.told == [
+    assert tap.text == [
         ("opened", listener.url),
         ("received", b"hello\n"),
         ("sent", b"one\ntwo"),

@@ -70,7 +70,7 @@ class Bench:
         return self.links[-1]
 
     @property
-    def told(self) -> list[str]:
+    def note(self) -> list[str]:
         return [str(mismatch) for mismatch in self.replay.mismatches]
 
     def settled(self) -> bool:
@@ -120,7 +120,7 @@ def test_each_answer_comes_after_the_recorded_while(play: Play) -> None:
         (2.0, b"!alarm"),
         (0.0, b"done"),
     ]
-    assert bench.told == []
+    assert bench.note == []
     link.close()
     assert bench.replay.unplayed == []
 
@@ -141,7 +141,7 @@ def test_fast_answers_at_once(play: Play) -> None:
     assert link.read(14, 0.0) == b"it is me!alarm"
     link.write(b"reset")
     assert link.read(4, 0.0) == b"done"
-    assert (bench.clock.now(), bench.told) == (0.0, [])
+    assert (bench.clock.now(), bench.note) == (0.0, [])
 
 
 @given(cuts=st.sets(st.integers(1, 8)))
@@ -154,7 +154,7 @@ def test_requests_may_be_cut_anywhere(tmp_path: Path, cuts: set[int]) -> None:
         for start, end in pairwise(places):
             link.write(stream[start:end])
         assert link.drain(5.0) == b"helloit is me!alarmdone"
-        assert bench.told == []
+        assert bench.note == []
 
 
 def test_a_host_that_is_faster_than_it_was_gets_everything_in_order(play: Play) -> None:
@@ -165,7 +165,7 @@ def test_a_host_that_is_faster_than_it_was_gets_everything_in_order(play: Play) 
     link.write(b"reset")
     assert link.read(12, 0.0) == b"me!alarmdone"
     assert link.drain(60.0) == b"", "what was said early is not said twice"
-    assert bench.told == []
+    assert bench.note == []
 
 
 def test_what_the_host_sends_otherwise_is_told_and_answered_by_silence(play: Play) -> None:
@@ -181,7 +181,7 @@ def test_what_the_host_sends_otherwise_is_told_and_answered_by_silence(play: Pla
         "arm: line 8: connection 1, request 2: byte 3 of it is another than recorded (expected"
         " 'reset', got 'rest')"
     )
-    assert bench.told == [expected]
+    assert bench.note == [expected]
     assert bench.replay.unplayed == [
         "arm: connection 1: 1 of 2 requests as recorded, then a mismatch"
     ]
@@ -207,7 +207,7 @@ def test_a_host_that_leaves_early_is_told_on(play: Play) -> None:
     link.close()
     assert bench.settled()
     assert bench.replay.unplayed == ["arm: connection 1: the host left after 1 of 2 requests"]
-    assert bench.told == []
+    assert bench.note == []
 
 
 def test_a_host_that_goes_on_where_it_had_closed_is_told_on(play: Play) -> None:
@@ -215,7 +215,7 @@ def test_a_host_that_goes_on_where_it_had_closed_is_told_on(play: Play) -> None:
     link = bench.link()
     link.write(b"who?reset\x03")
     link.drain(5.0)
-    assert bench.told == [
+    assert bench.note == [
         (
             "arm: line 8: the host sends more than was recorded on this connection (expected nothing,"
             " got 03)"
@@ -231,7 +231,7 @@ def test_at_the_end_of_a_capture_that_was_killed_there_is_silence(play: Play, mo
     link.drain(5.0)
     link.write(b"and now?")
     assert link.drain(60.0) == b""
-    assert bench.told == []
+    assert bench.note == []
 
 
 def test_a_recorded_hang_up_hangs_up_at_its_time(play: Play) -> None:
@@ -246,7 +246,7 @@ def test_a_recorded_hang_up_hangs_up_at_its_time(play: Play) -> None:
         link.receive(60.0)
     assert bench.clock.now() - start == pytest.approx(0.5, abs=1e-5)
     assert bench.settled()
-    assert (bench.told, bench.replay.unplayed) == ([], [])
+    assert (bench.note, bench.replay.unplayed) == ([], [])
 
 
 def test_each_connection_plays_the_next_that_was_recorded(play: Play) -> None:
@@ -260,7 +260,7 @@ def test_each_connection_plays_the_next_that_was_recorded(play: Play) -> None:
     assert link.drain(1.0) == b"back"
     link.reopen()
     assert link.drain(1.0) == b""
-    assert bench.told == ["arm: line 11: connected once more than the 2 times that were recorded"]
+    assert bench.note == ["arm: line 11: connected once more than the 2 times that were recorded"]
 
 
 def test_again_begins_anew_once_all_is_played(play: Play) -> None:
@@ -271,7 +271,7 @@ def test_again_begins_anew_once_all_is_played(play: Play) -> None:
         link.write(b"who?")
         link.close()
         assert bench.settled()
-    assert bench.told == []
+    assert bench.note == []
 
 
 @pytest.mark.parametrize(
@@ -326,7 +326,7 @@ def test_in_real_time_too(play: Play) -> None:
     with pytest.raises(LinkError):
         link.receive(5.0)
     assert bench.settled()
-    assert bench.told == []
+    assert bench.note == []
 
 
 def test_a_stream_of_an_hour_is_planned_piece_by_piece(play: Play) -> None:
@@ -368,7 +368,7 @@ def test_an_answer_carries_the_id_of_its_own_request(play: Play, step: int) -> N
         link.drain(1.0)
         == b"\xab\xcd" + as_bytes(ANSWER)[2:] + b"\xab\xce" + as_bytes(OTHER_ANSWER)[2:]
     )
-    assert bench.told == []
+    assert bench.note == []
 
 
 def test_all_else_in_a_frame_has_to_be_as_recorded(play: Play) -> None:
@@ -379,7 +379,7 @@ def test_all_else_in_a_frame_has_to_be_as_recorded(play: Play) -> None:
         link = bench.link()
         link.write(bytes(request))
         link.drain(1.0)
-        assert f"byte {place} of it is another than recorded" in bench.told[0]
+        assert f"byte {place} of it is another than recorded" in bench.note[0]
 
 
 def test_on_a_link_that_is_no_modbus_no_byte_is_free(play: Play) -> None:
@@ -387,7 +387,7 @@ def test_on_a_link_that_is_no_modbus_no_byte_is_free(play: Play) -> None:
     link = bench.link()
     link.write(b"\xab\xcd" + as_bytes(READ)[2:])
     link.drain(1.0)
-    assert "byte 0 of it" in bench.told[0]
+    assert "byte 0 of it" in bench.note[0]
 
 
 def test_nonsense_on_a_modbus_link_is_played_as_it_came(play: Play) -> None:
@@ -395,4 +395,4 @@ def test_nonsense_on_a_modbus_link_is_played_as_it_came(play: Play) -> None:
     link = bench.link()
     link.write(b"\0\1" + as_bytes(READ)[2:])
     assert link.drain(1.0) == b"HTTP/1.1 400 Bad"
-    assert bench.told == []
+    assert bench.note == []

@@ -284,6 +284,6 @@ def test_a_driver_that_asks_otherwise_is_told_on(tmp_path: Path) -> None:
                 stage.move_to(-20.0, -31.0)
         return []
 
-    _, told = replayed(read_capture(tmp_path / "c"), "stage", elsewhere, VirtualClock())
-    assert "another than recorded" in told[0]
-    assert r"(expected 'G53G1X-20Y-30F3000\n', got 'G53G1X-20Y-31F3000\n')" in told[0]
+    _, text = replayed(read_capture(tmp_path / "c"), "stage", elsewhere, VirtualClock())
+    assert "another than recorded" in text[0]
+    assert r"(expected 'G53G1X-20Y-30F3000\n', got 'G53G1X-20Y-31F3000\n')" in text[0]

@@ -178,8 +178,8 @@ def test_counts_are_written_beside_the_bars() -> None:
 def test_each_teat_has_a_panel_with_its_own_counts() -> None:
     missed = figures.TeatPlaces("2", np.zeros((0, 3)), [], [[1.0, 2.0, 3.0]])
     texts = texts_of(figures.error_maps([_places("1", 12), missed], 5.0))
-    told = [text for text in texts if text.startswith("teat") or text.endswith("missed")]
-    assert told == ["teat 1", "12 found, 6 missed", "teat 2", "0 found, 1 missed"]
+    note = [text for text in texts if text.startswith("teat") or text.endswith("missed")]
+    assert note == ["teat 1", "12 found, 6 missed", "teat 2", "0 found, 1 missed"]
     assert {"x (mm)", "y (mm)", "z (mm)"} <= set(texts)
 
 
@@ -204,8 +204,8 @@ def test_panels_of_teats_far_apart_have_one_scale() -> None:
 def test_a_teat_has_a_colour_and_a_marker_and_says_on_how_many_poses_it_is() -> None:
     groups = [_group("teat 1", 9), _group("teat 2", 3, outlined=False)]
     svg = figures.error_regions(groups, VIEWS, 5.0)
-    told = [text for text in texts_of(svg) if text.startswith("teat")]
-    assert told == ["teat 1, n = 9", "teat 2, n = 3 (too few)"]
+    note = [text for text in texts_of(svg) if text.startswith("teat")]
+    assert note == ["teat 1, n = 9", "teat 2, n = 3 (too few)"]
     line = r'<path class="stroke-(ours|theirs)"[^>]* d="M [^"]*L [^"]*L [^"]*L [^"]*L'
     assert re.findall(line, svg) == ["ours", "ours"]  # one a view; none of the teat with too few
     first, second = (
@@ -377,6 +377,6 @@ def test_a_plot_says_that_it_doesn_t_draw_all() -> None:
     errors = np.abs(np.random.default_rng(1).normal(0, 2, 5000))
     assert "400 of 5000 drawn, the worst among them" in figures.error_scatter(errors, errors, 5.0)
     assert "drawn" not in figures.error_scatter(errors[:50], errors[:50], 5.0)
-    told = "120 of 20000 found ends drawn, the worst among them, and 120 of 20000 missed"
-    assert told in figures.error_maps([places(errors, errors)] * 4, 5.0)
+    note = "120 of 20000 found ends drawn, the worst among them, and 120 of 20000 missed"
+    assert note in figures.error_maps([places(errors, errors)] * 4, 5.0)
     assert "80 of 20000 drawn, the worst among them" in clouds(errors, errors)

@@ -259,12 +259,12 @@ def test_buttons_do_the_same_and_are_large_enough_for_a_finger(seen: Seen) -> No
 def test_what_a_mark_is_shows_on_hovering(seen: Seen) -> None:
     page = seen.page
     x, y = on_screen(page, (TEAT_2[0], TEAT_2[1] - 9))  # on the ring
-    told = page.evaluate(
+    text = page.evaluate(
         "([x, y]) => document.elementsFromPoint(x, y).map((e) => e.querySelector(':scope >"
         " title')?.textContent).filter(Boolean)",
         [x, y],
     )
-    assert "teat 2" in told
+    assert "teat 2" in text
 
 
 def test_without_a_script_the_picture_leads_to_the_original(browser: Browser, report: Path) -> None:

@@ -62,7 +62,7 @@ class Room:
 
     def __init__(self, *, empty: tuple[int, ...] = (), enough_at: int | None = None) -> None:
         self.asked: list[BoardAsked] = []
-        self.told: list[str] = []
+        self.note: list[str] = []
         self._empty, self._enough_at, self._shown = empty, enough_at, 0
 
     def ask(self, asked: Request, check: Callable[[], None] = no_check) -> Answer:
@@ -80,16 +80,16 @@ class Room:
         return {"left": picture(LEFT, held, self._shown, board=SMALL, pitch_mm=pitch_mm)}
 
     def gather(self, folder: Path, wanted: ViewsRequest = LEFT_ALONE) -> int:
-        return gather(self.look, self, SMALL, wanted, folder, self.told.append)
+        return gather(self.look, self, SMALL, wanted, folder, self.note.append)
 
 
 @pytest.mark.slow
 def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Path) -> None:
     room = Room(empty=(3,))
     kept = room.gather(tmp_path)
-    assert room.told[-1] == "Nothing is missing any more."
+    assert room.note[-1] == "Nothing is missing any more."
     assert kept == 13, "twelve cells, and the view that was refused"
-    assert room.told[2].startswith("view 3: left refused: no 7 x 5 chessboard found")
+    assert room.note[2].startswith("view 3: left refused: no 7 x 5 chessboard found")
     assert len(find_pictures([tmp_path]).pictures["left"]) == kept
     first, late = room.asked[0].instruction, room.asked[-1].instruction
     for words in (
@@ -125,7 +125,7 @@ def test_the_picture_is_green_where_it_is_covered(tmp_path: Path) -> None:
 def test_who_has_had_enough_is_told_what_is_missing(tmp_path: Path) -> None:
     room = Room(enough_at=5)
     assert room.gather(tmp_path) == 4
-    assert room.told[-1].startswith(
+    assert room.note[-1].startswith(
         "Enough: his arms are tired. Still missing: left: show the board in the picture's"
     )
 
@@ -135,13 +135,13 @@ def test_without_a_camera_to_guide_so_many_views_are_taken(tmp_path: Path) -> No
     room = Room()
     assert room.gather(tmp_path, ViewsRequest(("left",), (), most=3)) == 3
     assert room.asked[0].instruction.endswith("another way each time: 3 views.")
-    assert room.told[-1] == "3 views are enough. Still missing: nothing."
+    assert room.note[-1] == "3 views are enough. Still missing: nothing."
 
 
 def test_who_shows_nothing_is_not_asked_for_ever(tmp_path: Path) -> None:
     room = Room(empty=(1, 2, 3))
     assert room.gather(tmp_path, ViewsRequest(("left",), ("left",), most=3)) == 3
-    assert "12 more views" in room.told[-1]
+    assert "12 more views" in room.note[-1]
 
 
 def test_a_camera_that_delivers_nothing_is_named(tmp_path: Path) -> None:

@@ -169,5 +169,5 @@ def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_ro
 def test_cameras_of_another_rig_are_refused(bench_room: Path, said: Said) -> None:
     cameras = bench_room / "cameras.toml"
     seen = said(3, "calibrate check {} --rig emulated --board {}", cameras, BOARD).err.split()
-    told = "'emulated 680 x 512', but the one that answers is 'emulated 1360 x 1024'"
-    assert f"made for the left camera {told}" in " ".join(seen)
+    note = "'emulated 680 x 512', but the one that answers is 'emulated 1360 x 1024'"
+    assert f"made for the left camera {note}" in " ".join(seen)

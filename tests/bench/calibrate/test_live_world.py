@@ -42,7 +42,7 @@ class Lab:
         self.touches, self.looks = 0, 0
         self.again: list[str] = []
         self.boards: list[BoardAsked] = []
-        self.told: list[str] = []
+        self.text: list[str] = []
         self._tip: Array = np.zeros(3)
 
     def look(self) -> dict[str, Grey]:
@@ -73,7 +73,7 @@ class Lab:
 
     def points(self, folder: Path, board: Board = BOARD) -> Array:
         tip = TipReader(self, Arm(url="emulator:"), None)
-        asking = Asking(self.look, self, tip, RADIUS_MM, self.told.append)
+        asking = Asking(self.look, self, tip, RADIUS_MM, self.text.append)
         return gather_points(asking, board, folder).touched_mm
 
 
@@ -123,7 +123,7 @@ def test_a_board_that_is_not_seen_is_asked_for_again_with_the_reason(tmp_path: P
     lab.points(tmp_path)
     assert [asked.number for asked in lab.boards] == [1, 1, 1, 2]
     assert lab.boards[1].instruction.startswith("Not found (no 7 x 5 chessboard found")
-    assert lab.told[0].startswith("position 1: refused: no 7 x 5 chessboard found")
+    assert lab.text[0].startswith("position 1: refused: no 7 x 5 chessboard found")
 
 
 def test_a_board_that_is_never_seen_ends_it(tmp_path: Path) -> None:

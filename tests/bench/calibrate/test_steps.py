@@ -62,10 +62,10 @@ def test_a_board_by_its_figures_and_a_folder_that_is_not_there(
     assert made is not None
     assert known is not None
     assert made.fc == known.fc
-    told = re.findall(
+    note = re.findall(
         r"^(baseline|focal lengths|reprojection error).* (?:±|to) [0-9.]+", seen.out, re.M
     )
-    assert told == ["baseline", *["focal lengths"] * 2, *["reprojection error"] * 2]
+    assert note == ["baseline", *["focal lengths"] * 2, *["reprojection error"] * 2]
 
 
 def test_the_boards_that_ship_are_named_where_none_is(in_lab: Said) -> None:

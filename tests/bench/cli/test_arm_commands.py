@@ -239,11 +239,11 @@ def test_the_guides_pieces_of_files_are_right() -> None:
     )
     Arm.model_validate({"url": "emulator:", **rig["arm"]})
     (rule,) = script["requirements"]
-    told = ArmRequirement.model_validate(rule)
+    note = ArmRequirement.model_validate(rule)
     assert set(rule) | {"source"} == set(ArmRequirement.model_fields)
     (shipped,) = [
         r
         for r in load_script(find_script(None)).script.requirements
         if isinstance(r, ArmRequirement)
     ]
-    assert told.model_copy(update={"dated_required": False, "source": shipped.source}) == shipped
+    assert note.model_copy(update={"dated_required": False, "source": shipped.source}) == shipped

@@ -59,13 +59,13 @@ def bath() -> Iterator[Served]:
 
 
 def test_read_says_everything_with_units(bath: Served, said: Said) -> None:
-    told = json.loads(said(0, "bath read {} --json", bath.at).out)
-    assert told["temp_c"] == pytest.approx(25.0, abs=0.05)
+    note = json.loads(said(0, "bath read {} --json", bath.at).out)
+    assert note["temp_c"] == pytest.approx(25.0, abs=0.05)
     known = {"run": "standby", "output_percent": 0.0, "alarm": 0, "comms_loss": "hold"}
-    assert told | known == told
+    assert note | known == note
     shown = said(0, "bath read {}", bath.at).out.strip()
     lines = dict(line.split(": ", 1) for line in shown.split("\n"))
-    assert list(lines) == list(told)
+    assert list(lines) == list(note)
     assert lines["family"] == "JULABO PRESTO"
 
 

@@ -44,11 +44,11 @@ def test_list_of_a_rig(said: Said) -> None:
 
 @pytest.mark.slow
 def test_show_the_emulated_rig(said: Said) -> None:
-    told = json.loads(said(0, "camera show --json").out)
-    assert told["identity"]["left"] == "emulated 1360 x 1024"
-    assert told["cameras"]["left"]["size_px"] == "1360 x 1024"
-    assert 0.3 < told["cameras"]["left"]["edge_blur_px"] < 1.75
-    assert told["faults"] == []
+    text = json.loads(said(0, "camera show --json").out)
+    assert text["identity"]["left"] == "emulated 1360 x 1024"
+    assert text["cameras"]["left"]["size_px"] == "1360 x 1024"
+    assert 0.3 < text["cameras"]["left"]["edge_blur_px"] < 1.75
+    assert text["faults"] == []
 
 
 @pytest.mark.slow

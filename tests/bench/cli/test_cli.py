@@ -138,9 +138,9 @@ def test_emulate_serves_drivers_of_another_process(said: Said) -> None:
         assert child.stdout is not None
         urls = dict(child.stdout.readline().split() for _ in range(6))
         assert list(urls) == ["arm", "bath", "stage", "left", "right", "thermal"]
-        told = json.loads(said(0, "camera show {} --json", urls["left"]).out)["cameras"]["single"]
-        assert told["size_px"] == "1360 x 1024"
-        assert told["brightest_dn"] > 100
+        note = json.loads(said(0, "camera show {} --json", urls["left"]).out)["cameras"]["single"]
+        assert note["size_px"] == "1360 x 1024"
+        assert note["brightest_dn"] > 100
         clock = RealClock()
         arm = MicroScribe(Link(urls["arm"], clock, who="arm"), clock)
         assert arm.sign_on().serial_number == "40937"

@@ -106,10 +106,10 @@ def test_a_fault_of_a_fifth_of_a_pixel_turns_the_gate_red(
     create = registry.create
     monkeypatch.setattr(registry, "create", lambda name: Faulted(create(name), fault_px))
     new = score(recording, tmp_path, "fused")
-    told = " ".join(said(1, "compare {} {} --gate", baseline, new).out.split())
-    assert "THE NEW ONE IS WORSE" in told
-    assert f"{SCENES} scenes, each in the very same frames." in told
-    assert "the mean distance to the teat end grew by 1." in told
+    text = " ".join(said(1, "compare {} {} --gate", baseline, new).out.split())
+    assert "THE NEW ONE IS WORSE" in text
+    assert f"{SCENES} scenes, each in the very same frames." in text
+    assert "the mean distance to the teat end grew by 1." in text
     assert teatbench("compare {} {}", baseline, new) == 0  # without --gate it only tells
     # nothing got worse, but three poses can't show that
     assert teatbench("compare {} {} --gate", new, baseline) == 4
@@ -121,31 +121,31 @@ def test_of_too_few_poses_the_gate_says_how_many_it_takes(
     baseline: Path, tmp_path: Path, said: Said
 ) -> None:
     again = changed(baseline, tmp_path / "again")
-    told = " ".join(said(4, "compare {} {} --gate", baseline, again).out.split())
+    text = " ".join(said(4, "compare {} {} --gate", baseline, again).out.split())
     assert (
         "in 3 poses; poses that were not run may hide that it grew by 3.538 mm (margin 0.25 mm): 72"
-        " poses with such changes" in told
+        " poses with such changes" in text
     )
-    told = " ".join(said(0, "compare {} {} --gate --margin-mm 4", baseline, again).out.split())
+    text = " ".join(said(0, "compare {} {} --gate --margin-mm 4", baseline, again).out.split())
     assert (
         "The new one is not worse: no scene lost, no false or missed teat more over all poses the"
-        " mean distance grew by at most" in told
+        " mean distance grew by at most" in text
     )
-    assert "at most 70.8 % of poses are lost anew (3 poses, 97.5 % confidence each)" in told
+    assert "at most 70.8 % of poses are lost anew (3 poses, 97.5 % confidence each)" in text
 
 
 def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, said: Said) -> None:
     run = score(recording, tmp_path / "runs", "fused", "thesis")
-    (told,) = json.loads(said(1, "compare {} --gate --json --out {}", run, tmp_path / "page").out)
-    assert (told["old"]["detector"], told["new"]["detector"]) == ("fused", "thesis")
-    assert told["gate"]["verdict"] == "worse"
-    assert told["rows"][0]["scenes"] == told["same_frames"] == SCENES
-    assert told["rows"][0]["success"]["only_old"] == SCENES
+    (text,) = json.loads(said(1, "compare {} --gate --json --out {}", run, tmp_path / "page").out)
+    assert (text["old"]["detector"], text["new"]["detector"]) == ("fused", "thesis")
+    assert text["gate"]["verdict"] == "worse"
+    assert text["rows"][0]["scenes"] == text["same_frames"] == SCENES
+    assert text["rows"][0]["success"]["only_old"] == SCENES
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
     assert "THE NEW ONE IS WORSE" in page
     assert '<span class="word-text">worse</span>' in page
     assert "passed and now fails" in page
-    assert json.loads((tmp_path / "page" / "comparison.json").read_text(encoding="utf-8")) == [told]
+    assert json.loads((tmp_path / "page" / "comparison.json").read_text(encoding="utf-8")) == [text]
 
 
 def test_trials_without_a_counterpart_leave_the_gate_open(baseline: Path, tmp_path: Path) -> None:
@@ -185,8 +185,8 @@ def test_a_namesake_at_another_place_is_not_the_same_scene(
     assert len(compare_folders([baseline, near])[0].pairs) == SCENES
     (found,) = compare_folders([baseline, far])
     assert (len(found.pairs), found.only_old, found.elsewhere) == (SCENES - 1, 1, 1)
-    told = " ".join(said(4, "compare {} {} --gate", baseline, far).out.split())
-    assert "1 trials of the old run have a namesake" in told
+    text = " ".join(said(4, "compare {} {} --gate", baseline, far).out.split())
+    assert "1 trials of the old run have a namesake" in text
     why = said(2, "compare {} {}", baseline, moved("nowhere", "25")).err
     assert f"{SCENES} have the same name, but their teats stood at other places" in why
 
@@ -231,8 +231,8 @@ def test_runs_are_judged_together_by_their_counts(
         "UPDATE facts SET value = '\"another recording\"' WHERE key = 'about'",
     )
     for second, poses in ((again, SCENES), (other, 2 * SCENES)):
-        (told,) = json.loads(said(0, "compare {} {} --together --json", baseline, second).out)
-        counts = {one["n"] for one in told["decisions"] if one["unit"] in ("mm", "%", "")}
+        (text,) = json.loads(said(0, "compare {} {} --together --json", baseline, second).out)
+        counts = {one["n"] for one in text["decisions"] if one["unit"] in ("mm", "%", "")}
         assert counts == {poses}
     # six poses show little
     seen = said(4, "compare {} {} --together --gate", baseline, other).out

@@ -68,8 +68,8 @@ def test_every_variant_of_the_thesis_is_told() -> None:
 
 
 def test_the_published_failures_are_told() -> None:
-    told = re.findall(r"^\| `(\w+)` \| (\d) \|", PAGE, re.MULTILINE)
-    assert [(name, int(found)) for name, found in told] == [
+    text = re.findall(r"^\| `(\w+)` \| (\d) \|", PAGE, re.MULTILINE)
+    assert [(name, int(found)) for name, found in text] == [
         (one.name, one.found) for one in thesis().situations
     ]
     assert {one.present for one in thesis().situations} == {4}

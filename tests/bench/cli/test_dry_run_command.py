@@ -27,14 +27,14 @@ def test_the_command_says_what_and_exits_with_2(tmp_path: Path, said: Said) -> N
     path = tmp_path / "wide.toml"
     path.write_text(text, encoding="utf-8")
     seen = said(2, "run {} --dry-run --out {}", path, tmp_path / "runs").out
-    for told in (
+    for note in (
         "p-2: limits: x +160 mm, y +96 mm needs the stage's X axis at 10, which goes from -300 to 0",
         "10 trials at 5 poses: 1 problem. Nothing was moved.",
         "gone through on emulators, in virtual time: 8 of 10 trials; frames of 4 were rendered",
         # what would end the run at once doesn't keep the others from being looked at
         "not gone through: 2 trials",
     ):
-        assert told in seen
+        assert note in seen
     assert not (tmp_path / "runs").exists()
 
 

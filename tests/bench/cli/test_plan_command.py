@@ -47,8 +47,8 @@ SHOWN = {
 
 @pytest.mark.parametrize("options", SHOWN)
 def test_what_a_plan_says(options: str, said: Said) -> None:
-    told = said(0, f"plan {options}").out
-    assert [text for text in SHOWN[options] if text not in told] == []
+    note = said(0, f"plan {options}").out
+    assert [text for text in SHOWN[options] if text not in note] == []
 
 
 @pytest.mark.parametrize(
@@ -69,11 +69,11 @@ def test_a_decision_agrees_with_what_a_plan_says(n: int, largest: float, verdict
 
 @pytest.mark.slow
 def test_for_programs(said: Said) -> None:
-    told = json.loads(
+    note = json.loads(
         said(0, "plan --trials 93 --rate 0.95 --true-rate 0.99 --sd-mm 1 --shift-mm 0.5 --json").out
     )
     chance = pytest.approx(0.99**93 + 93 * 0.01 * 0.99**92)
-    (claim,) = told["claims"]
+    (claim,) = note["claims"]
     assert claim == {
         "rate": 0.95,
         "poses_needed": [59, 93, 124, 153],
@@ -82,7 +82,7 @@ def test_for_programs(said: Said) -> None:
         "at_the_edge": None,
         "error_shown_mm": None,
     }
-    assert told["poses_for_shift"] == 34
+    assert note["poses_for_shift"] == 34
 
 
 def test_no_pose_shows_nothing() -> None:

@@ -30,8 +30,8 @@ def runs(tmp_path: Path) -> Path:
 
 
 def test_each_run_is_listed_and_each_other_folder_named(said: Said, runs: Path) -> None:
-    told = json.loads(said(0, "runs {} --json", runs).out)
-    by_name = {Path(run["folder"]).name: run for run in told["runs"]}
+    text = json.loads(said(0, "runs {} --json", runs).out)
+    by_name = {Path(run["folder"]).name: run for run in text["runs"]}
     assert set(by_name) == {"schema-3", "schema-4", "damaged"}
     (good,) = by_name["schema-4"]["results"]
     assert good["detector"] == "fused"
@@ -40,10 +40,10 @@ def test_each_run_is_listed_and_each_other_folder_named(said: Said, runs: Path) 
     assert by_name["damaged"]["results"][0]["verdict"] == "no verdict"
     assert "left.png" in by_name["damaged"]["damage"][0]
     assert by_name["schema-4"]["damage"] == []
-    others = {Path(one["folder"]).name: one["why"] for one in told["others"]}
+    others = {Path(one["folder"]).name: one["why"] for one in text["others"]}
     assert set(others) == {"cut", "foreign"}
     assert "no run.sqlite" in others["foreign"]
-    assert sum(len(one["runs"]) for one in told["history"]) == 3
+    assert sum(len(one["runs"]) for one in text["history"]) == 3
 
 
 def test_the_page_stands_alone(said: Said, runs: Path) -> None:

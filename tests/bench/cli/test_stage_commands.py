@@ -46,15 +46,15 @@ def stage() -> Iterator[Served]:
 
 
 def test_status_says_everything_with_units(stage: Served, said: Said) -> None:
-    told = json.loads(said(0, "stage status {} --json", stage.at).out)
+    text = json.loads(said(0, "stage status {} --json", stage.at).out)
     known = {"dialect": "grblHAL", "version": "1.1f", "state": "Alarm", "homed": False}
-    assert told | known == told
-    assert told["travel_x_mm"] == [-300.0, 0.0]
-    assert told["travel_a_deg"] == [-360.0, 0.0]
-    assert {"x_mm", "y_mm", "z_mm", "a_deg", "soft_limits", "hard_limits", "homing"} <= told.keys()
+    assert text | known == text
+    assert text["travel_x_mm"] == [-300.0, 0.0]
+    assert text["travel_a_deg"] == [-360.0, 0.0]
+    assert {"x_mm", "y_mm", "z_mm", "a_deg", "soft_limits", "hard_limits", "homing"} <= text.keys()
     assert [
         line.split(": ")[0] for line in said(0, "stage status {}", stage.at).out.strip().split("\n")
-    ] == list(told)
+    ] == list(text)
 
 
 @pytest.mark.slow

@@ -39,9 +39,9 @@ def test_show_cuts_no_name(columns: str, monkeypatch: pytest.MonkeyPatch, said: 
 
 
 def test_show_as_json(said: Said) -> None:
-    told = json.loads(said(0, "trials show repeatability --json").out)
-    assert len(told["trials"]) == 150
-    assert told["trials"][1] == {
+    text = json.loads(said(0, "trials show repeatability --json").out)
+    assert len(text["trials"]) == 150
+    assert text["trials"][1] == {
         "id": "002-p-2-1",
         "pose": "p-2",
         "repeat": 1,
@@ -51,9 +51,9 @@ def test_show_as_json(said: Said) -> None:
         "yaw_deg": 0.0,
         "from": None,
     }
-    parts = {key: value for key, value in told["estimate"].items() if key != "total_s"}
-    assert told["estimate"]["total_s"] == pytest.approx(sum(parts.values()))
-    assert told["assumed"]["touch [s]"] == ASSUMED["touch"]
+    parts = {key: value for key, value in text["estimate"].items() if key != "total_s"}
+    assert text["estimate"]["total_s"] == pytest.approx(sum(parts.values()))
+    assert text["assumed"]["touch [s]"] == ASSUMED["touch"]
 
 
 def test_show_of_a_script_without_trials(said: Said) -> None:

@@ -225,9 +225,9 @@ def test_a_damaged_run_is_refused_or_told_to_be_damaged(
     # each refuses by the same check; they take turns
     for name, command in list(reading(run, whole, out).items())[turn % 3 :: 3]:
         assert main(command) == 2, name
-        told = no_traceback(capsys)
-        assert not told.out, f"{name} gave something out"
-        assert told.err.startswith((f"teatbench: {NOT_AS_WRITTEN}", f"teatbench: {run}")), name
+        note = no_traceback(capsys)
+        assert not note.out, f"{name} gave something out"
+        assert note.err.startswith((f"teatbench: {NOT_AS_WRITTEN}", f"teatbench: {run}")), name
     assert not out.exists()
     assert not (run / "report" / "index.html").exists()
     asked = reading(run, whole, out)
@@ -235,20 +235,20 @@ def test_a_damaged_run_is_refused_or_told_to_be_damaged(
     others = [name for name in asked if name != "report"]
     for name in (others[turn % len(others)], "report"):
         code = main([*asked[name], "--despite-damage"])
-        told = no_traceback(capsys)
+        note = no_traceback(capsys)
         if code == 0:
             assert name in EXPORTS, f"{name} gave a verdict"
         else:
             assert code in (2, 3, 4), f"{name} gave a verdict"
-        assert code == 2 or NOT_AS_WRITTEN in told.err, name
+        assert code == 2 or NOT_AS_WRITTEN in note.err, name
     assert_told(out, run / "report", whole / "report")
 
 
 def no_traceback(capsys: pytest.CaptureFixture[str]) -> Output:
-    told = Output(*capsys.readouterr())
-    assert "Traceback" not in told.err
-    assert "internal error" not in told.err
-    return told
+    note = Output(*capsys.readouterr())
+    assert "Traceback" not in note.err
+    assert "internal error" not in note.err
+    return note
 
 
 def assert_told(out: Path, *reports: Path) -> None:
@@ -285,9 +285,9 @@ def test_a_stopped_run_goes_on_despite_damage_and_stays_damaged(tmp_path: Path, 
     refused = f"{NOT_AS_WRITTEN}, and is refused. {run.name}: table detections, row 1"
     assert refused in said(2, "resume {}", run).err
     assert len(read_run(run).trials) == 1
-    told = said(4, "resume {} --despite-damage", run)
-    assert told.err.count(f"{NOT_AS_WRITTEN}. ") == 2, "before and after all else"
-    assert "Verdict: no verdict" in told.out
+    note = said(4, "resume {} --despite-damage", run)
+    assert note.err.count(f"{NOT_AS_WRITTEN}. ") == 2, "before and after all else"
+    assert "Verdict: no verdict" in note.out
     assert (read_run(run).ending, len(read_run(run).trials)) == ("finished", 3)
     assert_told(tmp_path, run / "report")
     said(1, "store check {}", run)

@@ -167,10 +167,10 @@ DAMAGE: dict[str, tuple[Damage, str]] = {
 
 @pytest.mark.parametrize("what", DAMAGE)
 def test_damage_is_found_and_named(run: Path, what: str, said: Said) -> None:
-    damage, told = DAMAGE[what]
+    damage, note = DAMAGE[what]
     damage(run)
     found = damages(run)
-    assert any(re.search(told, text) for text in found), found
+    assert any(re.search(note, text) for text in found), found
     assert "The record is NOT as it was written." in said(1, "store check {}", run).out
 
 
@@ -210,10 +210,10 @@ def test_what_a_dead_bench_leaves_is_told_but_no_damage(run: Path, said: Said) -
     store.frames("004-x-1", {"left": np.zeros((4, 5), np.uint8)}, {})
     (run / "frames" / "004-x-1" / "right.png.part").write_bytes(b"half a fra")
     store.close()
-    told = said(0, "store check {}", run).out
-    assert "note: frames/004-x-1/left.png belongs to no finished trial" in told
-    assert "note: frames/004-x-1/right.png.part belongs to no finished trial" in told
-    assert "The record is as it was written." in told
+    note = said(0, "store check {}", run).out
+    assert "note: frames/004-x-1/left.png belongs to no finished trial" in note
+    assert "note: frames/004-x-1/right.png.part belongs to no finished trial" in note
+    assert "The record is as it was written." in note
 
 
 def test_a_chain_made_anew_or_cut_off_differs_from_what_the_report_names(run: Path) -> None:

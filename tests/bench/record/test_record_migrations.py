@@ -118,14 +118,14 @@ def test_a_run_of_schema_3_is_whole_reported_and_exported(tmp_path: Path, said: 
 
 
 @pytest.mark.parametrize(
-    ("version", "told"),
+    ("version", "note"),
     [(SCHEMA_VERSION + 1, "A newer bench wrote it"), (0, "No bench has finished making it")],
 )
 def test_tables_that_this_bench_does_not_know_are_refused(
-    tmp_path: Path, version: int, told: str
+    tmp_path: Path, version: int, note: str
 ) -> None:
     run = old_run(tmp_path / "run", version, VERSION_2)
-    with pytest.raises(ConfigError, match=told):
+    with pytest.raises(ConfigError, match=note):
         read_run(run)
     with pytest.raises(ConfigError, match=f"schema {version}"):
         Store(run)
@@ -135,12 +135,12 @@ PAGE = (Path(__file__).resolve().parents[3] / "docs" / "record.md").read_text(en
 
 
 def test_every_table_and_its_times_are_told() -> None:
-    told = dict(re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", PAGE, re.MULTILINE))
+    note = dict(re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", PAGE, re.MULTILINE))
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as db:
         make_tables(db)
         there = columns(db)
-    assert set(told) == set(there)
-    for table, times in told.items():
+    assert set(note) == set(there)
+    for table, times in note.items():
         named = set(re.findall(r"`(t_s|wall_time|\w+_s)`", times))
         named -= {"captured_s"} if table == "detections" else set()
         assert named <= there[table]

@@ -79,7 +79,7 @@ class SpeechlessError(Exception):
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "text"),
     [
         (PanicException("index out of bounds"), "PanicException: index out of bounds"),
         (asyncio.CancelledError(), "CancelledError:"),
@@ -89,18 +89,18 @@ class SpeechlessError(Exception):
     ],
 )
 def test_whatever_it_raises_is_a_failure(
-    calibration: Calibration, error: BaseException, told: str
+    calibration: Calibration, error: BaseException, text: str
 ) -> None:
     def fails() -> Any:
         raise error
 
     answer = asked(fails, calibration)
     assert answer.outcome is Outcome.FAILED
-    assert str(answer.detection.reason).startswith(f"the detector failed: {told}")
+    assert str(answer.detection.reason).startswith(f"the detector failed: {text}")
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "text"),
     [
         (Detection(None), "the teats of its answer are a NoneType, not a tuple of Teat"),  # type: ignore[arg-type]
         (Detection(iter(())), "the teats of its answer are a tuple_iterator"),  # type: ignore[arg-type]
@@ -129,11 +129,11 @@ def test_whatever_it_raises_is_a_failure(
     ],
 )
 def test_values_that_are_no_answer_are_refused_in_a_sentence(
-    calibration: Calibration, given: Detection, told: str
+    calibration: Calibration, given: Detection, text: str
 ) -> None:
     answer = asked(lambda: given, calibration)
     assert (answer.outcome, answer.detection.teats) == (Outcome.FAILED, ())
-    assert told in str(answer.detection.reason)
+    assert text in str(answer.detection.reason)
 
 
 @pytest.mark.parametrize(
@@ -218,14 +218,14 @@ def test_no_words_of_a_program_and_no_name_stop_a_run(tmp_path: Path, said: Said
     page = (run / "report" / "index.html").read_text(encoding="utf-8")
     assert "Teats found by My.speaker_2" in page
     with sqlite3.connect(run / "run.sqlite") as database:
-        told = database.execute("select outcome, reason from detections order by trial").fetchall()
+        text = database.execute("select outcome, reason from detections order by trial").fetchall()
     database.close()
-    outcomes = " ".join(outcome for outcome, _ in told)
+    outcomes = " ".join(outcome for outcome, _ in text)
     assert outcomes == "answered answered failure failure answered"
-    assert told[0][1] == "half \ufffd a pair"
-    assert told[1][1] == "a\ufffdb\ufffd[31mred\ufffd"
-    assert "at most 1e+12 are taken" in told[2][1]
-    assert "lead to no point in space" in told[3][1]
+    assert text[0][1] == "half \ufffd a pair"
+    assert text[1][1] == "a\ufffdb\ufffd[31mred\ufffd"
+    assert "at most 1e+12 are taken" in text[2][1]
+    assert "lead to no point in space" in text[3][1]
 
 
 @pytest.mark.slow

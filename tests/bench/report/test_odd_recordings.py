@@ -56,14 +56,14 @@ def cells(said: str) -> dict[tuple[str, str], list[str]]:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "text"),
     [
         (lambda p: p[:1, :1], "the left picture is 1 x 1"),
         (lambda p: np.ascontiguousarray(p[::2, ::2]), "the left picture is 680 x 512"),
     ],
 )
 def test_frames_of_another_size_are_scored_as_nothing_found(
-    recording: Path, tmp_path: Path, said: Said, change: Callable[[Picture], Picture], told: str
+    recording: Path, tmp_path: Path, said: Said, change: Callable[[Picture], Picture], text: str
 ) -> None:
     odd = rewritten(recording, tmp_path / "odd", change)
     truth = odd / "truth.csv"
@@ -76,13 +76,13 @@ def test_frames_of_another_size_are_scored_as_nothing_found(
         assert table["one\\|other", name][5] == "none", "an answer with a reason is an answer"
     (run,) = (tmp_path / "runs").iterdir()
     page = (run / "report" / "index.html").read_text(encoding="utf-8")
-    assert f"{told}, the calibration is for 1360 x 1024" in page
+    assert f"{text}, the calibration is for 1360 x 1024" in page
 
 
 def answers(recording: Path, said: Said, *detectors: str) -> dict[tuple[str, str], Any]:
     named = [word for name in detectors for word in ("--detector", name)]
-    told = said(0, "detect {} --json {}", recording, named).out
-    lines = [json.loads(line) for line in told.splitlines()]
+    text = said(0, "detect {} --json {}", recording, named).out
+    lines = [json.loads(line) for line in text.splitlines()]
     return {
         (line["frame"], line["detector"]): (line["teats"], line["hidden"], line.get("reason"))
         for line in lines

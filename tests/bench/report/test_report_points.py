@@ -204,9 +204,9 @@ def test_a_pdf_needs_a_browser_that_prints(
     assert "no Chromium, Chrome or Edge was found" in capsys.readouterr().err
     monkeypatch.setenv("TEATBENCH_BROWSER", sys.executable)
     assert main(["report", str(folder)]) in DECIDED, "costs the PDF only"
-    told = capsys.readouterr()
-    assert "Report: " in told.out
-    assert re.search(r"no PDF: .*report\.pdf: .* ended with code 2 and printed nothing", told.err)
+    note = capsys.readouterr()
+    assert "Report: " in note.out
+    assert re.search(r"no PDF: .*report\.pdf: .* ended with code 2 and printed nothing", note.err)
     assert main(["report", str(folder), "--pdf"]) == 2
 
 

@@ -42,7 +42,7 @@ def two_teats(tmp_path: Path) -> RunRecord:
 Kind = TypeVar("Kind", Figure, Paragraph, Table)
 
 
-def told(parts: Sequence[Part], kind: type[Kind], start: str) -> Kind:
+def message(parts: Sequence[Part], kind: type[Kind], start: str) -> Kind:
     """The part of that kind whose caption or text begins so."""
     of_kind = [part for part in parts if isinstance(part, kind)]
     heads = [part.text if isinstance(part, Paragraph) else part.caption for part in of_kind]
@@ -52,7 +52,7 @@ def told(parts: Sequence[Part], kind: type[Kind], start: str) -> Kind:
 def table(parts: Sequence[Part], start: str) -> list[tuple[str, ...]]:
     return [
         tuple(cell.text if isinstance(cell, Cell) else cell for cell in row)
-        for row in told(parts, Table, start).rows
+        for row in message(parts, Table, start).rows
     ]
 
 
@@ -94,7 +94,7 @@ def test_each_teat_counts_its_poses_once(two_teats: RunRecord) -> None:
 @pytest.mark.slow
 def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: RunRecord) -> None:
     parts = spread(two_teats)
-    drawn = told(parts, Figure, "Errors with their 95 % ellipsoids")
+    drawn = message(parts, Figure, "Errors with their 95 % ellipsoids")
     texts = re.findall(r"<text[^>]*>([^<]*)</text>", drawn.svg)
     said = {"teat 1, n = 12", "teat 2, n = 4 (too few)", "world x error (mm)"}
     assert said | {"camera z, depth error (mm)"} <= set(texts)
@@ -115,13 +115,13 @@ def test_too_many_teats_are_one_cloud(two_teats: RunRecord) -> None:
     ends = ENDS[0] + 40.0 * np.arange(7)[:, None]
     many = [trial(k, f"p{k}", 1, ends, ends + 0.1) for k in range(1, 7)]
     parts = spread(record(two_teats.folder, many))
-    drawn = told(parts, Figure, "Errors with their 95 % ellipsoids")
+    drawn = message(parts, Figure, "Errors with their 95 % ellipsoids")
     assert drawn.alt == "Errors with 95 % ellipsoids by teat. 7 teats: 42 poses."
 
 
 def test_the_map_has_a_panel_a_teat_and_counts_the_missed(two_teats: RunRecord) -> None:
     parts = list(pose_parts(two_teats, 5.0, anchors(two_teats)))
-    drawn = told(parts, Figure, "Error over the plane")
+    drawn = message(parts, Figure, "Error over the plane")
     places = pose_places(error_rows(two_teats, "fused"))
     beyond = sum(place.worst_mm is not None and place.worst_mm > 5.0 for place in places)
     assert drawn.alt == f"24 places: {16 - beyond} within 5 mm, {beyond} beyond, 8 not found"
@@ -133,7 +133,7 @@ def test_the_map_has_a_panel_a_teat_and_counts_the_missed(two_teats: RunRecord) 
     assert titles == ["teat 1", "12 found, 0 missed", "teat 2", "4 found, 8 missed"]
     few = replace(two_teats, trials=two_teats.trials[:9])
     parts = list(pose_parts(few, 5.0, anchors(few)))
-    text = told(parts, Paragraph, "Error over the places, fused").text
+    text = message(parts, Paragraph, "Error over the places, fused").text
     assert text.endswith("6 places of a teat are no map; 9 are the least.")
 
 
@@ -172,16 +172,16 @@ def test_a_trend_with_tilt_is_shown_with_its_slope_and_interval() -> None:
     assert rows["any error", "bath temperature (K)"][-1] == "not measured: it hardly varied"
     names = {"x (mm)", "y (mm)", "z (mm)", "time (h)", "tilt of the teat (°)"}
     assert {name for _, name in rows} >= names
-    drawn = told(parts, Figure, "What each trend makes")
+    drawn = message(parts, Figure, "What each trend makes")
     assert "z error with tilt of the teat" in drawn.caption
 
 
 def test_no_trend_shown_says_what_may_still_hide() -> None:
     parts = list(trend_parts(tilted(8, 0.0), "fused"))
-    part = told(parts, Table, "Trends of the error")
+    part = message(parts, Table, "Trends of the error")
     assert "“No trend shown” doesn't say that there is none" in part.note
     assert "could be up to" in part.note
-    assert told(parts, Figure, "What each trend makes").caption.endswith("No trend is shown.")
+    assert message(parts, Figure, "What each trend makes").caption.endswith("No trend is shown.")
 
 
 def test_trends_of_few_poses_and_unknown_tilts_are_not_measured() -> None:
@@ -222,8 +222,8 @@ def test_a_truth_without_a_stated_uncertainty_accepts_no_axis(two_teats: RunReco
     parts = list(accuracy_tables(replace(two_teats, trials=unstated), "fused", 50.0, np.eye(3)))
     assert {row[-1] for row in table(parts, "Errors along each axis, detector")} == {"between"}
     expected = "nothing can be accepted and 50.000 mm or more refused"
-    assert expected in (told(parts, Table, "Errors along each axis, detector").note)
-    assert "noise" not in told(parts, Table, "Distance to the teat end").note
+    assert expected in (message(parts, Table, "Errors along each axis, detector").note)
+    assert "noise" not in message(parts, Table, "Distance to the teat end").note
 
 
 def test_rates_stand_for_each_situation_with_their_intervals(two_teats: RunRecord) -> None:
@@ -267,11 +267,11 @@ def test_repeats_give_iso_9283_and_iso_5725(tmp_path: Path, teats: int, distance
 
 def test_few_repeats_say_what_is_missing(tmp_path: Path, two_teats: RunRecord) -> None:
     parts = list(precision_parts(two_teats, "fused"))
-    text = told(parts, Paragraph, "AP, RP, AD and RD").text
+    text = message(parts, Paragraph, "AP, RP, AD and RD").text
     assert "of one teat at one pose there are 3 finds at most, and 10 are the least" in text
     single = list(precision_parts(replace(two_teats, trials=two_teats.trials[::3]), "fused"))
     expected = "no teat was found twice at one pose"
-    assert expected in (told(single, Paragraph, "Repeatability and reproducibility").text)
+    assert expected in (message(single, Paragraph, "Repeatability and reproducibility").text)
 
 
 def test_the_truth_s_own_gage_study_is_told(tmp_path: Path) -> None:

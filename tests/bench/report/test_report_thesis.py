@@ -181,7 +181,7 @@ def test_the_plane_s_figures_are_those_of_its_places(plane: RunRecord) -> None:
     average_mm = places.average_mm(places.within(100.0, 100.0))
     assert average_mm == pytest.approx((9 * 2.0 + 15 * 9.0) / 24)
     assert places.average_mm(places.within(50.0, 50.0)) == pytest.approx(2.0)
-    assert places.told(places.within(50.0, 50.0)) == "2.00 mm (9 of 9 found)"
+    assert places.sentence(places.within(50.0, 50.0)) == "2.00 mm (9 of 9 found)"
     # with six more places, 9 mm off: (9 * 2 + 6 * 9) / 15 = 4.8
     assert largest_region_mm(places, 5.0) == (75.0, 100.0)
     assert largest_region_mm(places, 4.0) == (75.0, 75.0)

@@ -211,8 +211,8 @@ def test_stages_are_kept_points_in_the_record_and_masks_as_pictures(
 def test_stages_that_the_record_cannot_hold_are_left_out_with_a_word(
     calibration: Calibration,
 ) -> None:
-    told = examine(Scripted(answered(reason="dark\n and   cold")), FRAMES, calibration)
-    assert told.detection.reason == "dark and cold"
+    text = examine(Scripted(answered(reason="dark\n and   cold")), FRAMES, calibration)
+    assert text.detection.reason == "dark and cold"
     good, up = (Stage(name, {"p": np.zeros(2)}) for name in ("fine", "../up"))
     bad = (up, Stage("things", {"p": np.array([object()])}), "no stage")
     answer = examine(Scripted(answered(reason="dark", trace=(good, *bad))), FRAMES, calibration)

@@ -195,10 +195,10 @@ def test_a_comparison_of_two_runs_tells_how_well_their_truths_agree(tmp_path: Pa
     runs = [set_ups(tmp_path / name, repeats=1) for name in ("old", "new")]
     old, new = (Side(run, "fused") for run in runs)
     of_truth = "The truth itself"
-    (told,) = [note for note in notes(compare_sides(old, new)) if note.startswith(of_truth)]
-    assert "40 ends touched 3 times in each run" in told
-    assert "reproducibility 0.000, 0.000, 0.000 mm" in told
-    assert "of the tolerance of 10 mm" in told
+    (text,) = [note for note in notes(compare_sides(old, new)) if note.startswith(of_truth)]
+    assert "40 ends touched 3 times in each run" in text
+    assert "reproducibility 0.000, 0.000, 0.000 mm" in text
+    assert "of the tolerance of 10 mm" in text
     assert not [note for note in notes(compare_sides(old, old)) if note.startswith(of_truth)]
 
 

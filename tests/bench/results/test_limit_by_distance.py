@@ -64,7 +64,7 @@ def test_a_calibration_that_states_nothing_says_so(rig: Calibration) -> None:
 
 
 class TestRecord:
-    def told(self, calibration: Calibration, *, emulated: bool) -> str:
+    def text(self, calibration: Calibration, *, emulated: bool) -> str:
         facts = {
             CALIBRATION_FACT: calibration_fact(calibration, date(2026, 11, 20), emulated=emulated)
         }
@@ -72,13 +72,13 @@ class TestRecord:
 
     def test_it_states_the_age_and_who_made_it_from_what(self, rig: Calibration) -> None:
         record = Record("2026-11-01", "A. Tester", "teatbench 0.1", {"left": "SN 1"}, {})
-        said = self.told(replace(rig, record=record), emulated=False)
+        said = self.text(replace(rig, record=record), emulated=False)
         for words in ("2026-11-01", "19 days on the day of the run", "A. Tester", "SN 1"):
             assert words in said
 
     def test_one_without_a_record_is_no_better_than_unknown(self, rig: Calibration) -> None:
-        assert "Its age is not known." in self.told(rig, emulated=False)
-        assert "The emulated cameras are made from it." in self.told(rig, emulated=True)
+        assert "Its age is not known." in self.text(rig, emulated=False)
+        assert "The emulated cameras are made from it." in self.text(rig, emulated=True)
 
     def test_a_run_that_kept_nothing_of_it_says_nothing(self) -> None:
         assert tuple(record_parts(cast("RunRecord", SimpleNamespace(facts={})))) == ()

@@ -22,7 +22,7 @@ import pytest
 from bench.record.reader import RunRecord, read_run
 from bench.report.page import stored_rules
 from bench.report.tables import score_table
-from bench.results.verdicts import Latency, failures_told, judge, latency_of
+from bench.results.verdicts import Latency, failures_text, judge, latency_of
 from bench.scoring.decisions import Verdict
 from tests.bench.commands import Said, teatbench, words
 from tests.bench.small_recording import ENDS_MM, write_recording
@@ -104,7 +104,7 @@ def test_latency_leaves_first_calls_and_failures_out(scored: Scored) -> None:
     thesis = latency_of(scored.run, "thesis")
     assert (len(thesis.seconds), len(thesis.cold_s), thesis.start_up_s) == (4, 1, None)
     assert latency_of(scored.run, "nobody") == Latency()
-    assert (Latency().median_s, Latency().p99_s, failures_told(Latency())) == (None, None, "none")
+    assert (Latency().median_s, Latency().p99_s, failures_text(Latency())) == (None, None, "none")
     of_mine, _ = judge(scored.run, stored_rules(scored.run.folder))
     assert {d.n for d in of_mine.decisions if d.unit == "s"} == {2}
 
@@ -131,8 +131,8 @@ def test_the_table_says_it_all(scored: Scored) -> None:
 
 def test_the_report_and_the_exports_say_it_too(scored: Scored, tmp_path: Path) -> None:
     page = (scored.run.folder / "report" / "index.html").read_text(encoding="utf-8")
-    for told in ("mine wrote to its standard error: no cheese", "1 failure", "stand apart"):
-        assert told in page
+    for note in ("mine wrote to its standard error: no cheese", "1 failure", "stand apart"):
+        assert note in page
     with (scored.run.folder / "report" / "trials.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["detector"] == "mine"]
     assert [row["outcome"] for row in rows].count("failure") == 1
@@ -146,15 +146,15 @@ def test_the_report_and_the_exports_say_it_too(scored: Scored, tmp_path: Path) -
 def test_without_truth_there_is_no_table(recording: Path, tmp_path: Path, said: Said) -> None:
     bare = Path(shutil.copytree(recording, tmp_path / "bare"))
     (bare / "truth.csv").unlink()
-    told = said(4, SCORE, bare, tmp_path / "runs").out
-    assert "There is no truth, so nothing was scored." in told
+    note = said(4, SCORE, bare, tmp_path / "runs").out
+    assert "There is no truth, so nothing was scored." in note
 
 
 def test_detect_tells_outcomes_and_first_calls(recording: Path, tmp_path: Path, said: Said) -> None:
     (tmp_path / "program.py").write_text(PROGRAM, encoding="utf-8")
     command = f"exec:{sys.executable} {tmp_path / 'program.py'}"
-    told = said(0, "detect {} --json --detector {}", recording, command).out
-    lines = [json.loads(line) for line in told.strip().splitlines()]
+    note = said(0, "detect {} --json --detector {}", recording, command).out
+    lines = [json.loads(line) for line in note.strip().splitlines()]
     assert [line["detector"] for line in lines] == ["exec-program"] * 5
     assert [line.get("outcome") for line in lines] == [None, None, "failure", None, None]
     assert [line.get("cold", False) for line in lines] == [True, False, False, True, False]
@@ -167,13 +167,13 @@ def test_a_detector_that_crashes_is_no_bad_detector(
     (tmp_path / "crasher.py").write_text(program, encoding="utf-8")
     command = f"exec:{sys.executable} {tmp_path / 'crasher.py'}"
     runs = tmp_path / "runs"
-    told = " ".join(said(4, f"{SCORE} --detector {{}}", recording, runs, command).out.split())
+    note = " ".join(said(4, f"{SCORE} --detector {{}}", recording, runs, command).out.split())
     why = "the detector failed: it ended with exit code 1 before it was ready."
     last = 'it is switched off for the rest of the run. Its last words: "cannot find model.bin".'
-    assert f"exec-crasher did not answer on 5 of 5 frame sets: {why}" in told
-    assert last in told
-    assert "First find out why the detector did not answer" in told
-    assert "has to become better" not in told
+    assert f"exec-crasher did not answer on 5 of 5 frame sets: {why}" in note
+    assert last in note
+    assert "First find out why the detector did not answer" in note
+    assert "has to become better" not in note
     (run,) = runs.iterdir()
     (judgement,) = judge(read_run(run), stored_rules(run))
     assert {decision.verdict for decision in judgement.decisions} == {Verdict.NOT_MEASURED}
@@ -187,9 +187,9 @@ def test_nothing_is_met_by_silence(recording: Path, tmp_path: Path, said: Said) 
     (tmp_path / "mine.toml").write_text(command, encoding="utf-8")
     (tmp_path / "mine.py").write_text(silent_once, encoding="utf-8")
     runs, mine = tmp_path / "runs", tmp_path / "mine.toml"
-    told = " ".join(said(4, f"{SCORE} --detector {{}}", recording, runs, mine).out.split())
+    note = " ".join(said(4, f"{SCORE} --detector {{}}", recording, runs, mine).out.split())
     why = 'the detector failed: it ended with exit code 9. Its last words: "no cheese".'
-    assert f"mine did not answer on 1 of 5 frame sets: {why}" in told
+    assert f"mine did not answer on 1 of 5 frame sets: {why}" in note
     (run,) = runs.iterdir()
     (judgement,) = judge(read_run(run), stored_rules(run))
     (false,) = (decision for decision in judgement.decisions if "false" in decision.name)

@@ -66,8 +66,8 @@ def test_what_is_found_false_and_missing_is_counted_against_the_truth() -> None:
     assert none.tallies["knowing"].distances_mm == pytest.approx([0.5] * 3)
     assert (none.tallies["knowing"].false, none.tallies["knowing"].failures) == (1, 0)
     assert none.tallies["failing"] == Tally((), 0, 1)
-    assert right.told[0].left == bench.rig.calibration.left
-    assert right.told[1].left != bench.rig.calibration.left
+    assert right.note[0].left == bench.rig.calibration.left
+    assert right.note[1].left != bench.rig.calibration.left
     assert none.limit is not None
     assert half.limit is not None
     assert none.limit.p95_mm < 0.1 < half.limit.median_mm
@@ -172,7 +172,7 @@ class Knowing:
     error_mm: float = 0.0
     breaks: bool = False
     name: str = "knowing"
-    told: list[Calibration] = field(default_factory=list)
+    note: list[Calibration] = field(default_factory=list)
 
     version = "7"
 
@@ -182,7 +182,7 @@ class Knowing:
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
         assert frames.left.shape == (1024, 1360)
-        self.told.append(calibration)
+        self.note.append(calibration)
         if self.breaks:
             raise RuntimeError("no")
         return Detection(

@@ -147,8 +147,8 @@ def test_a_machine_that_was_too_busy_is_told_where_times_count(
     sentences = {name: d.sentence for name, d in decided(run).items()}
     timely = TimeRequirement | SuccessRequirement
     of_time = {rule.name for rule in RULES.requirements if isinstance(rule, timely)}
-    told = {name for name, said in sentences.items() if "THE MACHINE WAS TOO BUSY" in said}
-    assert told == (of_time if why else set())
+    note = {name for name, said in sentences.items() if "THE MACHINE WAS TOO BUSY" in said}
+    assert note == (of_time if why else set())
     assert all(why in sentences[name] for name in of_time)
     page = [part.text for part in _latency_parts(run, RULES) if isinstance(part, Paragraph)]
     assert [why in text for text in page] == ([True] if why else [])

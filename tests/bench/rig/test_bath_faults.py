@@ -148,8 +148,8 @@ def test_a_sensor_break_is_an_alarm_where_the_last_value_stays(
     tmp_path: Path, profile: str
 ) -> None:
     with running(tmp_path, profile, "sensor break") as (_, bath):
-        told = bath.profile.alarm_text(bath.read().alarm)
-        assert "sensor" in told or "open" in told
+        note = bath.profile.alarm_text(bath.read().alarm)
+        assert "sensor" in note or "open" in note
 
 
 @pytest.mark.slow

@@ -72,8 +72,8 @@ def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path
 def test_a_pump_that_is_not_fitted_is_told_and_not_pretended(tmp_path: Path) -> None:
     path = rig_of(tmp_path, "eurotherm-3200")
     record = run(path, tmp_path, {0, 1, 3, 4})
-    told = "not fitted to the controller: nothing here proves that the water goes round"
-    assert record.facts["pump"] == told
+    text = "not fitted to the controller: nothing here proves that the water goes round"
+    assert record.facts["pump"] == text
     with EmulatedRig(load_rig(path), VirtualClock(), seed=1) as twin:
         assert twin.pump is None
         assert "pump" not in twin.urls

@@ -78,7 +78,7 @@ def rig_of(folder: Path, cameras: str) -> LoadedRig:
 
 def test_every_key_reaches_its_camera(tmp_path: Path) -> None:
     cameras = rig_of(tmp_path, TABLES).rig.cameras
-    assert cameras.told == "left genicam:SERIAL, right opencv:http://127.0.0.1:8080/right.mjpg"
+    assert cameras.note == "left genicam:SERIAL, right opencv:http://127.0.0.1:8080/right.mjpg"
     left, right = cameras.tables["left"], cameras.tables["right"]
     features: dict[str, bool | int | float | str] = {
         "GevSCPD": 1000,
@@ -184,7 +184,7 @@ def test_addresses_of_one_camera(url: str) -> None:
     "url", ["opencv:0,1,2", "opencv:http://h/l,http://h/r", "recording:folder"]
 )
 def test_all_cameras_by_one_url(tmp_path: Path, url: str) -> None:
-    assert rig_of(tmp_path, f'[cameras]\nurl = "{url}"\n').rig.cameras.told == url
+    assert rig_of(tmp_path, f'[cameras]\nurl = "{url}"\n').rig.cameras.note == url
 
 
 RIG = """

@@ -70,17 +70,17 @@ def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
     assert [row["reason"] for row in record.skipped] == ["the hose came off"]
 
 
-def safe(told: str, tmp_path: Path) -> None:
+def safe(note: str, tmp_path: Path) -> None:
     """The run was aborted, for the reason that was ``told``, and the bath was made safe."""
     record = run_of(tmp_path)
     assert record.ending == "aborted"
-    assert any(told in text for text in texts(record, "aborted"))
+    assert any(note in text for text in texts(record, "aborted"))
     assert any("bath" in text for text in texts(record, "safe"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("key", "told", "prompt"),
+    ("key", "note", "prompt"),
     [
         ("a\n", "the operator aborted the run", ""),
         ("\x04", "nobody is at the terminal", ""),
@@ -88,7 +88,7 @@ def safe(told: str, tmp_path: Path) -> None:
     ],
     ids=["its key", "Ctrl-D", "Ctrl-C amid a trial"],
 )
-def test_an_abort_ends_the_run_in_safe(key: str, told: str, prompt: str, tmp_path: Path) -> None:
+def test_an_abort_ends_the_run_in_safe(key: str, note: str, prompt: str, tmp_path: Path) -> None:
     with started(tmp_path) as terminal:
         if prompt:
             answer(terminal, "on its peg")
@@ -97,7 +97,7 @@ def test_an_abort_ends_the_run_in_safe(key: str, told: str, prompt: str, tmp_pat
         terminal.press(key)
         assert terminal.code() == 3
     assert "Traceback" not in terminal.text
-    safe(told, tmp_path)
+    safe(note, tmp_path)
 
 
 @pytest.mark.slow

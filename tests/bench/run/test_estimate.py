@@ -16,10 +16,10 @@ from bench.run.estimate import (
     ASSUMED,
     FILE,
     estimate,
+    estimate_text,
     figures,
     needs,
     read_learnt,
-    told,
     took,
     write_learnt,
 )
@@ -123,5 +123,5 @@ def test_needs_by_hand() -> None:
         "the first, before every 26th further one, and the last"
     )
     took_20_min = "It took 20 min of the bench's time; 72 min were expected."
-    assert told(usual, {"total_s": 1200.0}) == took_20_min
+    assert estimate_text(usual, {"total_s": 1200.0}) == took_20_min
     assert set(ASSUMED) >= {"heating", "touch", "set-up", "placing"}

@@ -65,33 +65,33 @@ WAYS = {
 
 
 def in_state(state: RunState) -> tuple[RunStates, list[RunState]]:
-    told: list[RunState] = []
-    states = RunStates(told.append, lambda: 0.0)
+    note: list[RunState] = []
+    states = RunStates(note.append, lambda: 0.0)
     for one in WAYS[state]:
         states.to(one)
-    told.clear()
-    return states, told
+    note.clear()
+    return states, note
 
 
 @pytest.mark.parametrize(
     ("before", "after"), [pair for pair in product(RunState, RunState) if pair[0] is not pair[1]]
 )
 def test_every_pair(before: RunState, after: RunState) -> None:
-    states, told = in_state(before)
+    states, note = in_state(before)
     if after.value in MAY_FOLLOW[before.value].split():
         states.to(after)
-        assert (states.current, told) == (after, [after])
+        assert (states.current, note) == (after, [after])
     else:
         with pytest.raises(ValueError, match=f"a run that is {before} can't be {after} next"):
             states.to(after)
-        assert (states.current, told) == (before, [])
+        assert (states.current, note) == (before, [])
 
 
 @pytest.mark.parametrize("state", RunState)
 def test_staying_is_no_change(state: RunState) -> None:
-    states, told = in_state(state)
+    states, note = in_state(state)
     states.to(state)
-    assert (states.current, told) == (state, [])
+    assert (states.current, note) == (state, [])
 
 
 def test_whatever_happens_there_is_a_way_to_safe_and_from_there_to_an_end() -> None:
@@ -116,10 +116,10 @@ def test_time_away_is_counted_and_only_that() -> None:
 
 
 def test_a_pause_goes_back_to_where_it_was_and_stays_where_it_is_given_up() -> None:
-    states, told = in_state(S.RUNNING)
+    states, note = in_state(S.RUNNING)
     with states.during(S.PAUSED):
         assert states.current is S.PAUSED
-    assert told == [S.PAUSED, S.RUNNING]
+    assert note == [S.PAUSED, S.RUNNING]
     with pytest.raises(OSError, match="gone"), states.during(S.PAUSED):
         raise OSError("gone")
     assert states.current is S.PAUSED
@@ -199,11 +199,11 @@ def test_a_screen_that_fails_ends_neither_the_run_nor_the_lines(
         screen = Gone(error, after=3)
         assert start(tmp_path, progress=Events(screen, lines))[1] is Ending.FINISHED
     assert screen.tried == 4, "once it has failed it is left alone"
-    told = list(map(json.loads, path.read_bytes().splitlines()))
-    trials = [line["name"] for line in told if line["what"] == "trial"]
+    note = list(map(json.loads, path.read_bytes().splitlines()))
+    trials = [line["name"] for line in note if line["what"] == "trial"]
     assert trials == ["place-1", "place-2", "place-3", ""]
     why = [f"the screen shows nothing any more: {type(error).__name__}: {error}"]
-    assert [line["text"] for line in told if line["what"] == "warning"] == why
+    assert [line["text"] for line in note if line["what"] == "warning"] == why
     assert texts(run_of(tmp_path), "not shown") == why
 
 
@@ -259,9 +259,9 @@ def test_a_line_that_cannot_be_made_is_no_trouble_of_the_baths() -> None:
 
 
 def test_what_a_person_has_to_see_is_tried_again_all_the_same() -> None:
-    told: list[str] = []
+    note: list[str] = []
     screen = Gone(OSError("the terminal is busy"))
-    shown = SafeProgress(screen, told.append)
+    shown = SafeProgress(screen, note.append)
     shown.state("moving")
     shown.state("capturing")
     shown.warn("NOT SAFE")
@@ -270,7 +270,7 @@ def test_what_a_person_has_to_see_is_tried_again_all_the_same() -> None:
     screen.__init__(OSError(), after=9)  # type: ignore[misc]
     shown.warn("NOT SAFE: bath")
     assert screen.warned == ["NOT SAFE: bath"]
-    assert told == ["the screen shows nothing any more: OSError: the terminal is busy"]
+    assert note == ["the screen shows nothing any more: OSError: the terminal is busy"]
 
 
 def test_what_is_asked_amid_a_question_is_not_swallowed() -> None:
@@ -309,8 +309,8 @@ def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     with event_lines(path) as lines:
         assert start(tmp_path, progress=Events(Silent(), lines))[1] is Ending.FAULTED
-    told = map(json.loads, path.read_bytes().splitlines())
-    (trip,) = [line["text"] for line in told if line.get("kind") == "trip"]
+    note = map(json.loads, path.read_bytes().splitlines())
+    (trip,) = [line["text"] for line in note if line.get("kind") == "trip"]
     assert trip.startswith("interlock controller alarm")
     assert trip in [event["text"] for event in run_of(tmp_path).events]
 

@@ -286,10 +286,10 @@ def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) 
     dead = fault("bath", "dead heater", 855.0, 105.0).replace("prompt_s = 5.0", "prompt_s = 120.0")
     code, record = run(files(tmp_path, script=NARROW, emulation=dead), tmp_path)
     assert (code, record.ending, len(record.trials)) == (0, "finished", 3)
-    told = texts(record, "suspended")[0]
-    assert "the bath left its band" in told
+    note = texts(record, "suspended")[0]
+    assert "the bath left its band" in note
     (late,) = [trial for trial in record.trials if trial.head["note"]]
-    assert late.id == told.split(":")[0]
+    assert late.id == note.split(":")[0]
     assert str(late.head["note"]).startswith("suspended for ")
     assert all(trial.head["bath_state"] == "stable" for trial in record.trials), (
         "nothing was taken while it was out"
@@ -428,14 +428,14 @@ def test_a_wish_left_in_the_folder_is_taken_once(tmp_path: Path) -> None:
 
 
 def test_what_was_left_for_a_bench_that_died_counts_no_more(tmp_path: Path) -> None:
-    told: list[str] = []
+    note: list[str] = []
     leave_wish(tmp_path, "abort")
-    wishes = Requests(tmp_path, lambda: None, told.append)
+    wishes = Requests(tmp_path, lambda: None, note.append)
     wishes.forget()
     wishes.look()
-    assert told == ["Nobody took this in the last session, and it counts no more: abort"]
+    assert note == ["Nobody took this in the last session, and it counts no more: abort"]
     wishes.forget()
-    assert len(told) == 1
+    assert len(note) == 1
 
 
 def test_words() -> None:
@@ -445,13 +445,13 @@ def test_words() -> None:
 
 @pytest.mark.slow
 def test_words_that_mean_nothing_are_told_and_change_nothing(tmp_path: Path, said: Said) -> None:
-    told: list[str] = []
+    note: list[str] = []
     lines = ["hallo", "skip"]
-    wishes = Requests(tmp_path, lambda: lines.pop(0), told.append)
+    wishes = Requests(tmp_path, lambda: lines.pop(0), note.append)
     wishes.look()
     wishes.look()
-    assert told[0].startswith("not understood: 'hallo'. There are: pause, go on")
-    assert told[1].startswith("skip needs a reason")
+    assert note[0].startswith("not understood: 'hallo'. There are: pause, go on")
+    assert note[1].startswith("skip needs a reason")
     with pytest.raises(ConfigError, match="repeat needs a reason"):
         leave_wish(tmp_path, "repeat")
     ended = run_with(Person("", []), tmp_path).folder

@@ -50,22 +50,22 @@ def refused(path: Path, why: str, error: type[Exception] = RigInUseError) -> Non
 
 def taken_over(path: Path) -> list[str]:
     """What is told when the lock is taken and given back."""
-    told = list[str]()
-    with locked(path, "x", told.append):
+    note = list[str]()
+    with locked(path, "x", note.append):
         pass
-    return told
+    return note
 
 
 def test_the_second_bench_is_told_who_has_the_rig_and_gets_it_when_that_one_ends(
     tmp_path: Path,
 ) -> None:
-    path, told = tmp_path / "lab.lock.json", list[str]()
+    path, note = tmp_path / "lab.lock.json", list[str]()
     first = holder(path)
     refused(path, rf"another bench has it: pid {first.pid}, host {platform.node()}.*runs/here")
     first.communicate("\n", 60)
-    with locked(path, "x", told.append):
+    with locked(path, "x", note.append):
         assert json.loads(path.read_text(encoding="utf-8"))["pid"] == os.getpid()
-    assert told == [], "it was given back in order"
+    assert note == [], "it was given back in order"
     assert path.read_bytes() == b""
 
 
@@ -74,8 +74,8 @@ def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_told(tmp_
     first = holder(path)
     first.kill()
     first.communicate(timeout=60)
-    (told,) = taken_over(path)
-    assert f"the lock of a bench that died (pid {first.pid}" in told
+    (note,) = taken_over(path)
+    assert f"the lock of a bench that died (pid {first.pid}" in note
 
 
 def test_a_lock_of_another_machine_is_believed(tmp_path: Path) -> None:

@@ -83,8 +83,8 @@ def test_a_full_disk_ends_safely_and_the_run_goes_on_where_there_is_room_again(
     run = read_run(only_run(tmp_path, "runs"))
     assert run.ending in ("faulted", "interrupted")
     kept = [trial.id for trial in run.trials]
-    told = [text for text in progress.warned if "the record could not be written" in text]
-    assert any("teatbench resume" in text for text in told)
+    note = [text for text in progress.warned if "the record could not be written" in text]
+    assert any("teatbench resume" in text for text in note)
     assert resume(tmp_path, "runs")[1] is Ending.FINISHED
     whole = read_run(only_run(tmp_path, "runs"))
     assert [trial.id for trial in whole.trials][: len(kept)] == kept
@@ -174,9 +174,9 @@ def test_a_folder_that_is_gone_is_told_by_the_command(
         return own(store, *given, **more)
 
     monkeypatch.setattr(Store, "frames", gone)
-    told = said(3, "{}", files(tmp_path)).err
-    assert "was deleted, moved or replaced" in told
-    assert "disk full" not in told
+    note = said(3, "{}", files(tmp_path)).err
+    assert "was deleted, moved or replaced" in note
+    assert "disk full" not in note
     run = read_run(only_run(tmp_path, "runs"))
     assert run.ending == "faulted"
     assert any(event["kind"] == "safe" or "standby" in event["text"] for event in run.events)
@@ -207,8 +207,8 @@ def test_a_clock_that_is_set_amid_a_run_is_noted_and_changes_nothing_else(
     folder, ending = start(tmp_path)
     run = read_run(folder)
     assert (ending, len(run.trials)) == (Ending.FINISHED, 3)
-    (told,) = texts(run, "clock")
-    assert told.startswith(f"the computer's clock was set {by_s:+.0f} s")
+    (note,) = texts(run, "clock")
+    assert note.startswith(f"the computer's clock was set {by_s:+.0f} s")
     times = [event["t_s"] for event in run.events if event["t_s"] is not None]
     assert times == sorted(times), "the bench's own time goes on"
 
@@ -224,9 +224,9 @@ def test_a_busy_computer_is_no_clock_that_is_set(
     def late() -> datetime:
         nonlocal asleep_s, looks
         looks += 1
-        told = datetime.now(UTC) + timedelta(seconds=asleep_s)
+        note = datetime.now(UTC) + timedelta(seconds=asleep_s)
         asleep_s += 20.0 if looks == 11 else 0.0  # the first of an event: its look at both clocks
-        return told
+        return note
 
     monkeypatch.setattr("bench.run.context.wall_time", late)
     monkeypatch.setattr("bench.run.context.stopwatch_s", lambda: stopwatch_s() + asleep_s)

@@ -173,11 +173,11 @@ def test_a_run_that_is_under_way_is_left_alone(undisturbed: tuple[Path, int]) ->
     before = read_run(run)
     with locked(run_lock(run), "somebody", print):
         command = [sys.executable, "-m", "bench.cli", "resume", str(run)]
-        told = subprocess.run(
+        note = subprocess.run(
             command, capture_output=True, text=True, cwd=ROOT, timeout=60, check=False
         )
-    assert told.returncode == 3
-    assert "run: another bench has it" in told.stderr
+    assert note.returncode == 3
+    assert "run: another bench has it" in note.stderr
     assert read_run(run).facts == before.facts
 
 
@@ -382,8 +382,8 @@ def test_frames_of_another_run_are_left_alone_and_the_run_goes_on_without(touche
     (path / "frames" / "001-another-1").mkdir(parents=True)
     (path / "frames" / "001-another-1" / "left.png").write_bytes(b"precious")
     assert resume(touched, "another", progress)[1] is Ending.FINISHED
-    told = "has frames of another run, 001-another-1 for one. The run goes on without a recording."
-    assert [told in text for text in progress.warned] == [True]
+    note = "has frames of another run, 001-another-1 for one. The run goes on without a recording."
+    assert [note in text for text in progress.warned] == [True]
     assert content(path) == {"frames/001-another-1/left.png": b"precious"}
 
 
@@ -397,9 +397,9 @@ def test_a_recording_that_cannot_be_written_is_told_once_and_ends_no_run(
     monkeypatch.setattr(RecordingWriter, "add_truth", full)
     progress = Silent()
     assert record(tmp_path, "runs", progress) is Ending.FINISHED
-    told = [text for text in progress.warned if "the recording in" in text]
-    assert len(told) == 1
-    assert "ends here: [Errno 28] No space left on device. The run goes on" in told[0]
+    note = [text for text in progress.warned if "the recording in" in text]
+    assert len(note) == 1
+    assert "ends here: [Errno 28] No space left on device. The run goes on" in note[0]
     assert len(read_run(only_run(tmp_path, "runs")).trials) == 2
     assert len(Recording(recording(tmp_path, "runs")).frames) == 1
 

@@ -62,16 +62,16 @@ class Context:
 
 
 @pytest.fixture
-def told(tmp_path: Path) -> Iterator[Context]:
+def note(tmp_path: Path) -> Iterator[Context]:
     context = Context(tmp_path)
     with closing(context.store):
         yield context
 
 
 def attempts(
-    told: Context, once: Callable[[PlannedTrial], None], each_s: float | None = None
+    note: Context, once: Callable[[PlannedTrial], None], each_s: float | None = None
 ) -> Attempts:
-    return Attempts(cast(RunContext, told), once, each_s=each_s)
+    return Attempts(cast(RunContext, note), once, each_s=each_s)
 
 
 @pytest.mark.parametrize(
@@ -83,44 +83,44 @@ def attempts(
     ids=["the first waits for the bath to heat up", "until then by what was expected"],
 )
 def test_the_time_left_is_told_from_the_third_trial_on(
-    takes_s: list[float], expected_s: float | None, left_s: list[float | None], told: Context
+    takes_s: list[float], expected_s: float | None, left_s: list[float | None], note: Context
 ) -> None:
     takes = iter(takes_s)
-    all_of = attempts(told, lambda _: told.clock.sleep(next(takes)), expected_s)
+    all_of = attempts(note, lambda _: note.clock.sleep(next(takes)), expected_s)
     for trial in PLANNED:
         all_of.run(trial)
-    assert told.trials == [(number, 5, left) for number, left in enumerate(left_s, 1)]
+    assert note.trials == [(number, 5, left) for number, left in enumerate(left_s, 1)]
 
 
-def test_time_that_was_no_work_is_kept_out_of_the_time_left(told: Context) -> None:
+def test_time_that_was_no_work_is_kept_out_of_the_time_left(note: Context) -> None:
     """A pause, or a suspension: it says nothing of the trials to come."""
 
     def once(_: PlannedTrial) -> None:
-        told.clock.sleep(60.0)
-        told.clock.sleep(1000.0)
-        told.states.away_s += 1000.0
+        note.clock.sleep(60.0)
+        note.clock.sleep(1000.0)
+        note.states.away_s += 1000.0
 
-    all_of = attempts(told, once)
+    all_of = attempts(note, once)
     for trial in PLANNED:
         all_of.run(trial)
-    assert [left_s for _, _, left_s in told.trials[2:]] == [180.0, 120.0, 60.0]
+    assert [left_s for _, _, left_s in note.trials[2:]] == [180.0, 120.0, 60.0]
 
 
-def test_again_and_again_until_it_is_done(told: Context) -> None:
+def test_again_and_again_until_it_is_done(note: Context) -> None:
     wishes: list[Exception | None] = [OperatorRepeat(), OperatorRepeat(), None]
 
     def once(_: PlannedTrial) -> None:
         if wish := wishes.pop(0):
             raise wish
 
-    all_of = attempts(told, once)
+    all_of = attempts(note, once)
     all_of.run(PLANNED[0])
     assert not wishes
-    assert told.trials == [(1, 5, None)]
-    assert [event.split()[0] for event in told.events] == ["repeated", "repeated"]
+    assert note.trials == [(1, 5, None)]
+    assert [event.split()[0] for event in note.events] == ["repeated", "repeated"]
 
 
-def test_a_skip_is_kept_and_an_abort_goes_on_its_way(told: Context) -> None:
+def test_a_skip_is_kept_and_an_abort_goes_on_its_way(note: Context) -> None:
     wishes: list[Exception] = [
         OperatorRepeat(),
         OperatorSkip("the hose leaks"),
@@ -130,11 +130,11 @@ def test_a_skip_is_kept_and_an_abort_goes_on_its_way(told: Context) -> None:
     def once(_: PlannedTrial) -> None:
         raise wishes.pop(0)
 
-    all_of = attempts(told, once)
+    all_of = attempts(note, once)
     all_of.run(PLANNED[0])
     with pytest.raises(OperatorAbort, match="enough"):
         all_of.run(PLANNED[1])
-    assert told.events[-1] == f"skipped {PLANNED[0].id}: the operator skipped it: the hose leaks"
+    assert note.events[-1] == f"skipped {PLANNED[0].id}: the operator skipped it: the hose leaks"
 
 
 SCRIPT = """title = "poses"

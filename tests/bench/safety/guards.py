@@ -53,12 +53,12 @@ def guardian_record(
     folder: Path, done: Callable[[dict[str, Any]], bool] = lambda _: True
 ) -> dict[str, Any]:
     """What the guardian has written in ``folder``, once it is ``done``."""
-    told: dict[str, Any] = {}
+    text: dict[str, Any] = {}
 
     def there() -> bool:
         path = folder / "guardian.json"
-        told.update(json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {})
-        return bool(told) and done(told)
+        text.update(json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {})
+        return bool(text) and done(text)
 
     within(PATIENCE_S, there, "the guardian's record")
-    return told
+    return text

@@ -324,10 +324,10 @@ def test_what_ends_the_program_puts_the_bath_into_standby_while_the_main_thread_
 
 
 def test_ctrl_c_and_ctrl_break_are_left_to_python() -> None:
-    told: list[str] = []
+    text: list[str] = []
     for event in (CTRL_C_EVENT, CTRL_BREAK_EVENT):
-        assert handler_for(told.append)(event) is False
-    assert told == []
+        assert handler_for(text.append)(event) is False
+    assert text == []
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, load_profile
 from instruments.bath.reading import BathReading
 from instruments.bath.registers import Row
-from instruments.bath.sequence import heater_off, pump_on, pump_told, run_pump_on, start_bath
+from instruments.bath.sequence import heater_off, pump_on, pump_text, run_pump_on, start_bath
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LinkError
 from instruments.stage.driver import Stage
@@ -31,8 +31,13 @@ def profile(pump: Literal["none", "with run", "own"]) -> Profile:
     """A family whose pump has its own switch, told as a user's own profile would."""
     base = load_profile("julabo-presto")
     values = {"off": 0, "on": 1}
-    told: dict[str, Any] = {"type": "u16", "evidence": "CERTAIN", "access": "rw", "values": values}
-    row = Row(name="pump", table="holding", address=500, **told)
+    message: dict[str, Any] = {
+        "type": "u16",
+        "evidence": "CERTAIN",
+        "access": "rw",
+        "values": values,
+    }
+    row = Row(name="pump", table="holding", address=500, **message)
     capabilities = base.capabilities.model_copy(update={"pump": pump})
     return base.model_copy(update={"capabilities": capabilities, "rows": (*base.rows, row)})
 
@@ -45,11 +50,11 @@ class Noted(Bath):
         self.profile = profile(pump)
         self.clock = VirtualClock()
         self.alarm = alarm
-        self.told: list[tuple[float, str]] = []
+        self.message: list[tuple[float, str]] = []
         self.values: dict[str, float] = {}
 
     def note(self, what: str) -> None:
-        self.told.append((self.clock.now(), what))
+        self.message.append((self.clock.now(), what))
 
     def read(self) -> BathReading:
         self.note("look at the level")
@@ -72,7 +77,7 @@ class Noted(Bath):
 def test_start_is_level_pump_ten_seconds_of_flow_then_run() -> None:
     bath = Noted("own")
     start_bath(bath, 33.0, bath.clock.sleep)
-    assert bath.told == [(0.0, "look at the level"), (0.0, "pump on"), (10.0, "run at 33")]
+    assert bath.message == [(0.0, "look at the level"), (0.0, "pump on"), (10.0, "run at 33")]
     assert pump_on(bath, COLD) is True
 
 
@@ -80,14 +85,14 @@ def test_a_low_level_starts_neither_pump_nor_heater() -> None:
     bath = Noted("own", alarm=1)
     with pytest.raises(DeviceError, match="low level"):
         start_bath(bath, 33.0, bath.clock.sleep)
-    assert [what for _, what in bath.told] == ["look at the level"]
+    assert [what for _, what in bath.message] == ["look at the level"]
 
 
 def test_stop_is_heater_off_then_a_minute_of_pump_then_pump_off() -> None:
     bath = Noted("own")
     heater_off(bath)
     assert "60 s" in run_pump_on(bath, bath.clock.sleep, lambda: False)
-    assert bath.told == [(0.0, "heater off"), (0.0, "pump on"), (60.0, "pump off")]
+    assert bath.message == [(0.0, "heater off"), (0.0, "pump on"), (60.0, "pump off")]
 
 
 def test_a_relay_that_is_dead_is_told_and_the_heater_is_off_all_the_same() -> None:
@@ -97,28 +102,28 @@ def test_a_relay_that_is_dead_is_told_and_the_heater_is_off_all_the_same() -> No
 
     bath = DeadRelay("own")
     assert "the pump could not be switched on: pump: no answer" in heater_off(bath)
-    assert bath.told == [(0.0, "heater off")]
+    assert bath.message == [(0.0, "heater off")]
 
 
 def test_somebody_in_a_hurry_leaves_the_pump_running_and_never_the_heater() -> None:
     bath = Noted("own")
     heater_off(bath)
     assert "cut short" in run_pump_on(bath, bath.clock.sleep, lambda: bath.clock.now() >= 5.0)
-    assert bath.told == [(0.0, "heater off"), (0.0, "pump on")]
+    assert bath.message == [(0.0, "heater off"), (0.0, "pump on")]
 
 
 @pytest.mark.parametrize(
-    ("pump", "told"), [("with run", "can't run on alone"), ("none", "not fitted")]
+    ("pump", "message"), [("with run", "can't run on alone"), ("none", "not fitted")]
 )
 def test_a_pump_without_a_switch_is_not_pretended(
-    pump: Literal["none", "with run"], told: str
+    pump: Literal["none", "with run"], message: str
 ) -> None:
     bath = Noted(pump)
     start_bath(bath, 33.0, bath.clock.sleep)
     heater_off(bath)
     assert run_pump_on(bath, bath.clock.sleep, lambda: False) == ""
-    assert bath.told == [(0.0, "run at 33"), (0.0, "heater off")]
-    assert told in pump_told(bath)
+    assert bath.message == [(0.0, "run at 33"), (0.0, "heater off")]
+    assert message in pump_text(bath)
 
 
 def test_a_pump_that_turns_with_run_is_on_when_the_controller_runs() -> None:
@@ -132,9 +137,9 @@ def test_every_driver_declares_its_safe_state_and_gets_there() -> None:
         assert set(devices.safe_states()) == {"bath", "stage", "arm", "cameras"}
         assert all(devices.safe_states().values())
         devices.bath.start(33.0)
-        told: list[str] = []
-        assert devices.make_safe(told.append) == ()
-        assert {"bath is safe", "stage is safe", "arm is safe"} <= set(told)
+        message: list[str] = []
+        assert devices.make_safe(message.append) == ()
+        assert {"bath is safe", "stage is safe", "arm is safe"} <= set(message)
         assert devices.bath.read().running is False
 
 
@@ -152,12 +157,12 @@ def test_going_to_safe_is_bounded_in_time_and_goes_on_to_the_others(fault: str) 
         devices.bath.start(33.0)
         twin.bath.late_s = 3.0
         twin.bath.fault(fault)
-        start_s, told = clock.now(), list[str]()
-        unsafe = devices.make_safe(told.append)
+        start_s, message = clock.now(), list[str]()
+        unsafe = devices.make_safe(message.append)
         assert clock.now() - start_s < 30.0
-        assert {"stage is safe", "arm is safe"} <= set(told)
-        assert unsafe == ("bath",), told
-        assert any("bath could not be made safe" in text for text in told)
+        assert {"stage is safe", "arm is safe"} <= set(message)
+        assert unsafe == ("bath",), message
+        assert any("bath could not be made safe" in text for text in message)
 
 
 @pytest.mark.slow
@@ -177,14 +182,14 @@ def test_each_step_to_safe_is_tried_whatever_the_others_raise(
                 raise raised
 
             devices.bath.start(33.0)
-            told: list[str] = []
+            message: list[str] = []
             with monkeypatch.context() as patched:
                 patched.setattr(type(getattr(devices, name)), "safe", fails)
-                assert devices.make_safe(told.append) == (name,)
+                assert devices.make_safe(message.append) == (name,)
             others = {"bath", "stage", "arm"} - {name}
-            assert {f"{other} is safe" for other in others} <= set(told)
+            assert {f"{other} is safe" for other in others} <= set(message)
             why = f"{name} could not be made safe: {type(raised).__name__}"
-            assert any(text.startswith(why) and Path(__file__).name in text for text in told)
+            assert any(text.startswith(why) and Path(__file__).name in text for text in message)
             assert (devices.bath.read().running is False) is (name != "bath")
 
 

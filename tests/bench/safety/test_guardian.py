@@ -57,13 +57,13 @@ def test_the_report_of_a_killed_bench_says_when_it_died_and_when_the_bath_was_sa
             running.process.kill()
             assert standby_after(rig.twin.world.plant) < STANDBY_S
             guardian_record(rig.run_folder())
-        told = read_run(rig.run_folder()).guardian
-        assert told is not None
-        late = datetime.fromisoformat(told["wall_noticed"]) - killed
+        text = read_run(rig.run_folder()).guardian
+        assert text is not None
+        late = datetime.fromisoformat(text["wall_noticed"]) - killed
         assert abs(late.total_seconds()) < STANDBY_S
         sentence = (
-            f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at"
-            f" {told['wall_safe']}"
+            f"The bench died at {text['wall_noticed']}; the guardian had the bath in standby at"
+            f" {text['wall_safe']}"
         )
         for said in reported(rig, capsys):
             assert sentence in said
@@ -111,17 +111,17 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_taken_for_dead_after_
             guardian_record(rig.run_folder())
         measured("main thread hangs while moving", seconds)
         assert HANG_S - SEEN_LATE_S < seconds < HANG_S + STANDBY_S
-        told = read_run(rig.run_folder()).guardian
-        assert told is not None
-        assert (told["cause"], told["standby"]) == ("hung", True)
+        text = read_run(rig.run_folder()).guardian
+        assert text is not None
+        assert (text["cause"], text["standby"]) == ("hung", True)
         why = "the main thread hangs: moving the stage, and no sign of life for 10 s"
-        assert told["why"] == why
+        assert text["why"] == why
         for said in reported(rig, capsys):
             assert (
-                f"The bench hung ({why}); its last sign of life was at {told['wall_last_sign']}"
+                f"The bench hung ({why}); its last sign of life was at {text['wall_last_sign']}"
                 in said
             )
-            assert f"the guardian had the bath in standby at {told['wall_safe']}" in said
+            assert f"the guardian had the bath in standby at {text['wall_safe']}" in said
 
 
 def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path) -> None:
@@ -143,8 +143,8 @@ def test_a_run_that_ends_well_leaves_no_guardian(recording: Path, tmp_path: Path
     page = (folder / "report" / "index.html").read_text(encoding="utf-8")
     assert re.search(r"independent cut-out tested on.{0,80}2024-03-01", page, re.DOTALL)
     assert not (folder / "guardian.log").exists()
-    told = json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))
-    assert told["ending"] == "finished"
+    text = json.loads((folder / "report" / "run.json").read_text(encoding="utf-8"))
+    assert text["ending"] == "finished"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="finds the guardian in /proc")

@@ -59,9 +59,9 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) ->
         standby_after(hot.plant)
         within(PATIENCE_S, lambda: line.lost is not None, "the bench learned of it")
         assert "took the bench for dead" in str(line.lost)
-    told = hot.record()
-    assert (told["cause"], told["standby"]) == ("hung", True)
-    assert told["why"] == "the main thread hangs: detecting took more than 0.5 s"
+    text = hot.record()
+    assert (text["cause"], text["standby"]) == ("hung", True)
+    assert text["why"] == "the main thread hangs: detecting took more than 0.5 s"
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
@@ -234,9 +234,9 @@ def test_a_hung_bench_that_keeps_the_port_is_ended(hot: HotBath) -> None:
         within(PATIENCE_S, record.is_file, "the record")
         forward(port, hot.url)
         standby_after(hot.plant)
-    told = guardian_record(hot.folder, lambda told: told["standby"])
-    assert told["killed"] is True
-    assert told["tries"] >= 2
+    text = guardian_record(hot.folder, lambda text: text["standby"])
+    assert text["killed"] is True
+    assert text["tries"] >= 2
 
 
 def forward(port: int, url: str) -> None:

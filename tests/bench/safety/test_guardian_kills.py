@@ -166,18 +166,18 @@ def test_a_kill_in_any_step_leaves_standby_and_a_record_of_it(
     recording: Path, tmp_path: Path, measured: Measured
 ) -> None:
     for outcome in all_steps("SIGKILL", tmp_path, recording, measured):
-        told = outcome.run.guardian
+        note = outcome.run.guardian
         assert outcome.run.ending == "interrupted", outcome.step
         late = outcome.step in ("checking the arm after", "going to safe")
         assert not outcome.run.trials or late, "a trial is there whole or not at all"
-        assert told is not None, outcome.step
-        assert (told["cause"], told["standby"], told["tries"]) == ("died", True, 1), outcome.step
-        noticed = datetime.fromisoformat(told["wall_noticed"])
+        assert note is not None, outcome.step
+        assert (note["cause"], note["standby"], note["tries"]) == ("died", True, 1), outcome.step
+        noticed = datetime.fromisoformat(note["wall_noticed"])
         assert abs((noticed - outcome.killed).total_seconds()) < 1.0
-        assert told["seconds"] < STANDBY_S
+        assert note["seconds"] < STANDBY_S
         sentence = (
-            f"The bench died at {told['wall_noticed']}; the guardian had the bath in standby at"
-            f" {told['wall_safe']}"
+            f"The bench died at {note['wall_noticed']}; the guardian had the bath in standby at"
+            f" {note['wall_safe']}"
         )
         assert sentence in headline(outcome.run, ())[1]
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from bench.record.reader import read_run
-from bench.report.wording import guardian_told
+from bench.report.wording import guardian_text
 from bench.safety.guardian import DONE
 from instruments.bath.emulator import BathEmulator, RelayEmulator
 from instruments.bath.profile import load_profile, load_relay
@@ -72,8 +72,8 @@ def test_a_killed_bench_leaves_its_serial_port_to_the_guardian(
             running.process.join(60)
         assert seconds < STANDBY_S
         if kill == "SIGKILL":
-            told = guardian_record(rig.run_folder(), lambda record: record["standby"])
-            assert told["cause"] == "died"
+            text = guardian_record(rig.run_folder(), lambda record: record["standby"])
+            assert text["cause"] == "died"
         else:
             assert not (rig.run_folder() / "guardian.json").exists()
             assert read_run(rig.run_folder()).ending == "aborted"
@@ -92,14 +92,14 @@ def test_a_hung_bench_that_holds_its_serial_port_is_ended_first(
             running.signal("SIGSTOP")
             seconds = standby_after(plant)
             measured("SIGSTOP while settling, serial port", seconds)
-            told = guardian_record(rig.run_folder(), lambda record: record["standby"])
+            text = guardian_record(rig.run_folder(), lambda record: record["standby"])
             running.process.join(60)
             assert running.process.exitcode == -signal.SIGKILL
         assert seconds > HANG_S - 2.0
-        assert (told["cause"], told["killed"]) == ("hung", True)
+        assert (text["cause"], text["killed"]) == ("hung", True)
         run = read_run(rig.run_folder())
         assert run.ending == "interrupted"
-        assert "The bench hung" in guardian_told(told)
+        assert "The bench hung" in guardian_text(text)
 
 
 def test_with_a_pump_on_a_relay_the_heater_goes_off_first_and_the_pump_runs_on(
@@ -114,11 +114,11 @@ def test_with_a_pump_on_a_relay_the_heater_goes_off_first_and_the_pump_runs_on(
             seconds = standby_after(plant)
             measured("SIGKILL while settling, pump on a relay", seconds)
         assert seconds < STANDBY_S
-        told = guardian_record(rig.run_folder(), lambda record: "pump" in record)
-        os.kill(told["guardian"], signal.SIGKILL)  # it would wait out its minute
-        assert told["pump"] == "runs on for 60 s"
+        text = guardian_record(rig.run_folder(), lambda record: "pump" in record)
+        os.kill(text["guardian"], signal.SIGKILL)  # it would wait out its minute
+        assert text["pump"] == "runs on for 60 s"
         assert plant.pump == "on"
-        assert "The pump runs on for 60 s." in guardian_told(told)
+        assert "The pump runs on for 60 s." in guardian_text(text)
 
 
 # ---- the guardian alone, with a minute that is a second
@@ -178,8 +178,8 @@ def test_the_pump_stops_once_it_has_run_on(hot: Hot) -> None:
         assert hot.plant.pump == "on", "never before the heater"
         within(60.0, lambda: hot.plant.pump == "off", "pump off")
         assert time.monotonic() - start >= OVERRUN_S - SEEN_LATE_S
-    told = json.loads(hot.record.read_text(encoding="utf-8"))
-    assert (told["standby"], told["pump"]) == (True, f"ran on for {OVERRUN_S:g} s and is off")
+    text = json.loads(hot.record.read_text(encoding="utf-8"))
+    assert (text["standby"], text["pump"]) == (True, f"ran on for {OVERRUN_S:g} s and is off")
 
 
 def test_a_bath_that_somebody_starts_meanwhile_keeps_its_pump(hot: Hot) -> None:
@@ -187,9 +187,9 @@ def test_a_bath_that_somebody_starts_meanwhile_keeps_its_pump(hot: Hot) -> None:
         standby_after(hot.plant)
         guardian_record(hot.record.parent, lambda record: "pump" in record)
         hot.plant.run(33.0)
-    told = json.loads(hot.record.read_text(encoding="utf-8"))
-    assert told["standby"] is True
-    assert told["pump"].startswith("was left as it was: ")
+    text = json.loads(hot.record.read_text(encoding="utf-8"))
+    assert text["standby"] is True
+    assert text["pump"].startswith("was left as it was: ")
     assert hot.plant.pump == "on"
 
 
@@ -198,9 +198,9 @@ def test_a_relay_that_is_dead_keeps_nobody_from_standby(hot: Hot) -> None:
     with hot.abandoned(0.5):
         seconds = standby_after(hot.plant)
     assert seconds < STANDBY_S
-    told = json.loads(hot.record.read_text(encoding="utf-8"))
-    assert told["standby"] is True
-    assert told["pump"].startswith("was left as it was: ")
+    text = json.loads(hot.record.read_text(encoding="utf-8"))
+    assert text["standby"] is True
+    assert text["pump"].startswith("was left as it was: ")
 
 
 def test_a_bench_that_has_made_safe_itself_leaves_the_pump_to_nobody(hot: Hot) -> None:

@@ -113,7 +113,7 @@ def test_a_row_trips_latches_and_resets(name: str, lab: LoadedRig) -> None:
     assert f"{trip.then} Then: teatbench bath acknowledge" in str(caught.value)
     latch = read_latch(path)
     assert latch is not None
-    assert latch.told["values"], "with what led to it"
+    assert latch.content["values"], "with what led to it"
     if walk.stays is not None:
         with pytest.raises(LatchedError, match="not yet") as refused:
             acknowledge(lab, latch, walk.stays)

@@ -79,12 +79,12 @@ def test_the_same_answers_are_shown_to_be_no_worse_by_72_poses(n: int, verdict: 
     assert same.gate.verdict is verdict
     assert same.gate.margin_mm == pytest.approx(0.25)  # a twentieth of 5 mm
     assert same.pooled.radial.mean == 0.0
-    told = "; ".join(same.gate.reasons)
+    text = "; ".join(same.gate.reasons)
     if verdict is MET:
         lost = "at most 5.0 % of poses are lost anew (72 poses, 97.5 % confidence"
-        assert f"grew by at most 0.250 mm (margin 0.25 mm) and {lost}" in told
+        assert f"grew by at most 0.250 mm (margin 0.25 mm) and {lost}" in text
     else:
-        assert told.endswith("(margin 0.25 mm): 72 poses with such changes show less")
+        assert text.endswith("(margin 0.25 mm): 72 poses with such changes show less")
 
 
 @pytest.mark.slow
@@ -258,8 +258,8 @@ def test_six_scenes_all_one_way_are_needed() -> None:
 def test_mcnemar_against_statsmodels_and_the_binomial_test(d: Discordance) -> None:
     table = [[d.both, d.only_old], [d.only_new, d.neither]]
     assert d.p_value == pytest.approx(float(mcnemar(table, exact=True).pvalue), rel=1e-9)
-    if told := d.only_old + d.only_new:
-        assert d.p_value == pytest.approx(binomtest(d.only_old, told).pvalue, rel=1e-9)
+    if text := d.only_old + d.only_new:
+        assert d.p_value == pytest.approx(binomtest(d.only_old, text).pvalue, rel=1e-9)
 
 
 def test_the_interval_of_a_published_table() -> None:

@@ -51,7 +51,7 @@ error95 = partial(decide_error, "error", limit_mm=5.0, u_mm=0.23, rate=0.95, con
 
 
 @pytest.mark.parametrize(
-    ("decision", "told"),
+    ("decision", "text"),
     [
         (rate95(Rate(6, 6)), "100.0 % (at least 60.7 %)"),
         (rate95(Rate(58, 58)), "100.0 % (at least 94.97 %)"),
@@ -63,8 +63,8 @@ error95 = partial(decide_error, "error", limit_mm=5.0, u_mm=0.23, rate=0.95, con
         (decide_count("false", 0, scenes=3), "0"),
     ],
 )
-def test_a_bound_is_told_on_its_side(decision: Decision, told: str) -> None:
-    assert measured(decision) == told
+def test_a_bound_is_told_on_its_side(decision: Decision, text: str) -> None:
+    assert measured(decision) == text
 
 
 class TestRate:

@@ -66,7 +66,7 @@ def test_its_version_follows_its_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "note"),
     [
         ("thesys", 'did you mean "thesis"'),
         ("exec:", "needs a command"),
@@ -79,7 +79,7 @@ def test_its_version_follows_its_files(tmp_path: Path) -> None:
         ("name.toml", "name"),
     ],
 )
-def test_what_cannot_be_used_is_told(tmp_path: Path, name: str, told: str) -> None:
+def test_what_cannot_be_used_is_told(tmp_path: Path, name: str, note: str) -> None:
     for file, text in {
         "bad.toml": "comand = ['x']",
         "lost.toml": "command = ['no-such-program-at-all']",
@@ -89,7 +89,7 @@ def test_what_cannot_be_used_is_told(tmp_path: Path, name: str, told: str) -> No
         (tmp_path / file).write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
         make_detectors([name], tmp_path)
-    assert told in str(caught.value)
+    assert note in str(caught.value)
 
 
 def test_two_of_one_name_are_refused(tmp_path: Path) -> None:

@@ -88,9 +88,9 @@ def test_a_crooked_stage_is_told_with_what_to_do() -> None:
     rng = np.random.default_rng(1)
     found = registered(TrueStage(np.eye(3), np.diag([0.012, 0.0, 0.0])), rng)
     assert found.contradicted
-    (told,) = found.faults
-    assert "scale x +9.69e-03 (u 1.9e-03)" in told
-    assert "steps per mm" in told
+    (note,) = found.faults
+    assert "scale x +9.69e-03 (u 1.9e-03)" in note
+    assert "steps per mm" in note
 
 
 def test_touches_that_scatter_more_than_stated_say_so_and_count_for_less() -> None:

@@ -47,7 +47,7 @@ class Bench:
     checks: list[Row] = field(default_factory=list)
     confirmed: list[str] = field(default_factory=list)
     invalid: dict[str, str] = field(default_factory=dict)
-    told: list[tuple[str, str]] = field(default_factory=list)
+    note: list[tuple[str, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng(1)
@@ -90,7 +90,7 @@ class Bench:
         self.confirmed += trials if good else ()
 
     def tell(self, kind: str, text: str) -> None:
-        self.told.append((kind, text))
+        self.note.append((kind, text))
 
     def trial(self, number: int, x_mm: float, fixed: str = "one") -> TrialTruth:
         shown = ExpectedScene(f"{number:03d}", table_5_1(), fixed)
@@ -139,7 +139,7 @@ def test_a_lost_step_costs_the_trials_since_the_last_good_check_and_no_other() -
     assert list(bench.invalid) == ["004", "005", "006"]
     assert "2.00 mm" in bench.invalid["005"]
     assert bench.confirmed == ["001", "002", "003"]
-    assert [text for kind, text in bench.told if kind == "invalid" and "004, 005, 006" in text]
+    assert [text for kind, text in bench.note if kind == "invalid" and "004, 005, 006" in text]
     assert after.how is How.CARRIED, "what was touched in the check is the new reference"
     assert np.allclose([p.point_mm for p in after.points], bench.hand.ends, atol=0.05)
     bench.source.end()
@@ -194,7 +194,7 @@ def test_a_check_that_is_skipped_is_asked_for_again_and_the_last_leaves_trials_u
     bench.hand.skips = 1
     assert bench.trial(2, 20.0).how is How.CARRIED
     why = "check touch 1 was skipped: tired. 1 trial is unconfirmed so far"
-    assert bench.told[-1] == ("check touch", why)
+    assert bench.note[-1] == ("check touch", why)
     bench.trial(3, 30.0)
     assert bench.confirmed == ["001", "002"]
     bench.hand.skips = 1
@@ -228,8 +228,8 @@ def test_what_speaks_against_the_registration_is_told_at_once() -> None:
     bench = Bench()
     bench.stage = type(bench.stage)(np.eye(3), np.diag([0.01, 0.0, 0.0]))
     bench.new_source().begin()
-    assert bench.told[-1][0] == "registration"
-    assert "scale x" in bench.told[-1][1]
+    assert bench.note[-1][0] == "registration"
+    assert "scale x" in bench.note[-1][1]
 
 
 def test_touching_every_trial_needs_neither_stage_nor_checks() -> None:

@@ -308,8 +308,8 @@ def test_a_trial_without_truth_is_left_out_with_its_reason_and_the_run_goes_on(
         if trial is PLANNED[0]:
             raise NoTruthError("truth", why)
 
-    told = Context(tmp_path)
-    all_of, store = attempts(told, once), told.store
+    note = Context(tmp_path)
+    all_of, store = attempts(note, once), note.store
     for trial in PLANNED[:2]:
         all_of.run(trial)
     store.close()
@@ -317,7 +317,7 @@ def test_a_trial_without_truth_is_left_out_with_its_reason_and_the_run_goes_on(
         db.row_factory = sqlite3.Row
         rows = [dict(row) for row in db.execute("SELECT trial, reason FROM skipped")]
     assert [row["trial"] for row in rows] == [PLANNED[0].id]
-    assert told.events == [f"skipped {PLANNED[0].id}: truth: {why}"]
+    assert note.events == [f"skipped {PLANNED[0].id}: truth: {why}"]
     (notes,) = deviation_parts(RunRecord(tmp_path, {}, skipped=tuple(rows)))
     assert isinstance(notes, Notes)
     assert notes.items == (f"{PLANNED[0].id} has no truth: {why}",)

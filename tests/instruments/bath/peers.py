@@ -69,8 +69,8 @@ def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
         text = text.replace('modbus_new_tcp("127.0.0.1", 1502)', OVER_RTU)
     patience = {CONNECTED: PATIENT} if "client" in example else {NAP: LONG_NAP}
     assert all(fixed in text for fixed in patience), f"{source} has changed"
-    for fixed, told in (FIXED | patience).items():
-        text = text.replace(fixed, told)
+    for fixed, note in (FIXED | patience).items():
+        text = text.replace(fixed, note)
     copy = folder / source.name
     copy.write_text(text, encoding="utf-8")
     target = folder / example

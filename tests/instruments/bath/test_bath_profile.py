@@ -284,12 +284,12 @@ def test_what_ships() -> None:
 )
 def test_the_families_are_as_the_sheet_says(name: str, sheet: str, beside: set[str]) -> None:
     profile = load_profile(name)
-    assert {row.name for row in profile.rows} == told(profile, sheet, "holding") | beside
+    assert {row.name for row in profile.rows} == note(profile, sheet, "holding") | beside
 
 
 def test_the_magio_is_as_its_pages_say() -> None:
     profile = load_profile("julabo-magio")
-    told(profile, MAGIO, "holding")
+    note(profile, MAGIO, "holding")
     assert profile.find("encoding") is None
     assert profile.find("flow_set_point") is None
     inputs = [
@@ -308,12 +308,12 @@ def test_the_magio_is_as_its_pages_say() -> None:
 
 def test_the_presto_is_as_its_manual_says() -> None:
     profile = load_profile("julabo-presto")
-    for name in told(profile, PRESTO, "holding") | told(profile, PRESTO_INPUT, "input"):
+    for name in note(profile, PRESTO, "holding") | note(profile, PRESTO_INPUT, "input"):
         row = profile.row(name)
         assert row.spacing_s == (0.25 if row.access == "rw" else 0.0)
 
 
-def told(profile: Profile, sheet: str, table: str) -> set[str]:
+def note(profile: Profile, sheet: str, table: str) -> set[str]:
     """Check each row of ``sheet``; their names."""
     names = set()
     for text in re.split(r"[|\n]", sheet.strip()):

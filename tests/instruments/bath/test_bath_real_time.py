@@ -118,17 +118,17 @@ def test_a_tap_sees_every_byte_garbage_too() -> None:
     far_end.memory = {0x1000: 200, 0x1001: 200}
     with served(far_end) as url:
         bath = Bath(url, load_profile("omega-cn7"), clock, tap=tap)
-        assert tap.told[0] == ("opened", url)
-        del tap.told[:]
+        assert tap.text[0] == ("opened", url)
+        del tap.text[:]
         far_end.spoils = [lambda frame: b"\xff" + frame]
         bath.get("run")
-        assert tap.told == [
+        assert tap.text == [
             ("sent", rtu("01 02 0814 0001")),
             ("received", b"\xff" + rtu("01 02 01 00")),
         ]
         bath.close()
         bath.close()
-    assert tap.told[2:] == [("closed", "")]
+    assert tap.text[2:] == [("closed", "")]
 
 
 def test_a_tap_is_told_of_a_link_that_breaks_and_of_the_next_one(stand: Stand) -> None:
@@ -137,14 +137,14 @@ def test_a_tap_is_told_of_a_link_that_breaks_and_of_the_next_one(stand: Stand) -
     stand.emulator.pull_the_cable()
     bath.read()
     bath.close()
-    events = [(what, told) for what, told in tap.told if what in ("opened", "closed")]
+    events = [(what, text) for what, text in tap.text if what in ("opened", "closed")]
     assert events == [
         ("opened", stand.url),
         ("closed", "the other end hung up"),
         ("opened", stand.url),
         ("closed", ""),
     ]
-    sent = [told for what, told in tap.told if what == "sent"]
+    sent = [text for what, text in tap.text if what == "sent"]
     assert len(sent) - len(stand.emulator.asked) in (0, 1)  # one may have met nobody
 
 

@@ -45,8 +45,8 @@ def whole(camera: GenicamCamera) -> RawFrame:
         try:
             return camera.take()
         except FrameError as error:
-            told = error
-    raise told
+            text = error
+    raise text
 
 
 @pytest.mark.parametrize(

@@ -141,10 +141,10 @@ def test_a_size_that_changes_within_a_stream_is_told_until_it_is_the_old_one(
     ):
         assert outcomes_until("(96, 128, 3)") == {"(96, 128, 3)"}
         source.sizes["left"] = (60, 80)
-        told = "wrong size: a frame of 80 x 60 came; it was opened with 128 x 96"
-        assert outcomes_until(told) <= {"(96, 128, 3)", told}
+        text = "wrong size: a frame of 80 x 60 came; it was opened with 128 x 96"
+        assert outcomes_until(text) <= {"(96, 128, 3)", text}
         source.sizes["left"] = SIZES["left"]
-        assert outcomes_until("(96, 128, 3)") <= {"(96, 128, 3)", told}
+        assert outcomes_until("(96, 128, 3)") <= {"(96, 128, 3)", text}
 
 
 def test_what_is_sent(served: StreamServer) -> None:

@@ -140,15 +140,15 @@ class Spoiled:
         self._board.disconnect(connection)
 
 
-@pytest.mark.parametrize("told", [b"-100.020", b"-99.980", b"-1.000"])
+@pytest.mark.parametrize("text", [b"-100.020", b"-99.980", b"-1.000"])
 def test_a_move_that_is_read_back_elsewhere_is_not_finished_and_asks_for_homing(
-    make: Make, told: bytes
+    make: Make, text: bytes
 ) -> None:
     bench = make()
-    bench.again(device=Spoiled(bench, rb"<Idle\|MPos:-100\.000", b"<Idle|MPos:" + told))
+    bench.again(device=Spoiled(bench, rb"<Idle\|MPos:-100\.000", b"<Idle|MPos:" + text))
     stage = bench.homed()
     with pytest.raises(
-        DeviceError, match=rf"not at its target, X = -100\.000 \(got X = {float(told):.3f}"
+        DeviceError, match=rf"not at its target, X = -100\.000 \(got X = {float(text):.3f}"
     ):
         stage.move_to(-100, -50)
     assert not stage.homed

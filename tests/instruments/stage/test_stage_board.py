@@ -35,8 +35,8 @@ def test_a_board_without_homing_starts_idle(make_board: Make) -> None:
 def test_identity_and_settings(board: Board) -> None:
     assert re.fullmatch(rb"\[VER:1\.1h\.\d{8}:\]\r\n\[OPT:V,15,128\]\r\nok\r\n", board.say(b"$I\n"))
     lines = board.say(b"$$\n").split(b"\r\n")
-    told = b"$20=1 $22=1 $27=1.000 $110=3000.000 $120=200.000 $130=300.000 $131=275.000 $132=50.000"
-    assert set(told.split()) <= set(lines)
+    text = b"$20=1 $22=1 $27=1.000 $110=3000.000 $120=200.000 $130=300.000 $131=275.000 $132=50.000"
+    assert set(text.split()) <= set(lines)
     assert lines[-2:] == [b"ok", b""]
     assert board.say(b"$130=250\n$$\n").count(b"$130=250.000") == 1
 
@@ -213,8 +213,8 @@ def test_two_runs_give_the_same_bytes(make_board: Make) -> None:
 def test_a_fourth_axis_in_the_grblhal_dialect(make_board: Make) -> None:
     board = make_board(dialect=GRBL_HAL, axes=4)
     lines = board.say(b"$$\n").split(b"\r\n")
-    told = b"$44=4 $45=3 $46=8 $103=100.000 $113=3600.000 $123=360.000 $133=360.000"
-    assert set(told.split()) <= set(lines)
+    text = b"$44=4 $45=3 $46=8 $103=100.000 $113=3600.000 $123=360.000 $133=360.000"
+    assert set(text.split()) <= set(lines)
     assert lines == [*sorted(lines[:-2], key=lambda line: int(line[1:].split(b"=")[0])), b"ok", b""]
     assert b"|H:0|TLR:0>" in board.say(b"?")
     while board.state() != b"Idle":
