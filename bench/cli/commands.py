@@ -49,7 +49,7 @@ RIG_HELP = "a shipped rig by name, or a .toml file (default: emulated)"
 SCRIPT_HELP = "a shipped script by name ('teatbench trials' lists them), or a .toml file"
 
 CAPTURE = option(
-    "--capture FILE", "record the bytes of every link in a new file (docs/captures.md)"
+    "--capture FILE", "record the bytes of every link in a new file (docs/record.md)"
 )
 JSON = flag("--json", "one JSON object, units in its keys")
 RIG = option("rig", RIG_HELP, nargs="?")
@@ -343,7 +343,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     "scene sensitivity": (
         (
             "errors over one quantity at a time, a figure each, beside the physical limit"
-            " (docs/sensitivity.md)"
+            " (docs/scene.md)"
         ),
         DETECTORS,
         option("--quantity NAME", "several times (default: all eight)", many=True),
@@ -388,7 +388,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         flag("--on-peg", "the stylus is on its peg: don't ask"),
     ),
     "arm frame": (
-        "set the table frame: three touches and check points (docs/arm.md)",
+        "set the table frame: three touches and check points (docs/rig.md)",
         *HOMED,
         option("--plane-checks N", "further touches anywhere in the plane", whole(0, 20), 1),
         option(
@@ -401,7 +401,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
         *ARM_FILE,
     ),
     "arm verify": (
-        "verify the arm: one divot at up to three distances, a calibrated length (docs/arm.md)",
+        "verify the arm: one divot at up to three distances, a calibrated length (docs/rig.md)",
         *HOMED,
         option("--distances N", "divots: 1 middle, 2 near and far, 3 all", whole(1, 3), 3),
         option("--touches N", "touches in each divot", whole(5, 100), 10),
@@ -573,7 +573,7 @@ COMMANDS: Mapping[str, tuple[str, *tuple[Argument, ...]]] = {
     "calibrate stage": (
         (
             "register the stage in the world: one teat end touched at several stage positions"
-            " (docs/truth.md)"
+            " (docs/trials.md)"
         ),
         CAPTURE,
         option("--rig RIG", RIG_HELP),
