@@ -114,7 +114,7 @@ def test_the_sentence_on_covariances() -> None:
 
 
 def test_sensitivity_as_measured_is_that_of_its_points() -> None:
-    """Where it isn't, `teatbench scene sensitivity` with the command of docs/sensitivity.md writes
+    """Where it isn't, `teatbench scene sensitivity` with the command of docs/scene.md writes
     both.
     """
     text = (ROOT / "docs" / "sensitivity" / PAGE).read_text(encoding="utf-8")
@@ -124,7 +124,7 @@ def test_sensitivity_as_measured_is_that_of_its_points() -> None:
 
 
 def test_sentences_on_sensitivity() -> None:
-    rows, note = read(SENSITIVITY + POINTS), page("docs/sensitivity.md")
+    rows, note = read(SENSITIVITY + POINTS), page("docs/scene.md")
     medians = [
         float(row["median_mm"]) for row in rows if row["detector"] == "thesis" and row["median_mm"]
     ]

@@ -60,9 +60,7 @@ SHARE = number(
 RIG_HELP = "a shipped rig by name, or a .toml file (default: emulated)"
 SCRIPT_HELP = "a shipped script by name ('teatbench trials' lists them), or a .toml file"
 
-CAPTURE = option(
-    "--capture FILE", "record the bytes of every link in a new file (docs/captures.md)"
-)
+CAPTURE = option("--capture FILE", "record the bytes of every link in a new file (docs/record.md)")
 JSON = flag("--json", "one JSON object, units in its keys")
 RIG = option("rig", RIG_HELP, nargs="?")
 RIG_OPTION = option("--rig", RIG_HELP)
@@ -385,7 +383,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "scene sensitivity": (
         (
             "errors over one quantity at a time, a figure each, beside the physical limit"
-            " (docs/sensitivity.md)"
+            " (docs/scene.md)"
         ),
         "scene sensitivity --detector fused --out sensitivity",
         DETECTORS,
@@ -440,7 +438,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         flag("--on-peg", "the stylus is on its peg: don't ask"),
     ),
     "arm frame": (
-        "set the table frame: three touches and check points (docs/arm.md)",
+        "set the table frame: three touches and check points (docs/rig.md)",
         "arm frame --port /dev/ttyUSB0 --out frame.toml",
         *HOMED,
         option("--plane-checks N", "further touches anywhere in the plane", whole(0, 20), 1),
@@ -454,7 +452,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *ARM_FILE,
     ),
     "arm verify": (
-        "verify the arm: one divot at up to three distances, a calibrated length (docs/arm.md)",
+        "verify the arm: one divot at up to three distances, a calibrated length (docs/rig.md)",
         "arm verify --port /dev/ttyUSB0 --out verification.toml",
         *HOMED,
         option("--distances N", "divots: 1 middle, 2 near and far, 3 all", whole(1, 3), 3),
@@ -667,7 +665,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "calibrate stage": (
         (
             "register the stage in the world: one teat end touched at several stage positions"
-            " (docs/truth.md)"
+            " (docs/trials.md)"
         ),
         "calibrate stage --rig my-rig.toml --out registration.toml",
         CAPTURE,

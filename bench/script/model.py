@@ -175,7 +175,7 @@ class BathRequirement(_Named):
 
 class ArmRequirement(_Named):
     """The arm checked before and after the trials, and verified on a day not long ago
-    (docs/arm.md). Limits in mm.
+    (docs/rig.md). Limits in mm.
     """
 
     kind: Literal["arm_verified"]

@@ -84,7 +84,7 @@ def test_what_was_said_is_grouped_by_what_was_asked(tmp_path: Path) -> None:
 
 
 def test_the_example_of_the_documentation_is_a_capture(tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "captures.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "record.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```json\n(.*?)```", text, re.DOTALL)
     (arm,) = read_capture(written(tmp_path, example)).links["arm"]
     assert [one.asked for one in arm.exchanges] == [b"", b"\xc5IMMC"]

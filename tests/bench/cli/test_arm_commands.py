@@ -230,13 +230,13 @@ def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, said:
 
 # The page for the lab
 
-GUIDE = (ROOT / "docs" / "arm.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "docs" / "rig.md").read_text(encoding="utf-8")
 
 
 def test_the_guides_pieces_of_files_are_right() -> None:
-    rig, script = (
-        tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", GUIDE, re.DOTALL)
-    )
+    blocks = [tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", GUIDE, re.DOTALL)]
+    (rig,) = (block for block in blocks if "arm" in block)
+    (script,) = (block for block in blocks if "requirements" in block)
     Arm.model_validate({"url": "emulator:", **rig["arm"]})
     (rule,) = script["requirements"]
     note = ArmRequirement.model_validate(rule)

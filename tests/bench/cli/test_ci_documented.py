@@ -1,4 +1,4 @@
-"""docs/ci.md does what it says: its script judges a change, and both services are given what that
+"""docs/comparing.md does what it says: its script judges a change, and both services are given what that
 script writes.
 """
 
@@ -17,8 +17,8 @@ import yaml
 from tests.bench.small_recording import ENDS_MM, write_recording
 from tests.conftest import ROOT
 
-PAGE = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
-(SCRIPT,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
+PAGE = (ROOT / "docs" / "comparing.md").read_text(encoding="utf-8")
+(SCRIPT,) = re.findall(r"```sh\n(set -eu\n.*?)```", PAGE, re.DOTALL)
 GITHUB, GITLAB = (
     yaml.safe_load(text) for text in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
 )
@@ -90,7 +90,7 @@ def test_the_projects_own_ci_checks_before_it_tests_and_needs_the_shared_folder(
     tmp_path: Path,
 ) -> None:
     text = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    steps = ("ruff check", "ruff format --check", "-m mypy", "lint-imports")
+    steps = ("ruff check", "ruff format --check", "-m mypy", "lint-imports", "mkdocs build")
     places = [text.index(step) for step in (*steps, "\npython3 run.py test\n")]
     assert places == sorted(places)
     for name in ("run", "weekly"):

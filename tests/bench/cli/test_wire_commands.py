@@ -200,7 +200,8 @@ def test_a_wrong_file_gives_2_and_a_sentence(
 
 
 WITHOUT_A_LINK = {"trials show", "replay-wire", "control", "tell", "report", "score", "compare"}
-WITHOUT_A_LINK |= {"plan", "detect", "rigs", "detectors", "emulate"}
+WITHOUT_A_LINK |= {"plan", "detect", "rigs", "emulate", "runs", "completion"}
+WITHOUT_A_LINK |= {"detectors new", "detectors try"}
 WITHOUT_A_LINK |= {f"camera {name}" for name in ("list", "show", "focus", "grab")}
 WITHOUT_A_LINK |= {f"scene {name}" for name in ("sheet", "record", "boards", "sensitivity")}
 WITHOUT_A_LINK |= {f"store {name}" for name in ("check", "export")}

@@ -1,5 +1,5 @@
 """The sensitivity study: counts and distances at each value, their files, each quantity's scenes,
-docs/sensitivity.md; and the physical limits against simulated edges, closed forms of stereo, the
+docs/scene.md; and the physical limits against simulated edges, closed forms of stereo, the
 sensor's model, and their own scaling.
 """
 
@@ -294,7 +294,7 @@ def test_quantities_are_chosen_by_name() -> None:
 
 
 DOCS = ROOT / "docs"
-TEXT = (DOCS / "sensitivity.md").read_text(encoding="utf-8")
+TEXT = (DOCS / "scene.md").read_text(encoding="utf-8")
 
 
 def test_every_quantity_has_its_figure() -> None:
