@@ -18,7 +18,7 @@ from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.urls import CONSOLE
+from bench.rig.urls import PEOPLE
 from bench.run.events import Events, SafeProgress, event_lines
 from bench.script.model import find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
@@ -99,7 +99,7 @@ def resume(given: argparse.Namespace) -> int:
 
 def typed_lines(operator_url: str) -> Callable[[], str | None]:
     """Lines typed at this terminal, where it is one and no operator is asked there."""
-    if operator_url == CONSOLE or sys.stdin is None or not sys.stdin.isatty():
+    if operator_url in PEOPLE or sys.stdin is None or not sys.stdin.isatty():
         return lambda: None
     keyboard, terminal = keyboard_of(sys.stdin, lambda _: None), sys.stdin.fileno()
 
