@@ -171,8 +171,9 @@ class Console(PromptedOperator):
                 words = self._words(prompt, check)
             except (Exception, KeyboardInterrupt) as why:  # ended without an answer
                 ended = str(why) or "interrupted"
-                with contextlib.suppress(op.OperatorAbort):
-                    self._write(f"\nNo answer is needed any more: {ended}\n")
+                if not isinstance(why, WISHES):
+                    with contextlib.suppress(op.OperatorAbort):
+                        self._write(f"\nNo answer is needed any more: {ended}\n")
                 if self._mailbox:
                     self._mailbox.close(ended, BENCH)
                 raise
@@ -250,10 +251,10 @@ class Console(PromptedOperator):
         return line
 
     def _write(self, text: str) -> None:
-        if self._mailbox and not self._listening:
-            return
         try:
             self._out.write(text)
             self._out.flush()
         except (OSError, ValueError) as error:  # ValueError: the stream has been closed
+            if self._mailbox:
+                return
             raise op.OperatorAbort(f"{GONE} ({error})") from error
