@@ -41,7 +41,7 @@ def test_killed_consoles_change_nothing_and_lose_no_answer(tmp_path: Path) -> No
                     nothing_before_its_truth(one, at, folder)
                     prompt = snapshot["prompt"]
                     if prompt and prompt["number"] not in acknowledged:
-                        if kills < KILLS and chance.random() < 0.5:
+                        if kills < KILLS and chance.random() < 0.8:
                             kills += 1
                             one.process.kill()  # while it may be answering
                         words = {"words": "go", "name": "the test"}
