@@ -212,7 +212,7 @@ def _digest(frames: FrameSet) -> str:
     whole = hashlib.sha256()
     for picture in (frames.left, frames.right, frames.thermal, frames.thermal_ck):
         if picture is not None:
-            whole.update(np.ascontiguousarray(picture))
+            whole.update(picture.tobytes())
     return whole.hexdigest()[: 2 * DIGEST_BYTES]
 
 
@@ -237,7 +237,7 @@ def _scene_row(scene: Scene, answer: Answer, score: SceneScore, digest: str) -> 
 
 def _failure(answer: Answer, score: SceneScore) -> str:
     if answer.outcome is not Outcome.ANSWERED:
-        return answer.outcome.value
+        return str(answer.outcome.value)
     counts = score.counts
     if counts.false:
         return "false"
