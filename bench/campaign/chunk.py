@@ -30,6 +30,7 @@ from instruments.world.situations import Situation, situation
 from instruments.world.state import SceneState
 
 LIMIT_MM = 5.0  # of the error of each teat; thesis, section 1.4.3
+ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
 DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance of 3e-8
 
 
@@ -94,8 +95,8 @@ class Bench:
 class SceneRow:
     """One scene and detector. Counts are of teat ends: ``visible`` ones were found or missed.
 
-    ``failure`` is the gravest that applies, empty for a success: the outcome where there was no
-    answer, else "false", "missed", "error" (above the limit). Errors are of found teats, None
+    ``failure`` is the gravest that applies, empty for a success: `ASIDE`, the outcome where there
+    was no answer, "false", "missed", "error" (above the limit). Errors are of found teats, None
     without. ``frames`` is the start of the SHA-256 of all pictures' pixels, in hex.
     """
 
@@ -106,7 +107,7 @@ class SceneRow:
     hidden: int
     found: int
     missed: int
-    false: int
+    false_teats: int
     hidden_claimed: int | None
     max_mm: float | None
     mean_mm: float | None
@@ -137,12 +138,13 @@ class TeatRow:
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """Seconds of one detection, which differ from run to run: real, and of the processor (None for
-    a detector elsewhere).
+    """What of a detection differs from run to run: seconds, real and of the processor (None for a
+    detector elsewhere), and the words of one without an answer.
     """
 
     seconds: float
     cpu_s: float | None
+    reason: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,8 +206,15 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
     found_by = list(zip(answers, scores, strict=True))
     rows = tuple(_scene_row(scene, answer, score, digest) for answer, score in found_by)
     teats = tuple(row for one in found_by for row in _teat_rows(scene, *one, drawn))
-    taken = tuple(Taken(answer.seconds, answer.cpu_s) for answer in answers)
+    taken = tuple(Taken(answer.seconds, answer.cpu_s, _reason(answer)) for answer in answers)
     return Rows(rows, teats, taken, processor_s() - used_before_s, stopwatch_s() - started_s)
+
+
+def set_aside(scene: Scene, detectors: Iterable[str], why: str) -> Rows:
+    """The rows of a scene that the bench could not do: no detector's failure."""
+    nothing = (0, 0, 0, 0, 0, None, None, None, ASIDE, "")
+    rows = tuple(SceneRow(scene.family, scene.member, name, *nothing) for name in detectors)
+    return Rows(rows, (), tuple(Taken(0.0, None, why) for _ in rows))
 
 
 def _digest(frames: FrameSet) -> str:
@@ -233,6 +242,10 @@ def _scene_row(scene: Scene, answer: Answer, score: SceneScore, digest: str) -> 
         _failure(answer, score),
         digest,
     )
+
+
+def _reason(answer: Answer) -> str | None:
+    return None if answer.outcome is Outcome.ANSWERED else answer.detection.reason
 
 
 def _failure(answer: Answer, score: SceneScore) -> str:

@@ -67,7 +67,7 @@ def test_answers_are_counted_against_the_truth(bench: Bench) -> None:
     own = Bench(rig_renderer(rig, 1), rig.calibration, [right, off, failing], 1)
     rows = run_scene(own, scene)
     first, second, third = rows.scenes
-    assert (first.visible, first.found, first.missed, first.false) == (4, 3, 1, 1)
+    assert (first.visible, first.found, first.missed, first.false_teats) == (4, 3, 1, 1)
     assert (first.failure, second.failure, third.failure) == ("false", "error", "failure")
     assert second.max_mm == pytest.approx(6.0, abs=1e-5)
     found = [teat for teat in rows.teats if teat.detector == "knowing" and teat.status == "found"]
