@@ -88,7 +88,21 @@ class _Kept:
         taken[0].close()
 
 
+    def close(self, key: str) -> None:
+        """End those of a client that has gone."""
+        with self._lock:
+            ended = self._idle if key == self._key else []
+            self._idle = [] if key == self._key else self._idle
+        for pool, _ in ended:
+            pool.close()
+
+
 _KEPT = _Kept()
+
+
+def clear(key: str) -> None:
+    """What is run on each Dask worker when a client goes."""
+    _KEPT.close(key)
 
 
 def work(key: str, job: Job, chunk: Chunk, chunk_scenes: int, limit_s: float) -> Done:
@@ -136,6 +150,9 @@ class DaskPool:
         value: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        if self._client is not None and not self._given:
+            with suppress(Exception):  # workers that went have nothing to clear
+                self._client.run(clear, self._key, nanny=False, on_error="ignore")
         self._disconnect()
 
     @property
@@ -213,6 +230,7 @@ class DaskPool:
             self._again.append(self._given.pop(future))
 
     def _take(self, part: Chunk, future: Future[Done]) -> Iterator[tuple[Chunk, Rows]]:
+        found: Done | None
         try:
             found = future.result(timeout=CONNECT_S)
         except KilledWorker:
@@ -292,7 +310,7 @@ class DaskPool:
 
     def _connect(self) -> None:
         try:
-            self._client = Client(self._address, timeout=CONNECT_S, set_as_default=False)
+            self._client = Client(self._address, timeout=CONNECT_S)
         except (OSError, ValueError) as error:
             raise PoolError(
                 f"no Dask scheduler answers at {self._address}: {error}. 'dask scheduler' starts"
