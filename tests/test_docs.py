@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from bench.campaign.plan import read_plan
 from bench.cli.arguments import EXIT_CODES
 from bench.cli.main import main, parser
 from bench.config import read_config
@@ -66,6 +67,7 @@ STAND_INS = {
     r"--seeds 3 --out \S+": "--seeds 1 --out recordings/few",
     r"sheet --out": "sheet --situation ideal --out",
     r"--seeds 12": "--seeds 1 --quantity pixel-noise",
+    r"--scenes 400": "--scenes 1 --workers 1",
     r"thermal PICTURES": "thermal heated-pictures",
     r"PICTURES": "pictures",
 }
@@ -262,6 +264,7 @@ LOADED: dict[str, Callable[[str, Path], object]] = {  # by a key that only such 
     "truth": script_of,
     "teats": lambda text, folder: load_layout(written(text, folder)),
     "envelope": lambda text, folder: load_layout(written(text, folder)),
+    "families": lambda text, folder: read_plan(written(text, folder)),
     "command": lambda text, folder: read_config(written(text, folder), DetectorFile),
     "answers": lambda text, folder: load_answers(written(text, folder)),
     "project": entry_point_of,

@@ -23,7 +23,7 @@ from bench.cli.arguments import (
 # the help of all: what somebody wants to do, and the commands and groups for it
 TASKS = {
     "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
-    "test a detector": ("score", "detectors", "detect", "compare", "scene"),
+    "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
     "set up a rig": ("check", "rigs", "calibrate", "emulate"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
     "keep and exchange what was recorded": ("store", "replay-wire"),
@@ -34,6 +34,7 @@ GROUPS = {
     "store": "a run's record: whether it is as it was written, and for other programs"
     " (docs/record.md)",
     "scene": "the simulated scene: situations from families, drawn without a run (docs/scene.md)",
+    "campaign": "many simulated scenes, scored on all processors (docs/campaigns.md)",
     "arm": "a MicroScribe arm alone: read, watch, home, set the table frame, verify",
     "bath": "the water bath alone, without a rig file",
     "stage": "the motion stage alone, without a script",
@@ -410,6 +411,47 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "default: sensitivity; files there are replaced",
             default=Path("sensitivity"),
         ),
+    ),
+    "campaign run": (
+        "score detectors on many simulated scenes, or go on with it where it stopped",
+        "campaign run --family ideal --scenes 40 --detector fused --seed 7 --out campaigns/ideal",
+        option(
+            "plan PLAN", "a .toml file that says all of it (docs/campaigns.md)", Path, nargs="?"
+        ),
+        option("--family NAME", "may be given several times (default: all eleven)", many=True),
+        option("--scenes N", "of each family (default: 100)", whole(1, 10_000_000)),
+        option(
+            "--half-width W",
+            "go on until each family's failure rate is known to so much, 95 %%, such as 0.01",
+            number("a number above 0 and below 0.5", above=0.0, below=0.5),
+        ),
+        DETECTORS,
+        option("--first N", "the first member's seed (default: 0)", whole(0)),
+        option("--seed N", "of noise and of the cameras' fixed patterns (default: 1)", whole(0)),
+        option("--rig", "whose cameras: a shipped rig by name, or a .toml file"),
+        option("--calibration FILE", "what detectors are told (default: the cameras' own)", str),
+        option("--limit-mm MM", "of each teat's error (default: 5)", LENGTH),
+        option("--chunk-scenes N", "scenes worked on together (default: 25)", whole(1, 10_000)),
+        one_of(
+            option("--workers N", "processes (default: one a processor)", whole(1, 1024)),
+            option("--dask ADDRESS", "a Dask scheduler instead, such as tcp://lab-pc:8786"),
+        ),
+        option("--out DIR", "the campaign's folder", required=True),
+        JSON,
+    ),
+    "campaign chunk": (
+        "do one chunk of a plan, for a cluster's job arrays; without N, print how many there are",
+        "campaign chunk campaigns/night/plan.toml 0",
+        option("plan PLAN", "the plan's .toml file", Path),
+        option("number N", "from 0", whole(0), nargs="?"),
+        option("--out DIR", "the campaign's folder (default: the plan's)"),
+    ),
+    "campaign query": (
+        "ask DuckDB over the views scenes and teats",
+        'campaign query campaigns/ideal "SELECT failure, count() FROM scenes GROUP BY ALL"',
+        option("folder DIR", "the campaign's folder"),
+        option("sql SQL", "a SELECT; DESCRIBE scenes and DESCRIBE teats tell the columns"),
+        flag("--json", "a JSON list with an object a row"),
     ),
     "check": (
         "connect to every instrument, print who it is and one reading",

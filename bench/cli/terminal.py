@@ -7,7 +7,7 @@ markup.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import TracebackType
 
@@ -28,8 +28,6 @@ from rich.text import Text
 from bench.run.events import FAILURES
 from reports.sanitize import sanitized, unfiltered
 
-Report = Callable[[int, int], None]  # how many are done, of how many
-
 
 class _Count(MofNCompleteColumn):
     """Done of total; nothing where nobody knows the total."""
@@ -48,20 +46,41 @@ def _columns() -> tuple[ProgressColumn, ...]:
     )
 
 
+class Working:
+    """A bar of `working`; to be called with how many are done, of how many, and words to that."""
+
+    def __init__(self, bar: Progress, what: str, pace: str) -> None:
+        self._bar, self._pace = bar, pace
+        self._task = bar.add_task(what, total=None, detail="")
+        self._first: int | None = None
+
+    def __call__(self, done: int, total: int, detail: str = "") -> None:
+        first = self._first = done if self._first is None else self._first
+        spent_s = self._bar.tasks[0].elapsed or 0.0
+        if self._pace and done > first and spent_s:
+            a_second = (done - first) / spent_s
+            left_s = round((total - done) / a_second)
+            left = f"{left_s // 60} min" if left_s >= 120 else f"{left_s} s"
+            detail = f"{a_second:.1f} {self._pace}/s, {left} left; {detail}"
+        self._bar.update(self._task, completed=done, total=total, detail=detail)
+
+    def say(self, text: str) -> None:
+        """A line that stays, above the bar."""
+        with suppress(*FAILURES):
+            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
 @contextmanager
-def working(what: str) -> Iterator[Report]:
-    """A bar while something goes on, gone after it; gives what to call with how much is done. It
-    writes to standard error, and nothing where that or the output is no terminal.
+def working(what: str, pace: str = "") -> Iterator[Working]:
+    """A bar while something goes on, gone after it; gives what to call with how much is done.
+    ``pace`` names what is counted, for the rate and the time left. It writes to standard error, and
+    nothing where that or the output is no terminal.
     """
     console = Console(stderr=True, file=unfiltered(sys.stderr), markup=False)
     shown = console.is_terminal and Terminal().is_terminal
-    with Progress(*_columns(), console=console, transient=True, disable=not shown) as bar:
-        task = bar.add_task(what, total=None)
-
-        def report(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
-        yield report
+    columns = (*_columns(), *([TextColumn("{task.fields[detail]}")] if pace else []))
+    with Progress(*columns, console=console, transient=True, disable=not shown) as bar:
+        yield Working(bar, what, pace)
 
 
 class TerminalProgress:

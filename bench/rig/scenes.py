@@ -7,7 +7,7 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -91,20 +91,34 @@ def record(
         writer.add_calibration(read_text(rig.calibration_path))
         for name in families:
             for one in seeds:
-                frame, state = f"{name}-{one:04d}", warm(situation(name, one))
-                rng = np.random.default_rng([seed, one, *name.encode()])
-                writer.add(frame, _taken(renderer, state, rng))
-                ends = zip(
-                    state.phantom.ends_mm.tolist(), renderer.visible_ends(state), strict=True
-                )
-                rows = [
-                    TruthRow(name, str(i), (x, y, z), bool(seen.all()), 0.0)
-                    for i, ((x, y, z), seen) in enumerate(ends, 1)
-                ]
-                writer.add_truth(frame, rows)
+                frame = f"{name}-{one:04d}"
+                shot = draw(renderer, name, warm(situation(name, one)), [seed, one])
+                writer.add(frame, shot.frames)
+                writer.add_truth(frame, shot.truth)
                 yield frame
     except OSError as error:
         raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """A scene as the cameras see it, with its exact truth."""
+
+    frames: FrameSet
+    truth: tuple[TruthRow, ...]
+
+
+def draw(renderer: Renderer, name: str, state: SceneState, seeds: Sequence[int]) -> Drawn:
+    """One scene drawn; ``name`` and ``seeds`` are those of its noise, ``name`` its situation's.
+    Raises ValueError for a thing too near a camera.
+    """
+    frames = _taken(renderer, state, np.random.default_rng([*seeds, *name.encode()]))
+    ends = zip(state.phantom.ends_mm.tolist(), renderer.visible_ends(state), strict=True)
+    rows = (
+        TruthRow(name, str(i), (x, y, z), bool(seen.all()), 0.0)
+        for i, ((x, y, z), seen) in enumerate(ends, 1)
+    )
+    return Drawn(frames, tuple(rows))
 
 
 def _taken(renderer: Renderer, state: SceneState, rng: np.random.Generator) -> FrameSet:

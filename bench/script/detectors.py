@@ -11,7 +11,9 @@ import os
 import re
 import shlex
 import shutil
+import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -27,6 +29,7 @@ from instruments.clock import stopwatch_s
 EXEC, FILE = "exec:", ".toml"
 DECLARED = Path("detectors")
 _DEFAULT = Limits()
+NEVER = {"restarts": sys.maxsize, "in_a_row": sys.maxsize}  # is a detector given up
 
 
 class DetectorFile(Section):
@@ -46,11 +49,14 @@ class DetectorFile(Section):
     faults_in_a_row: Annotated[int, Field(ge=1, le=100)] = _DEFAULT.in_a_row
 
 
-def make_detectors(names: Sequence[str], folder: Path = Path()) -> list[Detector]:
-    """The detectors of these names; files are looked for in ``folder``. Raises ConfigError for one
-    that isn't there, or can't be used.
+def make_detectors(
+    names: Sequence[str], folder: Path = Path(), *, gives_up: bool = True
+) -> list[Detector]:
+    """The detectors of these names; files are looked for in ``folder``. Without ``gives_up`` a
+    program is started anew after any number of faults. Raises ConfigError for one that isn't there,
+    or can't be used.
     """
-    made = [_make(name, folder) for name in dict.fromkeys(names)]
+    made = [_make(name, folder, gives_up) for name in dict.fromkeys(names)]
     for detector in made:
         if sum(other.name == detector.name for other in made) > 1:
             raise ConfigError.plain(
@@ -91,16 +97,16 @@ def declared() -> dict[str, str]:
     return found
 
 
-def _make(name: str, folder: Path) -> Detector:
+def _make(name: str, folder: Path, gives_up: bool) -> Detector:
     if name.endswith(FILE) and not name.startswith(EXEC):
-        return _of_file(folder / name)
+        return _of_file(folder / name, gives_up)
     if not name.startswith(EXEC):
         try:
             check_named((name,))
         except ValueError as error:
             raise ConfigError.plain(str(error)) from error
         shipped = name in registry.available()
-        return registry.create(name) if shipped else _of_file(DECLARED / f"{name}{FILE}")
+        return registry.create(name) if shipped else _of_file(DECLARED / f"{name}{FILE}", gives_up)
     try:
         command = taken_apart(name.removeprefix(EXEC), windows=os.name == "nt")
     except ValueError as error:
@@ -112,7 +118,8 @@ def _make(name: str, folder: Path) -> Detector:
     files = (Path(part).stem for part in command[1:] if Path(part).is_file())
     modules = (part.rpartition(".")[2] for flag, part in pairwise(command) if flag == "-m")
     called = [*files, *modules, Path(command[0]).stem][0]
-    return ExternalDetector(f"exec-{_plain(called)}", command, stopwatch_s)
+    limits = _DEFAULT if gives_up else replace(_DEFAULT, **NEVER)
+    return ExternalDetector(f"exec-{_plain(called)}", command, stopwatch_s, limits=limits)
 
 
 def _plain(name: str) -> str:
@@ -127,7 +134,7 @@ def taken_apart(text: str, *, windows: bool) -> list[str]:
     return [re.sub(r"""(?s)^(["'])(.*)\1\Z""", r"\2", word) if windows else word for word in words]
 
 
-def _of_file(path: Path) -> Detector:
+def _of_file(path: Path, gives_up: bool) -> Detector:
     given = read_config(path, DetectorFile)
     folder = path.resolve().parent
     _find_program(given.command[0], folder)
@@ -137,18 +144,19 @@ def _of_file(path: Path) -> Detector:
             f'{path}: "{name}" is the name of a detector that ships. Give yours another: name ='
             ' "…".'
         )
+    limits = Limits(
+        given.start_limit_s,
+        given.time_limit_s,
+        given.memory_limit_mib,
+        given.restarts,
+        given.faults_in_a_row,
+    )
     return ExternalDetector(
         name,
         given.command,
         stopwatch_s,
         folder=folder,
-        limits=Limits(
-            given.start_limit_s,
-            given.time_limit_s,
-            given.memory_limit_mib,
-            given.restarts,
-            given.faults_in_a_row,
-        ),
+        limits=limits if gives_up else replace(limits, **NEVER),
         version=given.version or None,
         environment=given.environment,
     )

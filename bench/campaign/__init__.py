@@ -1,0 +1,1 @@
+"""Many emulated scenes scored without instruments, in chunks on many processors."""

@@ -1,0 +1,289 @@
+"""A chunk of a campaign: scenes drawn, detected and scored without writing a frame.
+
+The rows depend on the scene, the seed, the cameras, the calibration and the detectors alone, not on
+which scenes came before, on which process or machine, or how busy that was. So an answer within
+a process is never too late here, its time is only measured; a program as detector has limits of its
+own (docs/detectors.md).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from bench.results.answers import Answer, examine, score_answer
+from bench.rig.loading import LoadedRig
+from bench.rig.scenes import Drawn, draw, rig_renderer, warm
+from bench.scoring.scene import SceneScore
+from detector.calibration import Calibration
+from detector.protocol import Detector, Outcome, Teat
+from instruments.camera.frame import FrameSet
+from instruments.camera.recording import TruthRow
+from instruments.clock import processor_s, stopwatch_s
+from instruments.world.scene import Renderer
+from instruments.world.situations import Situation, situation
+from instruments.world.state import SceneState
+
+LIMIT_MM = 5.0  # of the error of each teat; thesis, section 1.4.3
+ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
+DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance of 3e-8
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Scene:
+    """A member of a family."""
+
+    family: str
+    member: int
+
+    @property
+    def name(self) -> str:
+        """As `scene record` calls its frame."""
+        return f"{self.family}-{self.member:04d}"
+
+
+class Perturbation(Protocol):
+    """What a plan does to every scene. Each method gives back what it doesn't change; chance comes
+    from ``seeds``, which are the campaign's, the member's and the family's.
+    """
+
+    def state(self, state: SceneState, seeds: Sequence[int]) -> SceneState:
+        """The scene, before it is drawn."""
+        ...
+
+    def frames(self, frames: FrameSet, seeds: Sequence[int]) -> FrameSet:
+        """The pictures that the detectors get."""
+        ...
+
+    def stated(self, calibration: Calibration, seeds: Sequence[int]) -> Calibration:
+        """The calibration that the detectors get."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """What is the same for all scenes; made once a process."""
+
+    renderer: Renderer
+    calibration: Calibration
+    detectors: Sequence[Detector]
+    seed: int
+    limit_mm: float = LIMIT_MM
+    perturbations: Sequence[Perturbation] = ()
+
+    @classmethod
+    def of_rig(
+        cls,
+        rig: LoadedRig,
+        detectors: Sequence[Detector],
+        seed: int,
+        *,
+        limit_mm: float = LIMIT_MM,
+        perturbations: Sequence[Perturbation] = (),
+    ) -> Bench:
+        """The emulated cameras of a rig file, detectors told what they are drawn by."""
+        renderer = rig_renderer(rig, seed)
+        return cls(renderer, rig.calibration, detectors, seed, limit_mm, perturbations)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneRow:
+    """One scene and detector. Counts are of teat ends: ``visible`` ones were found or missed.
+
+    ``failure`` is the gravest that applies, empty for a success: `ASIDE`, the outcome where there
+    was no answer, "false", "missed", "error" (above the limit). Errors are of found teats, None
+    without. ``frames`` is the start of the SHA-256 of all pictures' pixels, in hex.
+    """
+
+    family: str
+    member: int
+    detector: str
+    visible: int
+    hidden: int
+    found: int
+    missed: int
+    false_teats: int
+    hidden_claimed: int | None
+    max_mm: float | None
+    mean_mm: float | None
+    failure: str
+    frames: str
+
+
+@dataclass(frozen=True, slots=True)
+class TeatRow:
+    """One teat of a scene, or one false finding (``teat`` 0). ``status``: "found", "missed",
+    "false", "hidden", or "hidden found". Errors are found - truth, sd the detector's own, both
+    along world axes in mm; nees is e' C^-1 e, 3 on average where C is true.
+    """
+
+    family: str
+    member: int
+    detector: str
+    teat: int
+    status: str
+    x_mm: float | None = None
+    y_mm: float | None = None
+    z_mm: float | None = None
+    sd_x_mm: float | None = None
+    sd_y_mm: float | None = None
+    sd_z_mm: float | None = None
+    nees: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """What of a detection differs from run to run: seconds, real and of the processor (None for a
+    detector elsewhere), and the words of one without an answer.
+    """
+
+    seconds: float
+    cpu_s: float | None
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """What a chunk found. ``taken`` belongs to ``scenes``, row by row. ``cpu_s`` and ``seconds``
+    are of the whole chunk, drawing included.
+    """
+
+    scenes: tuple[SceneRow, ...] = ()
+    teats: tuple[TeatRow, ...] = ()
+    taken: tuple[Taken, ...] = ()
+    cpu_s: float = 0.0
+    seconds: float = 0.0
+
+    def __add__(self, other: Rows) -> Rows:
+        return Rows(
+            self.scenes + other.scenes,
+            self.teats + other.teats,
+            self.taken + other.taken,
+            self.cpu_s + other.cpu_s,
+            self.seconds + other.seconds,
+        )
+
+
+def run_chunk(bench: Bench, scenes: Iterable[Scene]) -> Rows:
+    """The rows of these scenes, in their order. Raises ValueError for a scene that can't be drawn
+    before these cameras.
+    """
+    started_s, used_before_s = stopwatch_s(), processor_s()
+    parts = [run_scene(bench, scene) for scene in scenes]
+    rows = tuple(row for part in parts for row in part.scenes)
+    teats = tuple(row for part in parts for row in part.teats)
+    taken = tuple(one for part in parts for one in part.taken)
+    return Rows(rows, teats, taken, processor_s() - used_before_s, stopwatch_s() - started_s)
+
+
+def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Rows:
+    """The rows of one scene; ``found`` is its situation where it isn't the family's own member.
+    Raises ValueError for one that can't be drawn before these cameras.
+    """
+    started_s, used_before_s = stopwatch_s(), processor_s()
+    seeds = (bench.seed, scene.member, *scene.family.encode())
+    state, stated = warm(found or situation(scene.family, scene.member)), bench.calibration
+    for perturbation in bench.perturbations:
+        state = perturbation.state(state, seeds)
+        stated = perturbation.stated(stated, seeds)
+    drawn = draw(bench.renderer, scene.family, state, [bench.seed, scene.member])
+    frames = drawn.frames
+    for perturbation in bench.perturbations:
+        frames = perturbation.frames(frames, seeds)
+    answers = [
+        examine(detector, frames, stated, timeout_s=math.inf) for detector in bench.detectors
+    ]
+    digest = _digest(frames)
+    scores = [
+        score_answer(answer, drawn.truth, limit_mm=bench.limit_mm, time_limit_s=math.inf)
+        for answer in answers
+    ]
+    found_by = list(zip(answers, scores, strict=True))
+    rows = tuple(_scene_row(scene, answer, score, digest) for answer, score in found_by)
+    teats = tuple(row for one in found_by for row in _teat_rows(scene, *one, drawn))
+    taken = tuple(Taken(answer.seconds, answer.cpu_s, _reason(answer)) for answer in answers)
+    return Rows(rows, teats, taken, processor_s() - used_before_s, stopwatch_s() - started_s)
+
+
+def set_aside(scene: Scene, detectors: Iterable[str], why: str) -> Rows:
+    """The rows of a scene that the bench could not do: no detector's failure."""
+    nothing = (0, 0, 0, 0, 0, None, None, None, ASIDE, "")
+    rows = tuple(SceneRow(scene.family, scene.member, name, *nothing) for name in detectors)
+    return Rows(rows, (), tuple(Taken(0.0, None, why) for _ in rows))
+
+
+def _digest(frames: FrameSet) -> str:
+    whole = hashlib.sha256()
+    for picture in (frames.left, frames.right, frames.thermal, frames.thermal_ck):
+        if picture is not None:
+            whole.update(picture.tobytes())
+    return whole.hexdigest()[: 2 * DIGEST_BYTES]
+
+
+def _scene_row(scene: Scene, answer: Answer, score: SceneScore, digest: str) -> SceneRow:
+    counts, distances = score.counts, score.radial_mm
+    return SceneRow(
+        scene.family,
+        scene.member,
+        answer.detector,
+        counts.visible,
+        counts.hidden,
+        counts.matched,
+        counts.missed,
+        counts.false,
+        score.hidden_claimed,
+        _stored(max(distances)) if distances else None,
+        _stored(math.fsum(distances) / len(distances)) if distances else None,
+        _failure(answer, score),
+        digest,
+    )
+
+
+def _reason(answer: Answer) -> str | None:
+    return None if answer.outcome is Outcome.ANSWERED else answer.detection.reason
+
+
+def _failure(answer: Answer, score: SceneScore) -> str:
+    if answer.outcome is not Outcome.ANSWERED:
+        return str(answer.outcome.value)
+    counts = score.counts
+    if counts.false:
+        return "false"
+    if counts.missed:
+        return "missed"
+    return "" if score.success else "error"
+
+
+def _teat_rows(scene: Scene, answer: Answer, score: SceneScore, drawn: Drawn) -> Iterable[TeatRow]:
+    match, teats = score.match, answer.detection.teats
+    answered = {j: ("found", teats[i]) for i, j in match.pairs}
+    answered |= {j: ("hidden found", teats[i]) for i, j in match.hidden_pairs}
+    for j, truth in enumerate(drawn.truth):
+        key = (scene.family, scene.member, answer.detector, j + 1)
+        if j in answered:
+            status, teat = answered[j]
+            yield TeatRow(*key, status, *_figures(teat, truth))
+        else:
+            yield TeatRow(*key, "missed" if truth.visible else "hidden")
+    for _ in match.false:
+        yield TeatRow(scene.family, scene.member, answer.detector, 0, "false")
+
+
+def _figures(teat: Teat, truth: TruthRow) -> tuple[float | None, ...]:
+    """Error and sd along the three axes, and NEES."""
+    error = np.asarray(teat.world_mm) - np.asarray(truth.xyz_mm)
+    if teat.covariance_mm2 is None:
+        return tuple(_stored(value) for value in error.tolist())
+    nees = float(error @ np.linalg.solve(teat.covariance_mm2, error))
+    sd = np.sqrt(np.diagonal(teat.covariance_mm2))
+    return tuple(_stored(value) for value in (*error.tolist(), *sd.tolist(), nees))
+
+
+def _stored(value: float) -> float:
+    """As a shard holds it: 32 bits, 7 digits."""
+    return float(np.float32(value))

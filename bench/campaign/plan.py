@@ -1,0 +1,269 @@
+"""The plan of a campaign: which scenes, which detectors, what they are told; its chunks; and what
+has to be the same for a campaign to go on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, field_validator
+
+import bench
+import detector
+import instruments.world
+from bench import __version__
+from bench.campaign.chunk import LIMIT_MM, Bench, Perturbation, Scene
+from bench.config import ConfigError, Positive, Section, read_calibration, read_config, read_text
+from bench.rig.loading import find_rig, load_rig
+from bench.rig.model import EmulatedOptical, EmulatedThermal, make_renderer
+from bench.rig.scenes import chosen
+from bench.scoring.rates import Rate
+from bench.scoring.sequential import confidence_sequence
+from bench.script.detectors import EXEC, FILE, make_detectors
+from bench.toml import toml_text
+from detector.calibration import Calibration
+from detector.protocol import Detector
+from instruments.world.scene import Renderer
+
+SCENES, MOST_SCENES = 100, 20_000  # a family: without and with a width to be reached
+DETECTORS = ("fused",)
+LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
+# what makes a scene's rows, beside the libraries
+MAKES_ROWS = (
+    *(Path(detector.__file__).parent, Path(instruments.world.__file__).parent),
+    *(Path(bench.__file__).parent / name for name in ("campaign/chunk.py", "rig/scenes.py")),
+    *(Path(bench.__file__).parent / name for name in ("results/answers.py", "scoring")),
+)
+
+
+class Plan(Section):
+    """A file of a campaign. ``scenes`` are of each family: so many, or with ``half_width`` (of the
+    95 % interval of the failure rate) at most. Files are named from the plan's folder.
+    """
+
+    title: str = ""
+    families: Annotated[tuple[str, ...], Field(validate_default=True)] = ()
+    scenes: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    half_width: Annotated[float, Field(gt=0, lt=0.5)] | None = None
+    first: Annotated[int, Field(ge=0, le=1_000_000_000)] = 0
+    seed: Annotated[int, Field(ge=0, le=2**62)] = 1
+    detectors: Annotated[tuple[str, ...], Field(min_length=1)] = DETECTORS
+    rig: str = "emulated"
+    calibration: str = ""
+    limit_mm: Positive = LIMIT_MM
+    optical: EmulatedOptical = EmulatedOptical()
+    thermal: EmulatedThermal = EmulatedThermal()
+    chunk_scenes: Annotated[int, Field(ge=1, le=10_000)] = 25
+    chunk_limit_s: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    made_by: dict[str, str] = Field(default_factory=dict)
+
+    @field_validator("families")
+    @classmethod
+    def _families(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        try:
+            return chosen(names)
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
+
+    @field_validator("detectors")
+    @classmethod
+    def _once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(names))
+
+    @property
+    def most_scenes(self) -> int:
+        """Scenes of a family, at most."""
+        return self.scenes or (SCENES if self.half_width is None else MOST_SCENES)
+
+    @property
+    def chunks_a_family(self) -> int:
+        return -(-self.most_scenes // self.chunk_scenes)
+
+    @property
+    def chunk_count(self) -> int:
+        return len(self.families) * self.chunks_a_family
+
+    def interval(self, failures: int, scenes: int) -> tuple[float, float] | None:
+        """Of a failure rate, 95 %: exact for a number of scenes, one that holds at every look where
+        the plan stops by it; None of nothing.
+        """
+        if self.half_width is not None and scenes:
+            return confidence_sequence(failures, scenes)
+        return Rate(failures, scenes).interval()
+
+    def chunk(self, number: int) -> Chunk:
+        """Chunk ``number`` of all, from 0; the families take turns."""
+        part, family = divmod(number, len(self.families))
+        start = part * self.chunk_scenes
+        members = range(start, min(start + self.chunk_scenes, self.most_scenes))
+        return Chunk(self.families[family], part, tuple(self.first + one for one in members))
+
+    def chunks(self) -> Iterator[Chunk]:
+        """All chunks, in order."""
+        return map(self.chunk, range(self.chunk_count))
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Members of one family that are worked on together; ``number`` counts in the family."""
+
+    family: str
+    number: int
+    members: tuple[int, ...]
+
+    @property
+    def scenes(self) -> tuple[Scene, ...]:
+        return tuple(Scene(self.family, member) for member in self.members)
+
+    @property
+    def name(self) -> str:
+        return f"{self.family}-{self.number:06d}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """What a process needs for any chunk of a plan, without a file: the table of the calibration
+    that the cameras are made of, the calibration that detectors are told, and sensors' settings.
+    """
+
+    cameras: Mapping[str, Any]
+    stated: Calibration
+    optical: EmulatedOptical
+    thermal: EmulatedThermal
+    detectors: tuple[str, ...]
+    detector_names: tuple[str, ...]
+    seed: int
+    limit_mm: float
+    perturbations: tuple[Perturbation, ...] = ()
+
+    def renderer(self) -> Renderer:
+        return make_renderer(self.cameras, self.seed, self.optical, self.thermal)
+
+    def make_detectors(self) -> list[Detector]:
+        """New ones: what a program did in one chunk changes nothing in another."""
+        return make_detectors(self.detectors, gives_up=False)
+
+    def bench(self, renderer: Renderer, detectors: list[Detector]) -> Bench:
+        return Bench(renderer, self.stated, detectors, self.seed, self.limit_mm, self.perturbations)
+
+
+def read_plan(path: Path) -> Plan:
+    """The plan at ``path``, with whole paths. Raises ConfigError with all its faults."""
+    return with_whole_paths(read_config(path, Plan), path.parent)
+
+
+def with_whole_paths(plan: Plan, folder: Path) -> Plan:
+    """The plan with every file named from the root, so that it may be stored elsewhere."""
+
+    def whole(name: str) -> str:
+        if not name.endswith(FILE) or name.startswith(EXEC):
+            return name
+        return (folder / name).resolve().as_posix()
+
+    detectors = tuple(map(whole, plan.detectors))
+    calibration, rig = whole(plan.calibration), whole(plan.rig)
+    changed = {"detectors": detectors, "calibration": calibration, "rig": rig}
+    return plan.model_copy(update=changed)
+
+
+def open_plan(plan: Plan) -> tuple[Job, dict[str, str]]:
+    """What a plan's processes need, and the identity of the rows that they make. Raises ConfigError
+    for a rig, calibration or detector that isn't there or is wrong.
+    """
+    rig = load_rig(find_rig(plan.rig))
+    if plan.calibration and not plan.calibration.endswith(FILE):
+        raise ConfigError.plain(f"calibration {plan.calibration!r}: name a .toml file")
+    true = rig.calibration
+    stated = read_calibration(Path(plan.calibration)) if plan.calibration else true
+    detectors = make_detectors(plan.detectors)
+    emulation = rig.rig.emulation
+    optical = emulation.optical.model_copy(update=plan.optical.model_dump(exclude_none=True))
+    thermal = emulation.thermal.model_copy(update=plan.thermal.model_dump(exclude_none=True))
+    job = Job(
+        tomllib.loads(read_text(rig.calibration_path)),
+        stated,
+        optical,
+        thermal,
+        plan.detectors,
+        tuple(one.name for one in detectors),
+        plan.seed,
+        plan.limit_mm,
+    )
+    cameras = read_text(rig.calibration_path)
+    told = read_text(Path(plan.calibration)) if plan.calibration else cameras
+    sensors = optical.model_dump_json() + thermal.model_dump_json()
+    same = {
+        **of_program(),
+        "rig": f"{Path(plan.rig).stem} {digest_of(cameras, sensors)}",
+        "calibration": digest_of(told),
+        "detectors": ", ".join(
+            f"{one.name} {one.version} {digest_of(repr(sorted(one.parameters.items())))}"
+            for one in detectors
+        ),
+        "plan": digest_of(repr(_asked(plan))),
+    }
+    return job, same
+
+
+def _asked(plan: Plan) -> list[tuple[str, Any]]:
+    """What a plan asks for, beyond what is in its files and how it is worked on."""
+    left_out = {"title", "rig", "calibration", "optical", "thermal", "chunk_limit_s", "made_by"}
+    asked = plan.model_dump(mode="json", exclude=left_out)
+    return sorted({**asked, "scenes": plan.most_scenes}.items())
+
+
+@cache
+def of_program() -> dict[str, str]:
+    """Versions of all that makes rows: release and source files of the program, and libraries."""
+    files = [
+        path
+        for place in MAKES_ROWS
+        for path in (sorted(place.rglob("*.py")) if place.is_dir() else [place])
+    ]
+    source = digest_of(*(path.read_text(encoding="utf-8") for path in files))
+    libraries = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in LIBRARIES)
+    return {"teatbench": f"{__version__} {source}", "libraries": libraries}
+
+
+def digest_of(*texts: str) -> str:
+    """The start of the SHA-256 of all texts, 16 characters."""
+    whole = hashlib.sha256()
+    for text in texts:
+        whole.update(hashlib.sha256(text.encode("utf-8")).digest())
+    return whole.hexdigest()[:16]
+
+
+def plan_text(plan: Plan, made_by: Mapping[str, str]) -> str:
+    """The plan as a file, with what makes its rows."""
+    usual = Plan().model_dump(mode="json", exclude={"families", "seed", "detectors"})
+    table = plan.model_dump(mode="json", exclude={"made_by"}, exclude_none=True)
+    kept = {key: value for key, value in table.items() if value != usual.get(key)}
+    heading = (
+        "A campaign of teatbench. [made_by] has to be the same for the campaign to go on; a new"
+        " campaign\nmay be made of this file: it is left out then."
+    )
+    kept = {key: value for key, value in kept.items() if value != {}}
+    return toml_text({**kept, "scenes": plan.most_scenes, "made_by": dict(made_by)}, heading)
+
+
+def differences(kept: Plan, kept_by: Mapping[str, str], plan: Plan, by: Mapping[str, str]) -> str:
+    """What differs between a stored plan and one, a line each; empty where rows go together."""
+    lines = []
+    if kept_by.get("plan") != by["plan"]:
+        old, new = dict(_asked(kept)), dict(_asked(plan))
+        lines += [
+            f"{key}: {old[key]} there, {new[key]} here" for key in new if old[key] != new[key]
+        ]
+    lines += [
+        f"{key}: {kept_by.get(key, 'not known')} there, {by[key]} here"
+        for key in by
+        if key != "plan" and kept_by.get(key) != by[key]
+    ]
+    return "\n".join(f"  {line}" for line in lines)

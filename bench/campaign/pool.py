@@ -1,0 +1,295 @@
+"""Processes of this machine that work on chunks. One that dies or stops is replaced, and only the
+scene on which it did so is tried again.
+
+A pool of the standard library won't do: `ProcessPoolExecutor` is broken as a whole by one death,
+and `multiprocessing.Pool` waits for ever for what a killed process had taken.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import queue
+import signal
+import statistics
+import subprocess
+import sys
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import IO, Any, cast
+
+from bench.campaign.chunk import Rows, Scene, set_aside
+from bench.campaign.plan import Chunk, Job
+from bench.campaign.worker import ONE_THREAD
+from instruments.clock import stopwatch_s
+
+AHEAD = 2  # chunks in flight a worker, so that none waits for its next
+DEATHS = 3  # on one scene, until it is set aside
+START_DEATHS = 3  # of workers one after the other that never began
+USUAL_TIMES = 10  # a worker may take so many usual chunk times without a word
+LEAST_LIMIT_S, FIRST_LIMIT_S = 60.0, 600.0  # of silence: at least, and while nothing is known
+REMEMBERED = 400  # scenes whose times are kept
+CLOSING_S = 5.0
+LOOK_S = 0.5  # between two looks whether one is silent for too long
+Say = Callable[[str], None]
+
+
+class PoolError(Exception):
+    """No worker can be started; the message says why."""
+
+
+@dataclass(slots=True)
+class _Part:
+    """What is left of a chunk, and what is done."""
+
+    chunk: Chunk
+    left: list[Scene]
+    done: list[Rows] = field(default_factory=list)
+
+    @property
+    def rows(self) -> Rows:
+        parts = sorted(self.done, key=lambda rows: rows.scenes[0].member)
+        return sum(parts, Rows())
+
+
+class _Worker:
+    """A process, and a thread that passes on what it says; ``None`` is its end."""
+
+    def __init__(
+        self, job: Job, number: int, heard: queue.SimpleQueue[tuple[_Worker, Any]]
+    ) -> None:
+        self.number = number
+        self.parts: deque[_Part] = deque()
+        self.ready, self.killed = False, ""
+        self.heard_s = stopwatch_s()
+        self._heard = heard
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "bench.campaign.worker"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, **ONE_THREAD},
+        )
+        self._requests = cast(IO[bytes], self._process.stdin)
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+        self.ask(job)
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def give(self, part: _Part) -> None:
+        if not self.parts:
+            self.heard_s = stopwatch_s()
+        self.parts.append(part)
+        self.ask(tuple(part.left))
+
+    def ask(self, value: object) -> None:
+        with suppress(OSError):  # a dead one says so itself
+            pickle.dump(value, self._requests)
+            self._requests.flush()
+
+    def kill(self, why: str) -> None:
+        self.killed = self.killed or why
+        self._process.kill()
+
+    def end(self) -> str:
+        """Wait for its end; gives back how it ended."""
+        with suppress(OSError):
+            self._requests.close()
+        try:
+            code = self._process.wait(CLOSING_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
+        self._thread.join()
+        if self.killed:
+            return self.killed
+        if code < 0:
+            with suppress(ValueError):
+                return f"ended by {signal.Signals(-code).name}"
+        return f"ended with code {code}"
+
+    def _listen(self) -> None:
+        with cast(IO[bytes], self._process.stdout) as source:
+            while True:
+                try:
+                    value = pickle.load(source)  # noqa: S301 - of a process that we started
+                except Exception:  # cut by its death, or garbage of one that went wrong
+                    break
+                self._heard.put((self, value))
+        self._heard.put((self, None))
+
+
+class LocalPool:
+    """``workers`` processes; to be used with ``with``. ``say`` gets a sentence for whatever went
+    wrong. ``limit_s``: seconds without a word after which a worker is killed; 0: ten usual chunk
+    times.
+    """
+
+    def __init__(
+        self, job: Job, workers: int, *, say: Say, chunk_scenes: int, limit_s: float = 0.0
+    ) -> None:
+        self._job, self._count, self._say = job, workers, say
+        self._chunk_scenes, self._limit_s = chunk_scenes, limit_s
+        self._heard: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
+        self._workers: list[_Worker] = []
+        self._again: deque[_Part] = deque()
+        self._deaths: Counter[Scene] = Counter()
+        self._scene_s: deque[float] = deque(maxlen=REMEMBERED)
+        self._starts_failed = self._started = 0
+
+    def __enter__(self) -> LocalPool:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        value: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the processes; once more is no error."""
+        for worker in self._workers:
+            if worker.parts:
+                worker.kill("no longer needed")
+            else:
+                worker.ask(None)
+        for worker in self._workers:
+            worker.end()
+        self._workers.clear()
+
+    @property
+    def pids(self) -> list[int]:
+        """The processes, for who watches them."""
+        return [worker.pid for worker in self._workers]
+
+    @property
+    def limit_s(self) -> float:
+        """How long a worker may say nothing."""
+        if self._limit_s:
+            return self._limit_s
+        if not self._scene_s:
+            return FIRST_LIMIT_S
+        usual_s = statistics.median(self._scene_s) * self._chunk_scenes
+        return max(LEAST_LIMIT_S, USUAL_TIMES * usual_s)
+
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
+        """The rows of each chunk, as they are done. ``chunks`` is asked for one when there is room.
+        Raises PoolError where no worker can be started.
+        """
+        while True:
+            self._fill(chunks)
+            if not any(worker.parts for worker in self._workers) and not self._again:
+                return
+            try:
+                worker, value = self._heard.get(timeout=LOOK_S)
+            except queue.Empty:
+                self._kill_silent()
+                continue
+            if value is None:
+                part = self._replace(worker)
+            elif isinstance(value, Rows):
+                part = self._take(worker, value)
+            else:
+                worker.ready, self._starts_failed, part = True, 0, None
+                worker.heard_s = stopwatch_s()
+            if part and not part.left:
+                yield part.chunk, part.rows
+            self._kill_silent()
+
+    def _fill(self, chunks: Iterator[Chunk]) -> None:
+        for load in range(AHEAD):
+            for place in range(self._count):
+                worker = self._workers[place] if place < len(self._workers) else None
+                if worker and len(worker.parts) > load:
+                    continue
+                part = self._next(chunks)
+                if part is None:
+                    return
+                if worker is None:
+                    worker = self._start()
+                worker.give(part)
+
+    def _next(self, chunks: Iterator[Chunk]) -> _Part | None:
+        if self._again:
+            return self._again.popleft()
+        chunk = next(chunks, None)
+        return None if chunk is None else _Part(chunk, list(chunk.scenes))
+
+    def _start(self) -> _Worker:
+        self._started += 1
+        worker = _Worker(self._job, self._started, self._heard)
+        self._workers.append(worker)
+        return worker
+
+    def _take(self, worker: _Worker, rows: Rows) -> _Part:
+        now_s = stopwatch_s()
+        self._scene_s.append(now_s - worker.heard_s)
+        worker.heard_s = now_s
+        part = worker.parts[0]
+        part.left.pop(0)
+        part.done.append(rows)
+        if not part.left:
+            worker.parts.popleft()
+        return part
+
+    def _replace(self, worker: _Worker) -> _Part | None:
+        """Put the work of one that ended back; gives back a part of which nothing is left."""
+        self._workers.remove(worker)
+        how = worker.end()
+        parts, worker.parts = worker.parts, deque()
+        if not worker.ready:
+            self._again.extendleft(reversed(parts))
+            self._starts_failed += 1
+            self._say(f"worker {worker.number} {how} before it was ready")
+            if self._starts_failed >= START_DEATHS:
+                raise PoolError(
+                    f"{START_DEATHS} workers one after the other {how} before they were ready. Is"
+                    " there memory for them? 'python -m bench.campaign.worker' shows an error of"
+                    " the installation."
+                )
+            return None
+        if not parts:
+            return None
+        current = parts.popleft()
+        self._again.extendleft(reversed(parts))
+        scene = current.left[0]
+        self._deaths[scene] += 1
+        text = f"worker {worker.number} {how} at scene {scene.name}"
+        if self._deaths[scene] < DEATHS:
+            self._say(f"{text}; the scene is tried again")
+            self._again.appendleft(current)
+            return None
+        self._say(f"{text}, the third time: the scene is set aside")
+        why = f"its process {how} {DEATHS} times"
+        current.left.pop(0)
+        current.done.append(set_aside(scene, self._job.detector_names, why))
+        if current.left:
+            self._again.appendleft(current)
+        return current
+
+    def _silent_s(self, worker: _Worker) -> float:
+        """How long it may say nothing; to begin takes its time on a busy machine."""
+        return self.limit_s if worker.ready else max(FIRST_LIMIT_S, self.limit_s)
+
+    def _kill_silent(self) -> None:
+        now_s = stopwatch_s()
+        for worker in self._workers:
+            limit_s = self._silent_s(worker)
+            if worker.parts and not worker.killed and now_s - worker.heard_s > limit_s:
+                worker.kill(f"gave no sign of life for {limit_s:.0f} s and was killed")
+
+
+def usable_processors() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

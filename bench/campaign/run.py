@@ -1,0 +1,197 @@
+"""A campaign in its folder: begun, gone on with, ended; and what came of it so far.
+
+`plan.toml` says what was asked and what made the rows, `shards/` holds them. A campaign that
+stopped goes on where it was: what is done is what the folder holds.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from filelock import FileLock, Timeout
+
+from bench.campaign.chunk import ASIDE, Rows
+from bench.campaign.plan import Chunk, Plan, differences, open_plan, plan_text, read_plan
+from bench.campaign.shards import SHARDS, Shards
+from bench.config import ConfigError
+from bench.files import write_synced
+from bench.scoring.rates import Rate
+from bench.scoring.sequential import tight_enough
+
+PLAN, LOCK = "plan.toml", "campaign.lock"
+
+
+class Executor(Protocol):
+    """Works on chunks, in whatever order; asks for one when there is room."""
+
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How far a campaign is. ``failures``: by detector, of the scenes that are done."""
+
+    done: int
+    planned: int
+    failures: Mapping[str, int]
+    aside: int
+
+
+@dataclass(slots=True)
+class _Family:
+    """Chunks of a family that are done, with failures and scenes by detector; from ``stopped`` on
+    none is wanted.
+    """
+
+    stopped: int
+    chunks: dict[int, dict[str, Rate]] = field(default_factory=dict)
+    looked_at: int = 0  # chunks from the first on, without a gap
+    sums: dict[str, Rate] = field(default_factory=dict)
+
+
+class Campaign:
+    """A campaign in ``folder``, new or gone on with. Raises ConfigError for a plan that can't be
+    opened, and for a folder whose rows were made by something else.
+    """
+
+    def __init__(self, plan: Plan, folder: Path) -> None:
+        self.plan, self.folder = plan, folder
+        self.job, self.made_by = open_plan(plan)
+        self.shards = Shards(folder)
+        path = folder / PLAN
+        if path.exists():
+            kept = read_plan(path)
+            if lines := differences(kept, kept.made_by, plan, self.made_by):
+                raise ConfigError.plain(
+                    f"{folder} holds a campaign of another kind, whose rows don't go with these:\n"
+                    f"{lines}\nName another --out, or go back to what made it."
+                )
+        elif (folder / SHARDS).exists():
+            raise ConfigError.plain(f"{folder} has {SHARDS} but no {PLAN}; name another --out")
+
+    def begin(self) -> None:
+        """Write the plan, where it isn't there. Raises ConfigError where it can't be written."""
+        try:
+            (self.folder / SHARDS).mkdir(parents=True, exist_ok=True)
+            if not (self.folder / PLAN).exists():
+                text = plan_text(self.plan, self.made_by)
+                write_synced(self.folder / PLAN, text.encode("utf-8"))
+        except OSError as error:
+            raise ConfigError.plain(f"{self.folder}: can't be written: {error}") from error
+
+    def run(self, executor: Executor, report: Callable[[Status], None]) -> Status:
+        """Do what is not done yet; ``report`` gets how far it is after each chunk."""
+        families = self._known()
+        done = self.shards.done()
+        report(self._status(families))
+
+        def wanted() -> Iterator[Chunk]:
+            for chunk in self.plan.chunks():
+                key = (chunk.family, chunk.number)
+                if key not in done and chunk.number < families[chunk.family].stopped:
+                    yield chunk
+
+        for chunk, rows in executor.results(wanted()):
+            family = families[chunk.family]
+            if chunk.number < family.stopped:
+                self.shards.write(chunk.family, chunk.number, rows)
+                family.chunks[chunk.number] = _rates(rows)
+                self._look(chunk.family, family)
+                report(self._status(families))
+        self.shards.merge(rest=True)
+        return self._status(families)
+
+    def do_chunk(self, number: int, executor: Executor) -> bool:
+        """Do one chunk; False where it was done before."""
+        chunk = self.plan.chunk(number)
+        if (chunk.family, chunk.number) in self.shards.done():
+            return False
+        for one, rows in executor.results(iter([chunk])):
+            self.shards.write(one.family, one.number, rows)
+        return True
+
+    def _known(self) -> dict[str, _Family]:
+        """What the folder holds."""
+        most = self.plan.chunks_a_family
+        families = {name: _Family(most) for name in self.plan.families}
+        with self.shards.connect() as db:
+            found = db.execute(
+                "SELECT family, (member - ?) // ? AS chunk, detector,"
+                " count(*) FILTER (failure NOT IN ('', ?)), count(*) FILTER (failure != ?)"
+                " FROM scenes GROUP BY ALL",
+                [self.plan.first, self.plan.chunk_scenes, ASIDE, ASIDE],
+            ).fetchall()
+        for name, chunk, detector, failures, scenes in found:
+            rates = families[name].chunks.setdefault(chunk, {})
+            rates[detector] = Rate(scenes - failures, scenes)
+        for name, family in families.items():
+            self._look(name, family)
+        return families
+
+    def _look(self, name: str, family: _Family) -> None:
+        """Count the chunks from the first on, one by one, until the interval is tight enough: which
+        chunk ended first changes nothing.
+        """
+        while family.looked_at in family.chunks and family.looked_at < family.stopped:
+            for detector, rate in family.chunks[family.looked_at].items():
+                family.sums[detector] = family.sums.get(detector, Rate()) + rate
+            family.looked_at += 1
+            if self._tight(family):
+                family.stopped = family.looked_at
+                beyond = [
+                    one
+                    for one in self.shards.files()
+                    if one.family == name and one.first >= family.stopped
+                ]
+                self.shards.remove(beyond)
+                family.chunks = {k: v for k, v in family.chunks.items() if k < family.stopped}
+
+    def _tight(self, family: _Family) -> bool:
+        width = self.plan.half_width
+        return width is not None and all(
+            tight_enough(rate.failures, rate.trials, width) for rate in family.sums.values()
+        )
+
+    def _status(self, families: Mapping[str, _Family]) -> Status:
+        failures: dict[str, int] = defaultdict(int)
+        done = planned = aside = 0
+        for family in families.values():
+            planned += min(family.stopped * self.plan.chunk_scenes, self.plan.most_scenes)
+            for chunk, rates in family.chunks.items():
+                members = len(self.plan.chunk(chunk * len(self.plan.families)).members)
+                done += members
+                aside += members - min(rate.trials for rate in rates.values())
+                for detector, rate in rates.items():
+                    failures[detector] += rate.failures
+        return Status(done, planned, failures, aside)
+
+
+def _rates(rows: Rows) -> dict[str, Rate]:
+    found: dict[str, Rate] = {}
+    for row in rows.scenes:
+        scored = row.failure != ASIDE
+        one = Rate(int(row.failure == ""), int(scored))
+        found[row.detector] = found.get(row.detector, Rate()) + one
+    return found
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other campaign commands off the folder. Raises ConfigError where one has it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / LOCK)
+    try:
+        lock.acquire(timeout=0)
+    except Timeout:
+        raise ConfigError.plain(
+            f"{folder}: another 'teatbench campaign run' works in this folder; wait for its end"
+        ) from None
+    try:
+        yield
+    finally:
+        lock.release()

@@ -1,0 +1,196 @@
+"""The rows of a campaign in its folder: Parquet files that are there whole or not at all, one a
+chunk, merged in the end; written and read by DuckDB.
+
+A file has a row a scene and detector; a scene's teats are a list in its row. So one rename makes a
+chunk done, with both its tables. `ideal-000012.parquet` is chunk 12 of a family,
+`ideal-000000-000063.parquet` are 64 of them; a chunk that a merged file has too is not read twice.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import duckdb
+
+from bench.campaign.chunk import Rows, SceneRow, Taken, TeatRow
+from bench.config import ConfigError
+from bench.files import write_synced
+
+SHARDS = "shards"
+MERGED = 64  # chunks in one file, at most
+SIZES = {"int": "INTEGER", "float": "FLOAT", "str": "VARCHAR"}
+SMALL = ("visible", "hidden", "found", "missed", "false_teats", "hidden_claimed", "teat")
+KEYS = ("family", "member", "detector")
+NAME = re.compile(r"(?P<family>.+?)-(?P<first>\d{6})(?:-(?P<last>\d{6}))?\.parquet")
+# what differs from run to run, and so isn't part of a digest
+MEASURED = tuple(field.name for field in fields(Taken))
+
+
+def _columns(*rows: type, leave_out: Sequence[str] = ()) -> str:
+    """The columns of these rows in SQL; counts take a byte."""
+    named = {
+        field.name: "UTINYINT" if field.name in SMALL else SIZES[str(field.type).split(" ")[0]]
+        for row in rows
+        for field in fields(row)
+        if field.name not in leave_out
+    }
+    return ", ".join(f'"{name}" {kind}' for name, kind in named.items())
+
+
+OF_TEAT = tuple(field.name for field in fields(TeatRow) if field.name not in KEYS)
+TABLE = f"{_columns(SceneRow, Taken)}, teats STRUCT({_columns(TeatRow, leave_out=KEYS)})[]"
+WIDTH = len(fields(SceneRow)) + len(MEASURED) + 1
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Shard:
+    """A file with the chunks ``first`` to ``last`` of a family."""
+
+    family: str
+    first: int
+    last: int
+    path: Path
+
+
+class Shards:
+    """The folder of a campaign's shards. Raises ConfigError where it can't be used."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / SHARDS
+
+    def files(self) -> list[Shard]:
+        """What is to be read, in order: no chunk twice."""
+        kept: list[Shard] = []
+        for shard in sorted(self._all(), key=lambda one: (one.family, one.first, -one.last)):
+            above = kept[-1] if kept and kept[-1].family == shard.family else None
+            if above is None or shard.first > above.last:
+                kept.append(shard)
+        return kept
+
+    def done(self) -> set[tuple[str, int]]:
+        """Family and number of each chunk that is there."""
+        return {
+            (shard.family, number)
+            for shard in self.files()
+            for number in range(shard.first, shard.last + 1)
+        }
+
+    def write(self, family: str, number: int, rows: Rows) -> None:
+        """Add a chunk; its rows are sorted first."""
+        with duckdb.connect(config={"threads": 1}) as db:
+            db.execute(f"CREATE TABLE rows ({TABLE})")
+            db.executemany(f"INSERT INTO rows VALUES ({', '.join('?' * WIDTH)})", _lines(rows))
+            self._store(db, f"{family}-{number:06d}")
+
+    def merge(self, *, rest: bool) -> None:
+        """Merge each whole block of chunks of a family into one file; with ``rest``, what remains
+        too.
+        """
+        blocks: dict[tuple[str, int], list[Shard]] = {}
+        for shard in self.files():
+            blocks.setdefault((shard.family, shard.first // MERGED), []).append(shard)
+        for (family, _), parts in blocks.items():
+            chunks = sum(part.last - part.first + 1 for part in parts)
+            first, last = parts[0].first, parts[-1].last
+            together = chunks == last - first + 1 and (rest or chunks == MERGED)
+            if len(parts) > 1 and together:
+                with duckdb.connect(config={"threads": 1}) as db:
+                    db.execute("CREATE TABLE rows AS " + _read([part.path for part in parts]))
+                    self._store(db, f"{family}-{first:06d}-{last:06d}")
+                self.remove(parts)
+        self.remove(set(self._all()) - set(self.files()))
+
+    def remove(self, shards: Iterable[Shard]) -> None:
+        for shard in shards:
+            shard.path.unlink(missing_ok=True)
+
+    def connect(self) -> duckdb.DuckDBPyConnection:
+        """A database with the views `scenes` and `teats`. Raises ConfigError for no shards."""
+        paths = [shard.path for shard in self.files()]
+        db = duckdb.connect()
+        if paths:
+            db.execute("CREATE VIEW everything AS " + _read(paths))
+        else:
+            db.execute(f"CREATE TABLE everything ({TABLE})")
+        db.execute("CREATE VIEW scenes AS SELECT * EXCLUDE (teats) FROM everything")
+        names = ", ".join(f'"{name}"' for name in KEYS)
+        parts = ", ".join(f'teat."{name}"' for name in OF_TEAT)
+        listed = f"SELECT {names}, unnest(teats) AS teat FROM everything"
+        db.execute(f"CREATE VIEW teats AS SELECT {names}, {parts} FROM ({listed})")
+        return db
+
+    def digest(self) -> str:
+        """SHA-256 in hex of all rows, sorted, without what was measured."""
+        whole = hashlib.sha256()
+        left_out = ", ".join(MEASURED)
+        with self.connect() as db:
+            order = ", ".join(KEYS)
+            found = db.execute(f"SELECT * EXCLUDE ({left_out}) FROM everything ORDER BY {order}")
+            while rows := found.fetchmany(1000):
+                for row in rows:
+                    whole.update(repr(row).encode("utf-8"))
+        return whole.hexdigest()
+
+    def _all(self) -> list[Shard]:
+        found = []
+        for path in self.folder.glob("*.parquet"):
+            if name := NAME.fullmatch(path.name):
+                first = int(name["first"])
+                found.append(Shard(name["family"], first, int(name["last"] or first), path))
+        return found
+
+    def _store(self, db: duckdb.DuckDBPyConnection, name: str) -> None:
+        with tempfile.TemporaryDirectory(prefix="teatbench-") as made:
+            path = Path(made) / "rows.parquet"
+            db.execute(
+                f"COPY (FROM rows ORDER BY {', '.join(KEYS)}) TO {quoted(path)}"
+                " (FORMAT parquet, COMPRESSION zstd, PARQUET_VERSION v2)"
+            )
+            write_synced(self.folder / f"{name}.parquet", path.read_bytes())
+
+
+def _lines(rows: Rows) -> list[tuple[Any, ...]]:
+    teats: dict[tuple[str, int, str], list[dict[str, Any]]] = {}
+    for teat in rows.teats:
+        plain = {name: getattr(teat, name) for name in OF_TEAT}
+        teats.setdefault((teat.family, teat.member, teat.detector), []).append(plain)
+    return [
+        (
+            *astuple(scene),
+            *astuple(taken),
+            teats.get((scene.family, scene.member, scene.detector), []),
+        )
+        for scene, taken in zip(rows.scenes, rows.taken, strict=True)
+    ]
+
+
+def _read(paths: Sequence[Path]) -> str:
+    return f"SELECT * FROM read_parquet([{', '.join(map(quoted, paths))}])"
+
+
+def quoted(path: Path) -> str:
+    """A path as text in SQL."""
+    return "'" + str(path).replace("'", "''") + "'"
+
+
+def query(folder: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+    """The columns' names and the rows that ``sql`` asks for of `scenes` and `teats`. Raises
+    ConfigError for a folder without shards, and with the database's own words.
+    """
+    if not (folder / SHARDS).is_dir():
+        raise ConfigError.plain(
+            f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out'"
+            " was given"
+        )
+    with Shards(folder).connect() as db:
+        try:
+            found = db.execute(sql)
+            return [column[0] for column in found.description or ()], found.fetchall()
+        except duckdb.Error as error:
+            raise ConfigError.plain(f"the query: {error}") from error

@@ -1,0 +1,214 @@
+"""`campaign run`, `chunk` and `query`: many simulated scenes scored without instruments."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bench.cli.arguments import CODES, complain
+from bench.config import ConfigError
+
+if TYPE_CHECKING:
+    from bench.campaign.dask_cluster import DaskPool
+    from bench.campaign.plan import Plan
+    from bench.campaign.run import Campaign, Executor, Status
+
+# flag -> key of a plan
+FLAGS = {
+    "family": "families",
+    "scenes": "scenes",
+    "half_width": "half_width",
+    "detector": "detectors",
+    "first": "first",
+    "seed": "seed",
+    "rig": "rig",
+    "calibration": "calibration",
+    "limit_mm": "limit_mm",
+    "chunk_scenes": "chunk_scenes",
+}
+
+
+def run(given: argparse.Namespace) -> int:
+    from bench.campaign.pool import PoolError
+    from bench.campaign.run import Campaign, locked
+    from bench.cli.terminal import working
+    from bench.report.campaign import write_campaign_page
+
+    plan = _plan(given)
+    campaign = Campaign(plan, given.out)
+    with locked(given.out):
+        campaign.begin()
+        try:
+            with (
+                working("campaign", pace="scenes") as shown,
+                _executor(campaign, given.workers, given.dask, shown.say) as executor,
+            ):
+                status = campaign.run(executor, lambda status: shown(*_progress(status)))
+        except KeyboardInterrupt:
+            return complain(
+                "interrupted; give the same command again to go on where it stopped", CODES.fault
+            )
+        except PoolError as error:
+            return complain(f"{error} The same command goes on where it stopped.", CODES.fault)
+        page = write_campaign_page(given.out, plan, campaign.made_by)
+        return _told(given, campaign, status, page)
+
+
+def chunk(given: argparse.Namespace) -> int:
+    from bench.campaign.plan import read_plan
+    from bench.campaign.pool import PoolError
+    from bench.campaign.run import Campaign
+
+    plan = read_plan(given.plan)
+    if given.number is None:
+        print(plan.chunk_count)
+        return CODES.met
+    if given.number >= plan.chunk_count:
+        raise ConfigError.plain(
+            f"there is no chunk {given.number}: {given.plan} has {plan.chunk_count}, from 0 to"
+            f" {plan.chunk_count - 1}"
+        )
+    campaign = Campaign(plan, given.out or given.plan.parent)
+    campaign.begin()
+    try:
+        with _executor(campaign, 1, None, _say) as executor:
+            new = campaign.do_chunk(given.number, executor)
+    except PoolError as error:
+        return complain(str(error), CODES.fault)
+    name = plan.chunk(given.number).name
+    print(f"{name}: {'done' if new else 'was done before'}")
+    return CODES.met
+
+
+def query(given: argparse.Namespace) -> int:
+    from bench.campaign.shards import query as ask
+
+    names, rows = ask(given.folder, given.sql)
+    if given.json:
+        print(
+            json.dumps(
+                [dict(zip(names, row, strict=True)) for row in rows],
+                ensure_ascii=False,
+                default=str,
+            )
+        )
+        return CODES.met
+    texts = [["" if value is None else str(value) for value in row] for row in rows]
+    print(plain_table(names, texts))
+    return CODES.met
+
+
+def plain_table(names: list[str], rows: list[list[str]]) -> str:
+    """Columns with two blanks between them."""
+    widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
+    lines = (
+        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        for row in (names, *rows)
+    )
+    return "\n".join(lines)
+
+
+def _plan(given: argparse.Namespace) -> Plan:
+    """Of the file, or of the flags. Raises ConfigError."""
+    from pydantic import ValidationError
+
+    from bench.campaign.plan import Plan, read_plan, with_whole_paths
+
+    flags = {
+        key: value
+        for flag, key in FLAGS.items()
+        if (value := getattr(given, flag)) not in (None, [])
+    }
+    if given.plan is not None:
+        if flags:
+            raise ConfigError.plain(
+                f"{', '.join(flags)}: both a plan and flags say what is asked for; put it into"
+                f" {given.plan}, or leave that out"
+            )
+        return read_plan(given.plan)
+    try:
+        return with_whole_paths(Plan.model_validate(flags), Path())
+    except ValidationError as error:
+        why = "; ".join(str(one["msg"]).removeprefix("Value error, ") for one in error.errors())
+        raise ConfigError.plain(why) from error
+
+
+@contextmanager
+def _executor(
+    campaign: Campaign, workers: int | None, dask: str | None, say: Callable[[str], None]
+) -> Iterator[Executor]:
+    from bench.campaign.pool import LocalPool, usable_processors
+
+    scenes, limit_s = campaign.plan.chunk_scenes, campaign.plan.chunk_limit_s
+    pool: LocalPool | DaskPool
+    if dask is None:
+        count = workers or usable_processors()
+        pool = LocalPool(campaign.job, count, say=say, chunk_scenes=scenes, limit_s=limit_s)
+    else:
+        try:
+            from bench.campaign.dask_cluster import DaskPool
+        except ImportError as error:
+            raise ConfigError.plain(
+                f"--dask needs another package: pip install 'teatbench[campaign]' ({error})"
+            ) from error
+        pool = DaskPool(campaign.job, dask, say=say, chunk_scenes=scenes, limit_s=limit_s)
+    with pool:
+        yield pool
+
+
+def _say(text: str) -> None:
+    complain(text, CODES.met)
+
+
+def _progress(status: Status) -> tuple[int, int, str]:
+    failed = ", ".join(f"{name} {count}" for name, count in sorted(status.failures.items()))
+    aside = f"; set aside {status.aside}" if status.aside else ""
+    return status.done, status.planned, f"failures: {failed or 'none yet'}{aside}"
+
+
+def _told(
+    given: argparse.Namespace,
+    campaign: Campaign,
+    status: Status,
+    page: Path,
+) -> int:
+    from bench.report.campaign import family_rates, scenes_aside
+    from bench.scoring.rates import percent
+
+    with campaign.shards.connect() as db:
+        rates, aside = family_rates(db), scenes_aside(db)
+    of = campaign.plan.interval
+    spans = [(rate, of(rate.failures, rate.scenes) or (None, None)) for rate in rates]
+    digest = campaign.shards.digest()
+    if given.json:
+        keys = ("family", "detector", "scenes", "failures")
+        found: dict[str, Any] = {
+            "digest": digest,
+            "scenes": status.done,
+            "set_aside": aside,
+            "rates": [
+                {**{key: getattr(rate, key) for key in keys}, "low": low, "high": high}
+                for rate, (low, high) in spans
+            ],
+            "plan": str(campaign.folder / "plan.toml"),
+            "report": str(page),
+        }
+        print(json.dumps(found, ensure_ascii=False))
+    else:
+        heads = ["family", "detector", "scenes", "failures", "rate", "95 % interval"]
+        rows = [
+            [
+                *(rate.family, rate.detector, str(rate.scenes), str(rate.failures)),
+                percent(rate.failures / rate.scenes) if rate.scenes else "not measured",
+                "" if low is None or high is None else f"{100 * low:.2f} to {100 * high:.2f} %",
+            ]
+            for rate, (low, high) in spans
+        ]
+        print(f"{plain_table(heads, rows)}\ndigest: {digest}\nReport: {page}")
+    for name, why in aside.items():
+        complain(f"scene {name} was set aside: {why}", CODES.inconclusive)
+    return CODES.inconclusive if aside else CODES.met

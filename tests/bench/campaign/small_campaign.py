@@ -1,0 +1,69 @@
+"""Campaigns whose cameras have a quarter of the pixels along each axis: a scene takes a tenth of the
+time; and an executor without processes.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from bench.campaign.chunk import Rows, run_chunk
+from bench.campaign.plan import Chunk, Job, Plan
+from bench.rig.loading import RIGS
+from tests.bench.small_run import smaller
+from tests.conftest import ROOT
+
+KILLS = os.environ.get("TEATBENCH_KILLS")
+
+
+def write_small_rig(folder: Path) -> Path:
+    """A rig file; gives back its path."""
+    text = (RIGS / "calibration.toml").read_text(encoding="utf-8")
+    (folder / "calibration.toml").write_text(smaller(text), encoding="utf-8")
+    rig = folder / "rig.toml"
+    rig.write_text((RIGS / "emulated.toml").read_text(encoding="utf-8"), encoding="utf-8")
+    return rig
+
+
+def small_plan(folder: Path, **more: Any) -> Plan:
+    """Sixteen scenes of two families in chunks of three, the thesis's detector."""
+    asked = {"families": ("ideal", "overlapping"), "scenes": 8, "chunk_scenes": 3, "seed": 7}
+    asked |= {"detectors": ("thesis",), "rig": str(write_small_rig(folder))}
+    return Plan.model_validate({**asked, **more})
+
+
+class Here:
+    """The plain loop, in this process; ``order`` of a whole list of chunks."""
+
+    def __init__(self, job: Job, order: Callable[[list[Chunk]], list[Chunk]] = list) -> None:
+        self._job, self._order = job, order
+        self._bench = job.bench(job.renderer(), job.make_detectors())
+
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
+        for chunk in self._order(list(chunks)):
+            yield chunk, run_chunk(self._bench, chunk.scenes)
+
+
+def command(*words: object) -> subprocess.Popen[str]:
+    """`teatbench campaign` with these words, in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "bench.cli", "campaign", *map(str, words)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+    )
+
+
+def until(holds: Callable[[], bool], what: str, most_s: float = 120.0) -> None:
+    """Wait until something holds."""
+    end_s = time.monotonic() + most_s
+    while not holds():
+        assert time.monotonic() < end_s, what
+        time.sleep(0.02)

@@ -1,0 +1,282 @@
+"""Campaigns: the same rows whoever works on them and in whatever order, whoever is killed; what the
+commands write, refuse and answer.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from bench.campaign.chunk import ASIDE, Rows
+from bench.campaign.plan import Chunk, Plan, plan_text
+from bench.campaign.pool import LocalPool
+from bench.campaign.run import Campaign, Executor
+from bench.campaign.shards import Shards, query
+from bench.rig.scenes import draw, warm
+from instruments.world.situations import situation
+from tests.bench.campaign.small_campaign import KILLS, Here, command, small_plan, until
+from tests.bench.commands import Said
+
+WORKERS = (1, 2, 7) if KILLS else (2,)
+CLIENT_KILLS, WORKER_KILLS = int(KILLS or 2), int(KILLS or 0)
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    return small_plan(tmp_path_factory.mktemp("plan"), scenes=max(8, 2 * WORKER_KILLS))
+
+
+@pytest.fixture(scope="module")
+def plain(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The campaign by the plain loop: its folder and digest."""
+    folder = tmp_path_factory.mktemp("plain")
+    return folder, done(plan, folder, lambda campaign: Here(campaign.job)).digest()
+
+
+def done(plan: Plan, folder: Path, executor: object) -> Shards:
+    campaign = Campaign(plan, folder)
+    campaign.begin()
+    made: Executor = executor(campaign)  # type: ignore[operator]
+    campaign.run(made, lambda _: None)
+    return campaign.shards
+
+
+def pool(campaign: Campaign, workers: int, said: list[str], limit_s: float = 0.0) -> LocalPool:
+    scenes = campaign.plan.chunk_scenes
+    return LocalPool(campaign.job, workers, say=said.append, chunk_scenes=scenes, limit_s=limit_s)
+
+
+def test_the_order_of_chunks_changes_nothing(
+    plan: Plan, plain: tuple[Path, str], tmp_path: Path
+) -> None:
+    def shuffled(chunks: list[Chunk]) -> list[Chunk]:
+        return random.Random(3).sample(chunks, len(chunks))
+
+    shards = done(plan, tmp_path, lambda campaign: Here(campaign.job, shuffled))
+    assert shards.digest() == plain[1]
+    assert len(shards.files()) == 2  # merged, a file a family
+    assert query(tmp_path, "SELECT count(*), count(DISTINCT (family, member)) FROM scenes")[1] == [
+        (2 * plan.most_scenes,) * 2
+    ]
+
+
+class Killing:
+    """A pool that loses a worker after each of some results: which signal it gets, by the number of
+    the result.
+    """
+
+    def __init__(self, inner: LocalPool, after: Mapping[int, int]) -> None:
+        self._inner, self._after = inner, after
+        self._chance = random.Random(8)
+
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
+        for number, found in enumerate(self._inner.results(chunks)):
+            if number in self._after:
+                os.kill(self._chance.choice(self._inner.pids), self._after[number])
+            yield found
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
+@pytest.mark.parametrize("workers", WORKERS)
+def test_a_worker_killed_and_one_stopped_change_nothing(
+    workers: int, plan: Plan, plain: tuple[Path, str], tmp_path: Path
+) -> None:
+    said: list[str] = []
+    campaign = Campaign(plan, tmp_path)
+    campaign.begin()
+    more = dict.fromkeys(range(4, 4 + WORKER_KILLS), signal.SIGKILL)
+    signals = {0: signal.SIGKILL, 2: signal.SIGSTOP, **more}
+    with pool(campaign, workers, said, limit_s=5.0) as inner:
+        campaign.run(Killing(inner, signals), lambda _: None)
+    assert campaign.shards.digest() == plain[1]
+    assert any("ended by SIGKILL" in text for text in said), said
+    assert any("gave no sign of life for 5 s" in text for text in said), said
+    assert all("scene " in text for text in said)
+
+
+ROGUE = """
+import os, time
+import numpy as np
+from detector.protocol import Detection
+
+DEEDS = {deeds}
+
+
+class Rogue:
+    name, version, parameters = "rogue", "1", {{}}
+
+    def detect(self, frames, calibration):
+        deed = DEEDS.get(int(np.sum(frames.left, dtype=np.int64)))
+        if deed == "die":
+            os._exit(3)
+        while deed == "hang":
+            time.sleep(0.05)
+        return Detection()
+"""
+
+
+@pytest.mark.slow
+def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
+) -> None:
+    plan = small_plan(tmp_path, families=("ideal",), scenes=5)
+    job = Campaign(plan, tmp_path / "none").job
+    renderer = job.renderer()
+    sums = [
+        int(
+            draw(renderer, "ideal", warm(situation("ideal", member)), [7, member]).frames.left.sum()
+        )
+        for member in (1, 4)
+    ]
+    package = tmp_path / "site"
+    (package / "rogue-1.0.dist-info").mkdir(parents=True)
+    deeds = dict(zip(sums, ("die", "hang"), strict=True))
+    (package / "rogue.py").write_text(dedent(ROGUE.format(deeds=deeds)), encoding="utf-8")
+    (package / "rogue-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: rogue\nVersion: 1.0\n", encoding="utf-8"
+    )
+    (package / "rogue-1.0.dist-info" / "entry_points.txt").write_text(
+        "[teatbench.detectors]\nrogue = rogue:Rogue\n", encoding="utf-8"
+    )
+    monkeypatch.syspath_prepend(package)
+    monkeypatch.setenv("PYTHONPATH", str(package))
+    file = tmp_path / "plan.toml"
+    file.write_text(
+        'families = ["ideal"]\nscenes = 5\nchunk_scenes = 3\nseed = 7\ndetectors = ["rogue"]\n'
+        'rig = "rig.toml"\nchunk_limit_s = 1.0\n',
+        encoding="utf-8",
+    )
+    out = said(4, "campaign run {} --workers 1 --json --out {}", file, tmp_path / "out")
+    found = json.loads(out.out)
+    assert sorted(found["set_aside"]) == ["ideal-0001", "ideal-0004"]
+    assert "ended with code 3" in found["set_aside"]["ideal-0001"]
+    assert "no sign of life for 1 s" in found["set_aside"]["ideal-0004"]
+    assert "scene ideal-0004 was set aside" in out.err
+    rows = query(tmp_path / "out", "SELECT member, failure FROM scenes ORDER BY member")[1]
+    assert [failure == ASIDE for _, failure in rows] == [False, True, False, False, True]
+    assert found["rates"][0]["scenes"] == 3
+
+
+def got_on(going: subprocess.Popen[str], shards: Shards, enough: int) -> bool:
+    return going.poll() is not None or len(shards.done()) > enough
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
+@pytest.mark.timeout(60 + 20 * CLIENT_KILLS)
+def test_a_client_killed_at_random_goes_on_where_it_was(
+    plan: Plan, plain: tuple[Path, str], tmp_path: Path
+) -> None:
+    file = tmp_path / "plan.toml"
+    file.write_text(plan_text(plan, {}), encoding="utf-8")
+    shards = Shards(tmp_path / "out")
+    chance = random.Random(5)
+    for _ in range(CLIENT_KILLS):
+        going = command("run", file, "--workers", 2, "--out", tmp_path / "out")
+        before = len(shards.done())
+        enough = min(before + chance.randint(0, 1), plan.chunk_count)
+
+        until(partial(got_on, going, shards, enough), "no chunk was done")
+        going.kill()
+        going.communicate()
+    last = command("run", file, "--workers", 1, "--json", "--out", tmp_path / "out")
+    out, err = last.communicate(timeout=100)
+    assert last.returncode == 0, err
+    assert json.loads(out)["digest"] == plain[1]
+    assert json.loads(out)["scenes"] == 2 * plan.most_scenes
+
+
+def test_a_family_stops_when_its_interval_is_tight_enough_whatever_came_first(
+    tmp_path: Path,
+) -> None:
+    # the thesis's detector fails on all of these: tight enough after six
+    plan = small_plan(tmp_path, scenes=9, half_width=0.3)
+    digests = set()
+    for name, order in (("as-planned", list), ("backwards", lambda chunks: chunks[::-1])):
+        campaign = Campaign(plan, tmp_path / name)
+        campaign.begin()
+        status = campaign.run(Here(campaign.job, order), lambda _: None)
+        assert (status.done, status.planned) == (12, 12)
+        digests.add(campaign.shards.digest())
+    assert len(digests) == 1
+
+
+def test_what_the_commands_write_and_refuse(
+    plan: Plan, plain: tuple[Path, str], tmp_path: Path, said: Said
+) -> None:
+    folder, digest = plain
+    flags = "--family ideal --family overlapping --chunk-scenes 3 --seed 7"
+    flags += f" --scenes {plan.most_scenes}"
+    line = f"campaign run {flags} --detector {{}} --rig {{}} --out {{}}"
+    again = said(0, f"{line} --json", "thesis", plan.rig, folder)  # all is done: no worker starts
+    found = json.loads(again.out)
+    assert (found["digest"], found["scenes"]) == (digest, 2 * plan.most_scenes)
+    assert (folder / "report" / "index.html").is_file()
+    assert {rate["scenes"] for rate in found["rates"]} == {8}
+    size = sum(file.stat().st_size for file in (folder / "shards").iterdir())
+    assert size / (2 * plan.most_scenes) < 1500  # much of it metadata: few scenes a file
+
+    table = said(0, "campaign query {} {}", folder, ["SELECT count(*) AS n FROM teats"]).out
+    assert table.split()[0] == "n"
+    rows = said(0, "campaign query {} {} --json", folder, ["SELECT * FROM scenes LIMIT 1"]).out
+    assert set(json.loads(rows)[0]) >= {"family", "member", "detector", "failure", "max_mm"}
+    assert "SELEC" in said(2, "campaign query {} SELEC", folder).err
+    assert "no campaign is there" in said(2, "campaign query {} SELECT", tmp_path).err
+
+    other = said(2, line, "fused", plan.rig, folder).err
+    assert "detectors: ['thesis'] there, ['fused'] here" in other
+    assert (
+        "no situation 'idael'"
+        in said(2, "campaign run --family idael --out {}", tmp_path / "x").err
+    )
+    assert (
+        "no detector 'fuzed'"
+        in said(2, "campaign run --detector fuzed --out {}", tmp_path / "x").err
+    )
+    assert not (tmp_path / "x").exists()
+    both = said(2, "campaign run {} --seed 3 --out {}", folder / "plan.toml", tmp_path / "x").err
+    assert "both a plan and flags" in both
+
+    assert said(0, "campaign chunk {}", folder / "plan.toml").out == f"{plan.chunk_count}\n"
+    assert "was done before" in said(0, "campaign chunk {} 0", folder / "plan.toml").out
+    assert "there is no chunk 999" in said(2, "campaign chunk {} 999", folder / "plan.toml").err
+
+
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+from bench.cli.main import main
+with LocalCluster(1, processes=False, threads_per_worker=2, dashboard_address=None) as cluster:
+    code = main([*sys.argv[1:], "--dask", cluster.scheduler_address])
+sys.exit(code)
+"""
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_makes_the_same_rows(
+    plan: Plan, plain: tuple[Path, str], tmp_path: Path
+) -> None:
+    file = tmp_path / "plan.toml"
+    file.write_text(plan_text(plan, {}), encoding="utf-8")
+    words = ["campaign", "run", str(file), "--json", "--out", str(tmp_path / "out")]
+    ended = subprocess.run(
+        [sys.executable, "-c", CLUSTER, *words],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        timeout=200,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout)["digest"] == plain[1]

@@ -1,0 +1,76 @@
+"""A chunk: its rows are those of `score` on a recording of the same scenes, whatever came before."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.campaign.chunk import Bench, Scene, run_chunk, run_scene
+from bench.rig.loading import find_rig, load_rig
+from bench.rig.scenes import rig_renderer
+from bench.script.detectors import make_detectors
+from detector.calibration import Calibration
+from detector.protocol import Detection, Frames, Teat
+from instruments.world.situations import situation
+
+
+@dataclass
+class Knowing:
+    """Answers what it was given: points with one covariance."""
+
+    points_mm: list[Any]
+    breaks: bool = False
+    name: str = "knowing"
+    version: str = "1"
+    parameters: dict[str, Any] = field(default_factory=dict)
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        if self.breaks:
+            raise RuntimeError("no")
+        return Detection(tuple(Teat(np.asarray(p), 0.25 * np.eye(3)) for p in self.points_mm))
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    return Bench.of_rig(load_rig(find_rig(None)), make_detectors(["fused", "thesis"]), 1)
+
+
+def test_rows_depend_on_the_scene_alone(bench: Bench) -> None:
+    scenes = [Scene("ideal", 3), Scene("overlapping", 1)]
+    both, second = run_chunk(bench, scenes), run_chunk(bench, scenes[1:])
+    assert [(row.family, row.member, row.detector) for row in both.scenes] == [
+        (scene.family, scene.member, name) for scene in scenes for name in ("fused", "thesis")
+    ]
+    assert both.scenes[2:] == second.scenes
+    assert run_scene(bench, scenes[0]).scenes == both.scenes[:2]
+    assert both.cpu_s > 0.0
+    assert len({row.frames for row in both.scenes}) == 2
+    assert len(both.taken) == len(both.scenes)
+    for row in both.scenes:
+        mine = [t for t in both.teats if (t.family, t.detector) == (row.family, row.detector)]
+        assert sum(t.status == "found" for t in mine) == row.found
+        assert sum(t.status in ("found", "missed") for t in mine) == row.visible
+
+
+def test_answers_are_counted_against_the_truth(bench: Bench) -> None:
+    scene = Scene("ideal", 0)
+    ends = situation("ideal", 0).phantom.ends_mm
+    half_mm = ends[:3] + np.array([0.5, 0.0, 0.0])
+    right = Knowing([*half_mm, ends[0] + [0.0, 300.0, 0.0]])
+    off = Knowing([*ends[:3], ends[3] + [0.0, 0.0, 6.0]], name="off")
+    failing = Knowing([], breaks=True, name="failing")
+    rig = load_rig(find_rig(None))
+    own = Bench(rig_renderer(rig, 1), rig.calibration, [right, off, failing], 1)
+    rows = run_scene(own, scene)
+    first, second, third = rows.scenes
+    assert (first.visible, first.found, first.missed, first.false_teats) == (4, 3, 1, 1)
+    assert (first.failure, second.failure, third.failure) == ("false", "error", "failure")
+    assert second.max_mm == pytest.approx(6.0, abs=1e-5)
+    found = [teat for teat in rows.teats if teat.detector == "knowing" and teat.status == "found"]
+    assert [t.x_mm for t in found] == pytest.approx([0.5] * 3)
+    assert {t.sd_x_mm for t in found} == {0.5}
+    assert all(math.isclose(t.nees or 0.0, 1.0, rel_tol=1e-5) for t in found)
