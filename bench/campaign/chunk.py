@@ -12,10 +12,10 @@ import hashlib
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
+from bench.campaign.perturbations import Applied
 from bench.results.answers import Answer, examine, score_answer
 from bench.rig.loading import LoadedRig
 from bench.rig.scenes import Drawn, draw, rig_renderer, warm
@@ -27,7 +27,6 @@ from instruments.camera.recording import TruthRow
 from instruments.clock import processor_s, stopwatch_s
 from instruments.world.scene import Renderer
 from instruments.world.situations import Situation, situation
-from instruments.world.state import SceneState
 
 LIMIT_MM = 5.0  # of the error of each teat; thesis, section 1.4.3
 ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
@@ -47,24 +46,6 @@ class Scene:
         return f"{self.family}-{self.member:04d}"
 
 
-class Perturbation(Protocol):
-    """What a plan does to every scene. Each method gives back what it doesn't change; chance comes
-    from ``seeds``, which are the campaign's, the member's and the family's.
-    """
-
-    def state(self, state: SceneState, seeds: Sequence[int]) -> SceneState:
-        """The scene, before it is drawn."""
-        ...
-
-    def frames(self, frames: FrameSet, seeds: Sequence[int]) -> FrameSet:
-        """The pictures that the detectors get."""
-        ...
-
-    def stated(self, calibration: Calibration, seeds: Sequence[int]) -> Calibration:
-        """The calibration that the detectors get."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
     """What is the same for all scenes; made once a process."""
@@ -74,7 +55,7 @@ class Bench:
     detectors: Sequence[Detector]
     seed: int
     limit_mm: float = LIMIT_MM
-    perturbations: Sequence[Perturbation] = ()
+    perturbations: Sequence[Applied] = ()
 
     @classmethod
     def of_rig(
@@ -84,7 +65,7 @@ class Bench:
         seed: int,
         *,
         limit_mm: float = LIMIT_MM,
-        perturbations: Sequence[Perturbation] = (),
+        perturbations: Sequence[Applied] = (),
     ) -> Bench:
         """The emulated cameras of a rig file, detectors told what they are drawn by."""
         renderer = rig_renderer(rig, seed)
@@ -190,7 +171,7 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
     state, stated = warm(found or situation(scene.family, scene.member)), bench.calibration
     for perturbation in bench.perturbations:
         state = perturbation.state(state, seeds)
-        stated = perturbation.stated(stated, seeds)
+        stated = perturbation.stated(stated)
     drawn = draw(bench.renderer, scene.family, state, [bench.seed, scene.member])
     frames = drawn.frames
     for perturbation in bench.perturbations:

@@ -13,13 +13,14 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 import bench
 import detector
 import instruments.world
 from bench import __version__
-from bench.campaign.chunk import LIMIT_MM, Bench, Perturbation, Scene
+from bench.campaign.chunk import LIMIT_MM, Bench, Scene
+from bench.campaign.perturbations import Applied
 from bench.config import ConfigError, Positive, Section, read_calibration, read_config, read_text
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedOptical, EmulatedThermal, make_renderer
@@ -39,8 +40,21 @@ LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
 MAKES_ROWS = (
     *(Path(detector.__file__).parent, Path(instruments.world.__file__).parent),
     *(Path(bench.__file__).parent / name for name in ("campaign/chunk.py", "rig/scenes.py")),
+    Path(bench.__file__).parent / "campaign/perturbations.py",
     *(Path(bench.__file__).parent / name for name in ("results/answers.py", "scoring")),
 )
+
+
+class PerturbationTable(Section):
+    """What is done to every scene; see `perturbations`."""
+
+    name: str
+    amount: float
+
+    @model_validator(mode="after")
+    def _there(self) -> PerturbationTable:
+        Applied(self.name, self.amount)
+        return self
 
 
 class Plan(Section):
@@ -60,6 +74,7 @@ class Plan(Section):
     limit_mm: Positive = LIMIT_MM
     optical: EmulatedOptical = EmulatedOptical()
     thermal: EmulatedThermal = EmulatedThermal()
+    perturbations: tuple[PerturbationTable, ...] = ()
     chunk_scenes: Annotated[int, Field(ge=1, le=10_000)] = 25
     chunk_limit_s: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     made_by: dict[str, str] = Field(default_factory=dict)
@@ -141,7 +156,7 @@ class Job:
     detector_names: tuple[str, ...]
     seed: int
     limit_mm: float
-    perturbations: tuple[Perturbation, ...] = ()
+    perturbations: tuple[Applied, ...] = ()
 
     def renderer(self) -> Renderer:
         return make_renderer(self.cameras, self.seed, self.optical, self.thermal)
@@ -195,6 +210,7 @@ def open_plan(plan: Plan) -> tuple[Job, dict[str, str]]:
         tuple(one.name for one in detectors),
         plan.seed,
         plan.limit_mm,
+        tuple(Applied(one.name, one.amount) for one in plan.perturbations),
     )
     cameras = read_text(rig.calibration_path)
     told = read_text(Path(plan.calibration)) if plan.calibration else cameras

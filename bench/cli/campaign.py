@@ -6,6 +6,7 @@ import argparse
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -123,6 +124,8 @@ def _plan(given: argparse.Namespace) -> Plan:
         for flag, key in FLAGS.items()
         if (value := getattr(given, flag)) not in (None, [])
     }
+    if given.perturb:
+        flags["perturbations"] = [asdict(one) for one in given.perturb]
     if given.plan is not None:
         if flags:
             raise ConfigError.plain(

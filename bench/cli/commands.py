@@ -4,8 +4,10 @@ arguments. It imports nothing heavy, so that ``--help`` answers at once.
 
 from __future__ import annotations
 
+from argparse import ArgumentTypeError
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from bench.cli.arguments import (
     Argument,
@@ -19,6 +21,9 @@ from bench.cli.arguments import (
     step,
     whole,
 )
+
+if TYPE_CHECKING:
+    from bench.campaign.perturbations import Applied
 
 # the help of all: what somebody wants to do, and the commands and groups for it
 TASKS = {
@@ -49,6 +54,17 @@ MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
 CAMERAS = ("left", "right", "thermal")
 SHELLS = ("bash", "zsh", "fish", "powershell")
 LANGUAGES = ("python", "javascript", "cpp")
+
+
+def perturbation(text: str) -> Applied:
+    """Of `campaign run --perturb`."""
+    from bench.campaign.perturbations import Applied
+
+    try:
+        return Applied.parse(text)
+    except ValueError as error:
+        raise ArgumentTypeError(str(error)) from error
+
 
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
@@ -430,6 +446,13 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--seed N", "of noise and of the cameras' fixed patterns (default: 1)", whole(0)),
         option("--rig", "whose cameras: a shipped rig by name, or a .toml file"),
         option("--calibration FILE", "what detectors are told (default: the cameras' own)", str),
+        option(
+            "--perturb NAME=AMOUNT",
+            "what is done to every scene, such as vergence=0.1 (docs/campaigns.md); may be given"
+            " several times",
+            perturbation,
+            many=True,
+        ),
         option("--limit-mm MM", "of each teat's error (default: 5)", LENGTH),
         option("--chunk-scenes N", "scenes worked on together (default: 25)", whole(1, 10_000)),
         one_of(
