@@ -44,8 +44,6 @@ def run(given: argparse.Namespace) -> int:
         from bench.cli.dry_run import look_ahead
 
         return look_ahead(rig, script, given.out, given.detector, given.seed)
-    from bench.cli.verdict import open_report, show_verdict
-    from bench.report.page import write_run_report
     from bench.run.estimate import estimate_text, figures, needs, read_learnt, took, write_learnt
     from bench.run.start import RunOptions, run_script
 
@@ -63,6 +61,9 @@ def run(given: argparse.Namespace) -> int:
         )
         folder, _ = run_script(rig, script, given.out, progress, how)
         progress.state("writing the report")
+        from bench.cli.verdict import open_report, show_verdict
+        from bench.report.page import write_run_report  # late: loads for half a second
+
         written = write_run_report(folder)
     code = show_verdict(console, *written)
     record = read_run(folder)
@@ -78,8 +79,6 @@ def run(given: argparse.Namespace) -> int:
 
 
 def resume(given: argparse.Namespace) -> int:
-    from bench.cli.verdict import show_verdict
-    from bench.report.page import write_run_report
     from bench.run.resume import files_of
     from bench.run.start import RunOptions, resume_run
 
@@ -93,6 +92,9 @@ def resume(given: argparse.Namespace) -> int:
                 given.run, progress, RunOptions(capture=given.capture, typed=typed, begun=shown.say)
             )
             progress.state("writing the report")
+            from bench.cli.verdict import show_verdict
+            from bench.report.page import write_run_report
+
             written = write_run_report(given.run, damage=damage)
         return show_verdict(console, *written)
 

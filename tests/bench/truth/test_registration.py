@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import binom
+import scipy
 
 from bench.config import ConfigError
 from bench.truth.registration import (
@@ -37,7 +37,7 @@ from tests.bench.truth.touches import (
 
 SEEDS = 200
 # of 200 honest figures no more lie beyond 2 u, but once in ten thousand
-MOST = int(binom.ppf(0.9999, SEEDS, 0.0455))
+MOST = int(scipy.stats.binom.ppf(0.9999, SEEDS, 0.0455))
 TILTED_MM = np.vstack([CORNERS_MM, CORNERS_MM + np.array([0.0, 0.0, -60.0])])
 
 
