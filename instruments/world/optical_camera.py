@@ -263,9 +263,7 @@ class OpticalCamera:
             while len(self._backdrops) >= BACKDROPS_KEPT:
                 self._backdrops.pop(next(iter(self._backdrops)))
             sharp, view = self.readout.sensor.blur_px, self.view
-            empty, depth = self.draw_backdrop(
-                state.backdrop, state.lighting, view.camera, view.rays
-            )
+            empty, depth = self.draw_backdrop(state.backdrop, state.lighting, view.camera)
             # blur grows both ways from what is in focus
             ends = self._sigma(np.array([depth.min(), depth.max()]))
             if float(ends.max()) - sharp > SHARP_PX:
