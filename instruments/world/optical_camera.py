@@ -154,6 +154,7 @@ BACKDROPS_KEPT = 2
 SHARP_PX = 0.15  # less blur than this on top of the lens's own is left out
 MOST_STEPS = 64  # pictures that make one smeared by motion
 Slices = tuple[slice, slice]
+Draw = Callable[[Backdrop, Lighting, CameraModel], tuple[Image, Image]]
 
 
 class OpticalCamera:
@@ -170,7 +171,7 @@ class OpticalCamera:
         ] = {}
         self._layers = KeptLayers()
         self._latest: tuple[object, list[Expected]] = (None, [])
-        self.draw_backdrop = backdrops.draw
+        self.draw_backdrop: Draw = backdrops.draw
 
     def expose(
         self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator

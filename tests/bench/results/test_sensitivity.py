@@ -200,6 +200,7 @@ def renderer() -> Renderer:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUANTITIES)
 def test_every_scene_can_be_set_up_is_seen_and_comes_again(name: str, renderer: Renderer) -> None:
     quantity = QUANTITIES[name]

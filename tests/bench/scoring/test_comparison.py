@@ -252,6 +252,7 @@ def test_six_scenes_all_one_way_are_needed() -> None:
     assert Discordance(both=24).p_value == 1.0
 
 
+@pytest.mark.slow
 @given(COUNTS)
 def test_mcnemar_against_statsmodels_and_the_binomial_test(d: Discordance) -> None:
     from statsmodels.stats.contingency_tables import mcnemar  # type: ignore[import-untyped]
@@ -348,6 +349,7 @@ def test_of_many_values_the_bound_is_students() -> None:
     assert upper_bound(values, 5.0, 0.975) == pytest.approx(students, abs=0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [8, 20, 60])
 @pytest.mark.parametrize("changes", DRAWS)
 def test_the_interval_covers_as_often_as_it_says(changes: str, n: int) -> None:
@@ -435,6 +437,7 @@ def test_a_change_counts_up_to_the_limit() -> None:
     assert found == pytest.approx([2.75, -5.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 5, 12])
 def test_holm_against_statsmodels(n: int) -> None:
     from statsmodels.stats.multitest import multipletests  # type: ignore[import-untyped]

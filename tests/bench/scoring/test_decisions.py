@@ -408,6 +408,7 @@ def largest_met_mm(n: int, u: float) -> float:
     return accept if risk(accept) <= 0.0 else float(brentq(risk, 1.0, accept))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", TRUTHS)
 @pytest.mark.parametrize(
     ("detector", "n"), [(spread, 59), (astray, 59), (biased, 59), (just_over, 59), (just_over, 91)]

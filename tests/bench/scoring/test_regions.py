@@ -72,6 +72,7 @@ def test_the_outline_is_the_shadow() -> None:
     assert np.square(shadow / [1.0, 3.0]).sum(axis=1) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_hotelling_against_statsmodels() -> None:
     from statsmodels.stats.multivariate import test_mvmean as hotelling  # type: ignore[import-untyped]
 

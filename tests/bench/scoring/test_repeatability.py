@@ -142,6 +142,7 @@ def test_the_manuals_example() -> None:
     assert study.distinct_categories == 4
 
 
+@pytest.mark.slow
 def test_the_table_against_statsmodels() -> None:
     import pandas as pd  # type: ignore[import-untyped]
     import statsmodels.formula.api as smf  # type: ignore[import-untyped]

@@ -109,6 +109,7 @@ def test_the_smallest_loss_that_shows() -> None:
     assert detectable_loss(5) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [4, 6, 20, 59, 300])
 def test_the_smallest_shift_against_statsmodels(n: int) -> None:
     from statsmodels.stats.power import TTestPower  # type: ignore[import-untyped]

@@ -23,6 +23,7 @@ def line(x: Floats, y: Floats, strata: npt.NDArray[np.int64]) -> float:
     return float(sm.OLS(y, np.column_stack([x, levels])).fit().params[0])
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(LEAST_TREND_POSES, 9), st.integers(1, 3))
 def test_the_slope_and_its_jackknife_by_leaving_out_each_group(
@@ -45,8 +46,9 @@ def test_the_slope_and_its_jackknife_by_leaving_out_each_group(
     )
 
 
+@pytest.mark.slow
 def test_the_error_is_near_statsmodels_cluster_robust_one() -> None:
-    import statsmodels.api as sm  # type: ignore[import-untyped]
+    import statsmodels.api as sm
 
     rng = np.random.default_rng(1)
     group = np.repeat(np.arange(60), 4)

@@ -30,6 +30,7 @@ def ahead(cameras: tuple[CameraModel, ...]) -> Iterator[DrawnAhead]:
     drawn.close()
 
 
+@pytest.mark.slow
 def test_the_pictures_are_the_same_bytes(
     ahead: DrawnAhead, cameras: tuple[CameraModel, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
