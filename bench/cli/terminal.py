@@ -32,7 +32,7 @@ Report = Callable[[int, int], None]  # how many are done, of how many
 
 
 class _Count(MofNCompleteColumn):
-    """Done of total; nothing where nobody knows the total."""
+    """Done of total; nothing where the total is not known."""
 
     def render(self, task: Task) -> Text:
         return Text("") if task.total is None else super().render(task)

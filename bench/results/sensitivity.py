@@ -3,7 +3,7 @@ the family `ideal` with one thing changed), what detectors find in them, and wha
 beat. Members, noise and calibration errors are the same at every value.
 
 The limit is Cramer and Rao's bound (Kay, Fundamentals of Statistical Signal Processing I, 3.9): an
-edge of contrast C, blurred by sigma_b under white noise sigma_n, tells its place along the normal
+edge of contrast C, blurred by sigma_b under white noise sigma_n, gives its place along the normal
 with C^2 / (2 sqrt(pi) sigma_b sigma_n^2) a pixel of length; summed along the outline in both
 pictures and carried to the world. For an upright teat it comes to Z^2 / (f B) times the noise of
 the disparity. A calibration error has a size in pixels of the principal point; every other

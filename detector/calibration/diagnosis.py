@@ -189,7 +189,7 @@ def outlier_views(rms_px: Mapping[str, float], camera: str) -> list[Finding]:
 
 
 def measured_again(again: Remeasured, pair: Pair) -> list[Finding]:
-    """What a board measured again tells of the calibration, or of the board."""
+    """What a board measured again says of the calibration, or of the board."""
     if any(view.depth_mm <= 0 for view in again.views):
         said = "the board is measured behind the cameras: left and right pictures are swapped"
         return [Finding("swapped cameras", said)]

@@ -2,7 +2,7 @@
 
 A backdrop depends on its description and the camera alone, so that the pictures are the same bytes
 whichever process draws them. The process is one scene ahead: it writes a scene's pictures when they
-are read, and ends when nobody reads any more.
+are read, and ends when its pipe is closed.
 """
 
 from __future__ import annotations

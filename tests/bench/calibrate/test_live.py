@@ -74,9 +74,7 @@ class TestCameras:
         assert record.cameras == {"left": "emulated 680 x 512", "right": "emulated 680 x 512"}
         assert "left/01.png" in record.inputs
 
-    def test_the_operator_is_told_of_each_view_and_of_what_is_missing(
-        self, bench_room: Path
-    ) -> None:
+    def test_the_operator_reads_of_each_view_and_of_what_is_missing(self, bench_room: Path) -> None:
         said = (bench_room / "said.txt").read_text(encoding="utf-8").splitlines()
         assert re.fullmatch(
             r"view 1: left (found, 54 points|refused: .+); right (found, 54 points|refused: .+)",

@@ -157,7 +157,7 @@ def test_frames_are_jpeg_of_quality_80_and_link_their_originals(
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_faults_of_cameras_are_told(folder: Path, tmp_path: Path) -> None:
+def test_faults_of_cameras_are_reported(folder: Path, tmp_path: Path) -> None:
     run = read_run(folder)
     faults = {"camera faults": {"left: frozen": 3}, "retries": {"bath": 2}}
     marked = dataclasses.replace(run, facts={**run.facts, **faults})

@@ -59,7 +59,7 @@ error95 = partial(decide_error, "error", limit_mm=5.0, u_mm=0.23, rate=0.95, con
         (decide_count("false", 0, scenes=3), "0"),
     ],
 )
-def test_a_bound_is_told_on_its_side(decision: Decision, text: str) -> None:
+def test_a_bound_is_reported_its_side(decision: Decision, text: str) -> None:
     assert measured(decision) == text
 
 
@@ -273,7 +273,7 @@ def test_near_the_limit_it_says_how_many_more() -> None:
     assert error([1.0] * 83 + [4.6]).verdict is MET
 
 
-def test_what_was_missed_is_told_beside_the_errors_of_the_rest() -> None:
+def test_what_was_missed_is_reported_beside_the_errors_of_the_rest() -> None:
     assert error([1.0] * 59, missed=7).sentence.endswith("Of the found teats only: 7 were missed.")
 
 

@@ -84,7 +84,7 @@ def test_residuals_are_what_the_formula_expects() -> None:
     assert np.sqrt(np.mean(fre)) == pytest.approx(found.expected_fre_mm, rel=0.06)
 
 
-def test_a_crooked_stage_is_told_with_what_to_do() -> None:
+def test_a_crooked_stage_is_reported_with_what_to_do() -> None:
     rng = np.random.default_rng(1)
     found = registered(TrueStage(np.eye(3), np.diag([0.012, 0.0, 0.0])), rng)
     assert found.contradicted

@@ -115,7 +115,7 @@ def test_an_unsteady_hand_widens_its_own_limit() -> None:
     assert lost <= 0.03 * 8 * 500
 
 
-def test_of_two_readings_neither_can_be_told_to_be_wrong() -> None:
+def test_of_two_readings_neither_can_be_shown_to_be_wrong() -> None:
     apart = np.array([[0.0, 0.0, 0.0], [FAR * S0 * 1.5, 0.0, 0.0]])
     assert list(outliers(apart, S0)) == [0, 1]
     assert outliers(0.5 * apart, S0) == outliers(apart[:1], S0) == {}
