@@ -1,6 +1,6 @@
 """Real and virtual time: the only place that reads the time of day for work, or sleeps.
 
-Virtual time moves only when somebody waits, so two runs see the same times to the last bit. Actions
+Virtual time moves only when a thread waits, so two runs see the same times to the last bit. Actions
 of ``call_at`` run in the thread that moves the time.
 """
 
@@ -116,7 +116,7 @@ class RealClock:
 
 
 class VirtualClock:
-    """Time that moves only when somebody waits. Not to be shared by two threads that both wait."""
+    """Time that moves only when a thread waits. Not to be shared by two threads that both wait."""
 
     def __init__(self) -> None:
         self._now = 0.0

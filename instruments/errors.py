@@ -54,7 +54,7 @@ def _shown(fact: str | bytes) -> str:
 
 
 class LinkError(InstrumentError):
-    """Nobody answered, or the link broke. Not for an answer that makes no sense."""
+    """No answer came, or the link broke. Not for an answer that makes no sense."""
 
 
 class ProtocolError(InstrumentError):

@@ -94,7 +94,7 @@ class Link:
             self._port.write(data)
         except OSError as error:
             raise self._broke("sending", error, asked=data) from error
-        # counted after: an interrupt between the two must not leave bytes that nobody will ever
+        # counted after: an interrupt between the two must not leave bytes that nothing will ever
         # take
         if self._virtual:
             self._virtual[1].add(to_device=len(data))

@@ -23,7 +23,7 @@ class Device(Protocol):
     """The emulated instrument behind a wire."""
 
     def connect(self, connection: Connection) -> None:
-        """Somebody has plugged in; what the device says unasked is sent here."""
+        """A host has connected; what the device says unasked is sent here."""
         ...
 
     def receive(self, connection: Connection, data: bytes) -> None:

@@ -103,7 +103,7 @@ class Pacer:
         self._for_host: collections.deque[tuple[float, bytes]] = collections.deque()
         self._heard = b""  # on its way to the device
         self._heard_s = math.inf  # when the last byte of it is through
-        # the line's time of the byte that the device is told of just now
+        # the line's time of the byte that the device gets just now
         self._moment_s: float | None = None
         self._hung_up = self._aborted = False
         self._thread = 0
@@ -174,7 +174,7 @@ class Pacer:
         while self._for_host and self._for_host[0][0] <= now:
             data += self._for_host.popleft()[1]
         if data:
-            with contextlib.suppress(OSError):  # the host has gone: the next read tells
+            with contextlib.suppress(OSError):  # the host has gone: the next read says so
                 self._port.write(data)
 
     def _hear(self, from_s: float) -> bool:
@@ -214,6 +214,6 @@ class Pacer:
         return port in ready
 
     def _wake(self) -> None:
-        # full: a wake is on its way already; closed: nobody is asleep
+        # full: a wake is on its way already; closed: no thread is asleep
         with contextlib.suppress(OSError):
             self._wake_far.send(b"w")

@@ -22,7 +22,7 @@ _FLAGS = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
 
 
 def _watch_closings(path: str) -> int:
-    """A descriptor that is readable when somebody has closed the file at ``path``. Raises OSError
+    """A descriptor that is readable when the file was closed at ``path``. Raises OSError
     without inotify.
     """
     try:
@@ -230,7 +230,7 @@ class _Terminal:
 
 
 def _open(name: str) -> tuple[int, str]:
-    """The near end of a new pseudo-terminal, and the path of its far end, which nobody has open."""
+    """The near end of a new pseudo-terminal, and the path of its far end, which is open nowhere."""
     if not hasattr(os, "openpty"):
         raise OSError(
             f"{name}: this system has no pseudo-terminals (Linux and macOS have them); let the"

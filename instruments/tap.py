@@ -26,7 +26,7 @@ class Tap(Protocol):
 
 
 class NoTap:
-    """Nobody listens in."""
+    """No listener."""
 
     def opened(self, url: str) -> None: ...
     def sent(self, data: bytes) -> None: ...

@@ -265,9 +265,9 @@ class Page:
                 f"{what}: the ids {twice} stand for two things; give each part, and each figure's"
                 " name, its own"
             )
-        strangers = sorted(set(self.worst) - {trial.id for trial in self.trials})
-        if strangers:
-            raise PageError(f"{what}: {strangers} in 'worst' are no trials of it")
+        unknown = sorted(set(self.worst) - {trial.id for trial in self.trials})
+        if unknown:
+            raise PageError(f"{what}: {unknown} in 'worst' are no trials of it")
         links = [link for figure in figures for link in figure.facts.links]
         for link in (*(cell.href for cell in self._cells()), *links):
             if link.startswith("#") and link[1:] not in ids:

@@ -11,6 +11,7 @@ import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -211,8 +212,12 @@ def _lone(parts: Sequence[Part]) -> set[int]:
     return found if left is None else {*found, left}
 
 
+@cache
 def environment() -> Environment:
-    """Jinja2 as all pages use it: every text is escaped and sanitized."""
+    """Jinja2 as all pages use it: every text is escaped and sanitized.
+
+    One for the process, so that each template is compiled once.
+    """
     made = Environment(
         loader=FileSystemLoader(_TEMPLATES, encoding="utf-8"),
         autoescape=True,

@@ -51,7 +51,7 @@ def test_it_uses_the_standard_library_only() -> None:
     assert modules <= sys.stdlib_module_names
 
 
-def test_an_old_python_is_told(
+def test_an_old_python_is_reported(
     run_py: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(run_py, "NEEDED", (99, 0))

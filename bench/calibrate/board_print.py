@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 
 import numpy as np
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
@@ -43,6 +42,8 @@ def board_figure(board: Board, paper: str | None = None) -> Figure:
     """The same as a figure, one inch of it an inch of paper."""
     width, height = sheet_mm(board, paper)
     figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf  # late: loads fontTools
+
     FigureCanvasPdf(figure)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(0.0, width), ylim=(height, 0.0))

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import BoardViews
@@ -133,7 +133,7 @@ def _rms_interval(view_rms_px: Sequence[float]) -> tuple[float, float]:
     mean, count = float(squares.mean()), len(squares)
     if count < 2:
         return 0.0, float("inf")
-    half = float(t.ppf(0.975, count - 1) * squares.std(ddof=1) / np.sqrt(count))
+    half = float(stdtrit(count - 1, 0.975) * squares.std(ddof=1) / np.sqrt(count))
     return float(np.sqrt(max(mean - half, 0.0))), float(np.sqrt(mean + half))
 
 

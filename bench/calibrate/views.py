@@ -1,7 +1,7 @@
 """Pictures of a board to views: one pose of the board each, with the same name in every camera.
 
 Pictures are folders by camera, files named by camera, or a recording; or they are taken from a rig
-while somebody holds the board, until nothing is missing or the operator has had enough.
+while the operator holds the board, until nothing is missing or the operator has had enough.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import pattern_of, write_picture
@@ -167,7 +167,7 @@ def check_points(
     mean, count = missed.mean(axis=0), len(missed)
     off_mm, covariance = float(np.linalg.norm(mean)), own.mean(axis=0) + noise.mean(axis=0) / count
     distance = float(mean @ np.linalg.solve(covariance, mean))
-    if off_mm >= MOVED_MATTERS_MM and distance >= chi2.ppf(1.0 - SIGNIFICANT, 3):
+    if off_mm >= MOVED_MATTERS_MM and distance >= chdtri(3, SIGNIFICANT):
         x, y, z = mean
         sentence = (
             f"points are measured {off_mm:.1f} mm off on the mean ({x:+.1f}, {y:+.1f}, {z:+.1f}"
@@ -178,7 +178,7 @@ def check_points(
     if free := count - 1:
         left_over = float(np.sum((missed - mean) ** 2)) / free
         expected = float(np.mean(again.expected_mm**2))
-        limit = max(SCATTER_MATTERS**2, chi2.ppf(1.0 - SIGNIFICANT, 3 * free) / (3 * free))
+        limit = max(SCATTER_MATTERS**2, chdtri(3 * free, SIGNIFICANT) / (3 * free))
         if left_over >= limit * expected:
             sentence = (
                 f"points scatter by {np.sqrt(left_over):.1f} mm, where {np.sqrt(expected):.1f} mm"

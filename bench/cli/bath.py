@@ -287,7 +287,7 @@ class BathView:
 
 
 def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float = math.inf) -> None:
-    """Read and show once a second until ``seconds`` are over, or somebody interrupts. Without a
+    """Read and show once a second until ``seconds`` are over, or the user interrupts. Without a
     terminal, a line a reading.
     """
     view = BathView(StabilityGate(bath.get("set_point")), moving=moving_of(bath.profile))

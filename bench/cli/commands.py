@@ -25,7 +25,7 @@ from bench.cli.arguments import (
 if TYPE_CHECKING:
     from bench.campaign.perturbations import Applied
 
-# the help of all: what somebody wants to do, and the commands and groups for it
+# the help of all: what a user wants to do, and the commands and groups for it
 TASKS = {
     "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
     "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),

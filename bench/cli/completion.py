@@ -1,4 +1,4 @@
-"""`completion SHELL`, and what a shell is told when somebody presses Tab: commands, options, and
+"""`completion SHELL`, and what a shell gets when a user presses Tab: commands, options, and
 names that ship. By argcomplete, which calls the program at each Tab.
 """
 

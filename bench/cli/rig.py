@@ -102,7 +102,7 @@ def _rig_text(rig: LoadedRig, urls: Mapping[str, str]) -> str:
     if "pump" in urls:
         table["bath"]["pump_url"] = urls["pump"]
     cameras = {name: {"url": urls[name]} for name in ("left", "right", "thermal")}
-    skew = {"max_skew_s": 1.0}  # a stream tells when a frame arrived, not when it was exposed
+    skew = {"max_skew_s": 1.0}  # a stream says when a frame arrived, not when it was exposed
     kept = {key: value for key, value in table["cameras"].items() if key != "url"}
     table["cameras"] = kept | skew | cameras
     files = [(table, "calibration"), (table["arm"], "frame"), (table["arm"], "verification")]

@@ -53,8 +53,6 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int:
-    from bench.cli.verdict import open_report, show_verdict
-    from bench.report.page import write_run_report
     from bench.run.estimate import estimate_text, figures, needs, read_learnt, took, write_learnt
     from bench.run.start import RunOptions, run_script
 
@@ -72,6 +70,9 @@ def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int
         )
         folder, _ = run_script(rig, script, given.out, progress, how)
         progress.state("writing the report")
+        from bench.cli.verdict import open_report, show_verdict
+        from bench.report.page import write_run_report  # late: loads for half a second
+
         written = write_run_report(folder)
     code = show_verdict(console, *written)
     record = read_run(folder)
@@ -87,8 +88,6 @@ def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int
 
 
 def resume(given: argparse.Namespace) -> int:
-    from bench.cli.verdict import show_verdict
-    from bench.report.page import write_run_report
     from bench.run.resume import files_of
     from bench.run.start import RunOptions, resume_run
 
@@ -102,6 +101,9 @@ def resume(given: argparse.Namespace) -> int:
                 given.run, progress, RunOptions(capture=given.capture, typed=typed, begun=shown.say)
             )
             progress.state("writing the report")
+            from bench.cli.verdict import show_verdict
+            from bench.report.page import write_run_report
+
             written = write_run_report(given.run, damage=damage)
         return show_verdict(console, *written)
 

@@ -30,7 +30,7 @@ from reports.sanitize import sanitized, unfiltered
 
 
 class _Count(MofNCompleteColumn):
-    """Done of total; nothing where nobody knows the total."""
+    """Done of total; nothing where the total is not known."""
 
     def render(self, task: Task) -> Text:
         return Text("") if task.total is None else super().render(task)

@@ -3,7 +3,7 @@ the family `ideal` with one thing changed), what detectors find in them, and wha
 beat. Members, noise and calibration errors are the same at every value.
 
 The limit is Cramer and Rao's bound (Kay, Fundamentals of Statistical Signal Processing I, 3.9): an
-edge of contrast C, blurred by sigma_b under white noise sigma_n, tells its place along the normal
+edge of contrast C, blurred by sigma_b under white noise sigma_n, gives its place along the normal
 with C^2 / (2 sqrt(pi) sigma_b sigma_n^2) a pixel of length; summed along the outline in both
 pictures and carried to the world. For an upright teat it comes to Z^2 / (f B) times the noise of
 the disparity. A calibration error has a size in pixels of the principal point; every other
@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from bench.config import ConfigError, did_you_mean, read_text
 from bench.results.answers import examine, points_of
@@ -313,7 +313,7 @@ def nominated_share(renderer: Renderer, state: SceneState, teats: Sequence[int])
     sigma.
     """
     sensor, camera = renderer.thermal.readout.sensor, renderer.cameras[2]
-    threshold = float(norm.isf(1.0 / (sensor.width_px * sensor.height_px)))
+    threshold = -float(ndtri(1.0 / (sensor.width_px * sensor.height_px)))
     focal_px = float(camera.fc.mean()) * sensor.width_px / camera.width_px
     signals = []
     for teat in teats:
@@ -322,7 +322,7 @@ def nominated_share(renderer: Renderer, state: SceneState, teats: Sequence[int])
         pixels = 2.0 * shape.radius_mm * shape.length_mm * px_a_mm**2
         warmer_k = abs(state.teat_temps_c[teat] - state.ambient_c) * state.teat_paint.emissivity
         signals.append(warmer_k * np.sqrt(pixels) / np.hypot(sensor.netd_k, sensor.fixed_k))
-    return float(np.mean(norm.sf(threshold - np.array(signals))))
+    return float(np.mean(ndtr(np.array(signals) - threshold)))
 
 
 FOCAL_PX = 1290.0  # a turn by one pixel's angle, tables 3.1 and 3.2

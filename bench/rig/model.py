@@ -232,7 +232,7 @@ class ThermalTable(OneCamera):
 
 
 class FocusTable(Section):
-    """Edge blur in px of each camera when it was in focus; `teatbench camera focus` tells it."""
+    """Edge blur in px of each camera when it was in focus; `teatbench camera focus` measures it."""
 
     left: Positive | None = None
     right: Positive | None = None

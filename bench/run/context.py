@@ -62,7 +62,7 @@ class RunContext:
         self.trips = TripHandler(
             rig, devices, gate_of(script), store, events.warn, self._pulse, guardian_client
         )
-        self.trips.heard, self.trips.seen = events.event, events.refresh
+        self.trips.on_event, self.trips.seen = events.event, events.refresh
         self.watch = self.trips.watch
         self.states = RunStates(lambda state: self.event(EVENT, state.value), self.clock.now)
         events.now_s = self.clock.now

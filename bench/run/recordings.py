@@ -33,7 +33,8 @@ class Recorder:
     """A recording in ``folder``, which must be empty or not there, or be what ``before``, a run
     that goes on, has recorded.
 
-    ``warn`` hears where it can't be written any more. Raises ConfigError where it can't be begun.
+    ``warn`` is called where it can't be written any more. Raises ConfigError where it can't be
+    begun.
     """
 
     def __init__(

@@ -184,8 +184,8 @@ READING_S = 60.0
 
 
 class TripHandler:
-    """``watch`` is started and stopped by the engine. ``heard`` gets the event of a trip, its kind
-    and text, once it is in the record; ``seen`` is called after each reading.
+    """``watch`` is started and stopped by the engine. ``on_event`` gets the event of a trip, its
+    kind and text, once it is in the record; ``seen`` is called after each reading.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class TripHandler:
         self._guardian_client = guardian_client
         self._latch = latch_path(rig)
         self._told = self._held = False
-        self.heard: Callable[[str, str], None] = lambda _kind, _text: None
+        self.on_event: Callable[[str, str], None] = lambda _kind, _text: None
         self.seen: Callable[[], None] = lambda: None
         interlocks = self._interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
 
@@ -276,7 +276,7 @@ class TripHandler:
                     "trip", trip.as_dict() | {"t_s": self._devices.clock.now(), "done": said}
                 )
             self._store.event(self._devices.clock.now(), "trip", f"{trip} ({done})", wall_time())
-            self.heard("trip", f"{trip} ({done})")
+            self.on_event("trip", f"{trip} ({done})")
         except sqlite3.Error as error:
             self._warn(f"the trip could not be written down: {error}")
         try:

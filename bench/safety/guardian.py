@@ -41,7 +41,7 @@ READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take 
 HANG_S = 10.0  # without a word from the bench
 LOOK_S = 0.25  # between looks at whether the bench is being ended
 PAUSE_S = 1.0  # between attempts, but for the first few
-GIVE_UP_S = 300.0  # then somebody has long been there, or never comes
+GIVE_UP_S = 300.0  # then an operator has long been there, or never comes
 NICE = (-20, -10, -5)  # the first that the system grants
 MCL_CURRENT, MCL_ONFAULT = 1, 4  # mman.h of Linux
 # they are meant for the bench; the end of the input always ends us
@@ -85,7 +85,7 @@ class HeartbeatReader:
             if not line:
                 return "died", "its end of the pipe closed without a word", stopwatch_s()
             last_s = stopwatch_s()
-            with contextlib.suppress(OSError):  # a bench that died: the end of the input tells
+            with contextlib.suppress(OSError):  # a bench that died: the end of the input says so
                 os.write(self._echo, line.encode() + b"\n")
 
     def _listen(self, source: int) -> None:

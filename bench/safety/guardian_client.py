@@ -146,7 +146,7 @@ class GuardianClient:
 
     @property
     def lost(self) -> str | None:
-        """Why nobody guards the bath any more; None while the guardian lives."""
+        """Why the bath is no longer guarded; None while the guardian lives."""
         code = self._process.poll()
         if self._ended.is_set():
             return None
@@ -220,14 +220,14 @@ class GuardianClient:
             try:
                 self._say(HUNG + overdue if overdue else ALIVE)
             except OSError:
-                return  # it has ended: ``lost`` tells
+                return  # it has ended: ``lost`` says so
 
     def _say(self, word: str) -> None:
         self._pipe_in.write(word.encode() + b"\n")
 
 
 def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
-    """In a session of its own, or it would hear the terminal's Ctrl-C and end with the terminal."""
+    """In a session of its own, or it would get the terminal's Ctrl-C and end with the terminal."""
     flags = ("DETACHED_PROCESS", "CREATE_NEW_PROCESS_GROUP", "HIGH_PRIORITY_CLASS")  # of Windows
     return subprocess.Popen(  # noqa: S603 - our own module
         command,

@@ -30,7 +30,7 @@ SAME_SET_POINT_K = 0.06  # a controller may show tenths
 
 @dataclass(frozen=True, slots=True)
 class Bath:
-    """What the rules have to know of the bath: what its family tells, and its alarms."""
+    """What the rules have to know of the bath: what its family reports, and its alarms."""
 
     tells: frozenset[str] = frozenset({"output", "other sensor"})
     low_level: Callable[[int], bool] = lambda _: False
@@ -43,7 +43,7 @@ class Look:
 
     ``asked_c`` is the set point that the bath was started with, None before. ``since`` is the last
     reading with which the rule was content, ``earlier`` one at least RATE_SPAN_S older than
-    ``now``. ``pump_on`` is None where nothing tells whether the pump is on; ``settled`` says that
+    ``now``. ``pump_on`` is None where nothing reports whether the pump is on; ``settled`` says that
     the other sensors have had time to follow.
     """
 
@@ -308,7 +308,7 @@ PLAIN = (  # of a reading, in the record, beside the raw values
     *("t_s", "temp_c", "external_c", "safety_c", "power_percent", "alarm", "running"),
     "set_point_c",
 )
-COARSE_K = 0.05  # a temperature told in steps of more than this stands still in the best of baths
+COARSE_K = 0.05  # a reading in steps of more than this stands still in the best of baths
 
 
 class InterlockTrip(Exception):  # noqa: N818 - the field's word

@@ -1,4 +1,4 @@
-"""What keeps a run from starting: an interlock's latch, and a cut-out that nobody has tested.
+"""What keeps a run from starting: an interlock's latch, and a cut-out that was not tested.
 
 The latch is a file beside the rig file, until a person acknowledges it. It belongs to the bath, not
 to a run: another output folder, another script or a restart of the computer doesn't get round it.
@@ -28,12 +28,12 @@ STAYS_HOT = ("hold", "unknown")  # kinds of comms_loss
 
 
 class LatchedError(DeviceError):
-    """An interlock has tripped on this rig and nobody has acknowledged it."""
+    """An interlock has tripped on this rig and was not acknowledged."""
 
 
 @dataclass(frozen=True, slots=True)
 class Latch:
-    """What tripped, as the file tells it."""
+    """What tripped, as the file says."""
 
     path: Path
     content: Mapping[str, Any]

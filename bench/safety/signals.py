@@ -1,11 +1,11 @@
-"""The one place that hears who asks the bench to end: Ctrl-C, SIGTERM, a dropped connection
+"""The one place that takes requests to end the bench: Ctrl-C, SIGTERM, a dropped connection
 (SIGHUP), a closed console window.
 
 The first request is raised in the main thread as `Interrupted`, so that every `finally` runs and
 the bench passes through safe; what comes while it is on its way there is only noted. The handler of
 the signals is itself the state, so nothing is global but what the system keeps.
 
-Windows tells of a closed console window on a thread of its own, and ends the program when that
+Windows reports a closed console window on a thread of its own, and ends the program when that
 returns. What is done about it is plain logic, and tested everywhere; only `windows_register` needs
 Windows. Elsewhere a terminal that closes sends SIGHUP.
 """
@@ -95,11 +95,11 @@ CLOSE_S = 4.5  # Windows ends a program 5 s after its console was closed, whatev
 
 
 class Interrupted(KeyboardInterrupt):
-    """Somebody asked the bench to end; the text says who."""
+    """The bench was asked to end; the text says by what."""
 
 
 class Exits:
-    """Handler of all signals that ask for an end. ``asked`` tells all that came."""
+    """Handler of all signals that ask for an end. ``asked`` lists all that came."""
 
     def __init__(self) -> None:
         self.asked: list[str] = []
@@ -134,7 +134,7 @@ class Exits:
         self._held -= 1
 
     def check_interrupts(self) -> None:
-        """Raise what came while requests were held, where nobody has ended for it."""
+        """Raise what came while requests were held, where the bench has not ended for it."""
         if self.asked and self._raised_s is None:
             self._raised_s = stopwatch_s()
             raise Interrupted(
@@ -183,7 +183,7 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
 
 
 def current() -> Exits:
-    """Whoever is installed; one that hears nothing where none is."""
+    """Whoever is installed; one that takes no signal where none is."""
     handlers = (
         signal.getsignal(getattr(signal, name)) for name in ASKED_BY if hasattr(signal, name)
     )

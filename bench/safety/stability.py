@@ -170,7 +170,7 @@ class StabilityGate:
     ) -> State:
         """One reading: time in seconds (increasing), bath temperature, the raw value as it came
         over the wire (else the temperature), any alarm, and the temperature at the teats where a
-        sensor tells it.
+        sensor measures it.
 
         Raises ValueError where time doesn't advance or a number is not finite: a sensor fault is
         the caller's to handle.

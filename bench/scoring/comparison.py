@@ -21,7 +21,6 @@ from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
 from scipy.special import bdtr, ndtr
 
 from bench.scoring.decisions import Verdict
@@ -150,6 +149,8 @@ def upper_bound(values: Floats, limit: float, confidence: float) -> float:
     Learned-Miller and Thomas, arXiv:1905.06208). Clopper and Pearson's bound where values are 0 or
     `limit`. No counterexample to its confidence is known, nor a proof.
     """
+    from scipy.optimize import brentq  # late: loads for a fifth of a second
+
     n, chance = len(values), 1.0 - confidence
     share = -expm1(log(chance) / n)
     # if all were as this one
@@ -258,6 +259,8 @@ def _crossing(function: Callable[[float], float], low: float, high: float) -> fl
     """Where a falling function crosses 0 between `low` and `high`; where it doesn't, the nearer
     end.
     """
+    from scipy.optimize import brentq  # late: loads for a fifth of a second
+
     if low == high or function(low) <= 0.0:
         return low
     return high if function(high) >= 0.0 else float(brentq(function, low, high, xtol=1e-10))

@@ -17,7 +17,6 @@ from operator import attrgetter
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
 from bench.scoring.errors import as_points
 from bench.scoring.rates import Rate
@@ -138,6 +137,8 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
     }
     kept = list(within)  # in order of truth, as the pairs were looked at
     if not len({i for i, _ in kept}) == len({j for _, j in kept}) == len(kept):  # they contend
+        from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
+
         squared = ((np.array(found)[:, None] - np.array(truth)) ** 2).sum(axis=2)
         gain = np.where(seen, 1.0, 0.5) * (np.minimum(squared, gate_mm**2) - gate_mm**2)
         rows, cols = linear_sum_assignment(gain)

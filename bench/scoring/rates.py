@@ -84,7 +84,7 @@ def percent_apart(fraction: float, *limits: float) -> str:
 
 
 def exact_percent(fraction: float) -> str:
-    """A rate or confidence that somebody named, as it was named: 99.9 %."""
+    """A rate or confidence as it was given: 99.9 %."""
     return f"{100 * fraction:.6g} %"
 
 

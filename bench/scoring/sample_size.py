@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 from math import floor, sqrt
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import bdtr, bdtrc, gammaincinv, ndtr, stdtrit
-from scipy.stats import binom
 
 from bench.scoring.guard_band import acceptance_limit_mm, leak
 from bench.scoring.rates import (
@@ -50,6 +48,8 @@ def shown_error_mm(
     `limit_mm` in a share `rate`: at most the acceptance limit, less where they leave less of the
     risk to the truth (`shown_falsely`). None for too few poses, or a truth too uncertain.
     """
+    from scipy.optimize import brentq  # late: loads for a fifth of a second
+
     accept, allowed = acceptance_limit_mm(limit_mm, u_mm), 1.0 - confidence
 
     def risk(seen_mm: float) -> float:
@@ -89,6 +89,8 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
         )
     if lost + won < RARE:
         return 0.0
+    from scipy.stats import binom  # late: loads for half a second
+
     discordant = np.arange(trials + 1)
     chance, share = binom.pmf(discordant, trials, lost + won), lost / (lost + won)
     # the largest smaller count that is significant; -1 for none
@@ -149,6 +151,8 @@ def poses_for_shift(shift: float, sd: float, power: float = 0.8, alpha: float = 
 
 def _rising_root(function: Callable[[float], float], high: float) -> float | None:
     """Where a rising function reaches 0 between 0 and `high`; None where it doesn't."""
+    from scipy.optimize import brentq  # late: loads for a fifth of a second
+
     if function(high) < 0.0:
         return None
     return 0.0 if function(0.0) >= 0.0 else float(brentq(function, 0.0, high, xtol=1e-9))

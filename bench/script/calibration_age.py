@@ -59,7 +59,7 @@ def refuse_other_cameras(record: Record | None, identity: Mapping[str, str]) -> 
 
 
 def calibration_fact(calibration: Calibration, today: date, *, emulated: bool) -> dict[str, Any]:
-    """What a run keeps of its calibration's record. ``age_days`` is None where nobody knows it."""
+    """What a run keeps of its calibration's record. ``age_days`` is None where it is not known."""
     record = calibration.record
     return {
         **{key: getattr(record, key, None) for key in ("made", "by", "with_what")},

@@ -196,7 +196,7 @@ class CalibrationRequirement(_Named):
 
 
 class CalibrationTable(Section):
-    """``[calibration]``: a run with an older one, or one whose age nobody knows, is refused before
+    """``[calibration]``: a run with an older one, or one of unknown age, is refused before
     anything is opened.
     """
 

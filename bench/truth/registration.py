@@ -9,7 +9,7 @@ mm/m): of a stage five to ten times worse, a 95 % region would hold 84 to 92 % o
 0.2, and holds 94 to 97 % at 0.4. Where they contradict it (at `ALPHA`), the report says what to
 mend.
 
-E = [[sx, -gxy, -gxz], [0, sy, -gyz], [0, 0, sz]]: a stage that is told to go by D goes by (I + E)
+E = [[sx, -gxy, -gxz], [0, sy, -gyz], [0, 0, sz]]: a stage that is sent by D goes by (I + E)
 D, in its own axes. The x axis is the reference, and g is by how much the angle between two axes
 exceeds a right one. With q the touched positions less their mean, touch noise n turns a rigid fit
 by w = H^-1 sum q x n, H = sum(|q|^2 I - q q^T), and axes that are off by E turn it by w = H^-1 sum

@@ -69,7 +69,7 @@ class Ends:
     names: tuple[str, ...] = ()
 
     def called(self, teat: int) -> str:
-        """What the person is told of ``teat`` (from 1)."""
+        """What the operator is asked for ``teat`` (from 1)."""
         return self.names[teat - 1] if self.names else called(teat)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, t
+from scipy.special import ndtr, stdtrit
 
 from detector.calibration.boards import Board
 from detector.calibration.rigid import WorldFit, cross_matrix
@@ -189,7 +189,7 @@ def outlier_views(rms_px: Mapping[str, float], camera: str) -> list[Finding]:
 
 
 def measured_again(again: Remeasured, pair: Pair) -> list[Finding]:
-    """What a board measured again tells of the calibration, or of the board."""
+    """What a board measured again says of the calibration, or of the board."""
     if any(view.depth_mm <= 0 for view in again.views):
         said = "the board is measured behind the cameras: left and right pictures are swapped"
         return [Finding("swapped cameras", said)]
@@ -221,7 +221,7 @@ def _matters(mean: tuple[float, float], least: float, again: Remeasured) -> bool
     (value, sd), freedom = mean, len(again.views) - 1
     if freedom < 1 or not abs(value) > least:
         return False
-    return abs(value) > float(t.isf(norm.sf(SIGNIFICANT), freedom)) * sd
+    return abs(value) > -float(stdtrit(freedom, ndtr(-SIGNIFICANT))) * sd
 
 
 def _scale(again: Remeasured, pair: Pair) -> list[Finding]:

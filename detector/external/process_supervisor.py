@@ -120,7 +120,7 @@ def _reap(child: int) -> int | None:
 def _end_all(child: int) -> None:
     try:  # noqa: SIM105 - contextlib is slow to import
         os.killpg(child, signal.SIGKILL)
-    # nobody is left in it; macOS says the latter where only the dead are
+    # no process is left in it; macOS says the latter where only the dead are
     except (ProcessLookupError, PermissionError):
         pass
     while left := descendants(os.getpid()):

@@ -123,7 +123,7 @@ def slopes(teats: Array, contour: Contour, px_a_mm: Array, camera_from_teats: Mo
     round_q = np.einsum("mnd,mnd->mn", n, q) / teats[:, RADIUS, None]
     below = np.clip(along_q, 0, None)
     result[..., RADIUS] = np.where(below > 0, 1.0, round_q)
-    result[..., TAPER] = below / height[:, None]  # taper is told where all is stretched back
+    result[..., TAPER] = below / height[:, None]  # taper is known where all is stretched back
     result[..., HEIGHT] = np.where(below > 0, 0.0, along_n * along_q / height[:, None])
     return np.asarray(result * px_a_mm[..., None])
 

@@ -208,9 +208,9 @@ _CLOSE_PX = 0.6
 # of the best place's share of an end, and of the whole end: so much must be seen where an end may
 # be
 _NEARLY, _LEAST_END = 0.72, 0.5
-# of the usual spread of heights: of an end that is seen in part, shape and place can't both be told
+# of the usual spread of heights: an end that is seen in part doesn't give both shape and place
 _SHAPE = 0.3
-# of the usual lean: what is left of a hidden teat's outline hardly tells lean from depth
+# of the usual lean: what is left of a hidden teat's outline hardly separates lean from depth
 _UPRIGHT = 0.5
 _NEARER_MM = 3.0
 # left, right, thermal: about a nearer teat, where its edge is what is found

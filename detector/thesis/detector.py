@@ -55,7 +55,7 @@ class _NoAnswer(Exception):  # noqa: N818 (ends a detection early, caught in `de
 
 @dataclass(frozen=True, slots=True)
 class ThesisDetector:
-    """Chapter 4 and appendix A of the thesis, with the published settings unless told otherwise."""
+    """Chapter 4 and appendix A of the thesis, with the published settings by default."""
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "thesis"  # in the registry

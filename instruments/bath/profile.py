@@ -184,7 +184,7 @@ class Capabilities(Strict):
 
 
 class OrderFrom(Strict):
-    """The row that tells the order of bytes (it has one of its own), and what its codes mean."""
+    """The row that gives the order of bytes (it has one of its own), and what its codes mean."""
 
     row: str
     codes: dict[str, Order]

@@ -111,7 +111,7 @@ EUROTHERM = Manners(
     bits={"alarm 1": 0x0001, "manual": 0x0010, "sensor": 0x0020, "loop": 0x0040},
     starts={**LIMITS, "decimals": 1.0, "version": 0x0461, "model": 0x2416},
 )
-WATLOW = Manners(  # 1.3: degF until it is told; 3 and 4 alike
+WATLOW = Manners(  # 1.3: degF until it is set; 3 and 4 alike
     functions=WORDS,
     alike=True,
     sensor_break="last",

@@ -77,7 +77,7 @@ class Row(Strict):
     ``spacing_s`` is the least time after another write; ``tolerance`` how far what the controller
     made of a value may be from it.
 
-    ``alarm`` says that the row tells alarms: as a code, of which those in ``quiet`` mean none, or
+    ``alarm`` says that the row reports alarms: as a code, of which those in ``quiet`` mean none, or
     as a word of bits. ``no_value`` are raw codes that stand where a number would and mean that
     there is none.
     """

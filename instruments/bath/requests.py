@@ -36,7 +36,7 @@ from instruments.bath.profile import ReadFunction, Wiring
 from instruments.bath.registers import Row, Table
 
 MOST_WORDS = 125  # a read answers no more (Modbus application protocol 1.1b3, section 6.3)
-MOST_GAP = 8  # registers that nobody wants cost less than another question, up to about here
+MOST_GAP = 8  # registers that are not wanted cost less than another question, up to about here
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,7 @@ class Answers:
         """Drop what was asked before ``before_s``, and what was answered."""
         self.owed = [q for q in self.owed if q.answer is None and q.sent_s >= before_s]
 
-    def hear(self, data: bytes) -> int:
+    def feed(self, data: bytes) -> int:
         """Take the answers in ``data``; how many bytes are done with."""
         return self._hear_rtu(data) if self._rtu else self._hear_tcp(data)
 
@@ -281,7 +281,7 @@ class Answers:
         current = self.open if self.owed and self.owed[-1] is self.open else None
         at = next((at for at, question in enumerate(self.owed) if question.fits(answer)), None)
         if at is None:
-            if current and len(self.owed) == 1:  # an answer that does not fit, and nobody else's
+            if current and len(self.owed) == 1:  # it does not fit, and no other request waits
                 current.answer = answer
                 self.owed.clear()
             return

@@ -1,6 +1,6 @@
 """Modbus transactions as calls that block: over TCP, RTU over TCP, and RTU on a serial port.
 
-Over RTU nothing tells whose an answer is (fact sheet, 2.3). So after a request without a response
+Over RTU nothing says whose an answer is (fact sheet, 2.3). So after a request without a response
 nothing else is asked until the late response has come or can't come any more, and until a request
 whose response can't be confused with it was answered.
 """
@@ -104,7 +104,7 @@ class Transactions:
         return self._link is not None and self._link.connected
 
     def connect(self) -> None:
-        """Open the link, trying again with growing pauses. Raises LinkError when nobody takes it in
+        """Open the link, trying again with growing pauses. Raises LinkError when it is not taken in
         the end.
         """
         start, why, line = self._clock.now(), "", self._line
@@ -130,7 +130,7 @@ class Transactions:
                     why = cause.strerror
                 continue
             self._unused = self._seen = b""
-            # a response to somebody else may still be under way
+            # a response to another host may still be under way
             self._strange_until_s = self._clock.now() + self._quiet_s
             return
         what = "nothing took the connection"
@@ -237,7 +237,7 @@ class Transactions:
             self._unused += data
             if len(self._unused) > MOST_UNUSED:
                 self._unused = b""
-            self._unused = self._unused[self._answers.hear(self._unused) :]
+            self._unused = self._unused[self._answers.feed(self._unused) :]
         return bool(data)
 
     # ---- one question
@@ -282,11 +282,11 @@ class Transactions:
             self._clock.sleep(self._heard_s + gap_s - self._clock.now())
         link = self._up()
         if self._line.is_rtu:
-            while self._receive(link, 0.0):  # what lies there unasked is nobody's response
+            while self._receive(link, 0.0):  # what lies there unasked answers no request
                 pass
         request = self._answers.put(question, self._clock.now())
         self._unused = self._seen = b""
-        with contextlib.suppress(LinkError):  # a break is told below
+        with contextlib.suppress(LinkError):  # a break is reported below
             link.write(request)
         self._wait(question, link)
         return question.answer is not None

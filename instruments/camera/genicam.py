@@ -190,7 +190,11 @@ class GenicamCamera:
         this program lost control of the camera, which is opened again next time.
         """
         if self._lost_control:
-            self._open()
+            try:
+                self._open()
+            except BaseException:
+                self._lost_control = True  # the next call tries again
+                raise
         if self._stream is None:
             raise LinkError(self._who, "is closed", asked="a frame")
         while (stale := self._stream.try_pop_buffer()) is not None:

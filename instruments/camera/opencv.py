@@ -39,7 +39,7 @@ def _is_url(source: Source) -> bool:
 
 
 def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
-    """Width and height, 0 where the backend tells none."""
+    """Width and height, 0 where the backend gives none."""
     width, height = (capture.get(prop) for prop in SIZE)
     return round(width), round(height)
 
@@ -237,7 +237,7 @@ def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> t
 
 
 def fourcc_name(code: float) -> str:
-    """The four letters of a pixel format's number; "none" where the backend tells none."""
+    """The four letters of a pixel format's number; "none" where the backend gives none."""
     if not math.isfinite(code) or code <= 0:
         return "none"
     return int(code).to_bytes(4, "little").decode("latin-1").strip()

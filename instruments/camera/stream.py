@@ -107,7 +107,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = STALLED_S
 
     def do_GET(self) -> None:
-        """Send one camera's pictures until somebody hangs up."""
+        """Send one camera's pictures until the client disconnects."""
         camera = self.path.partition("?")[0].strip("/").removesuffix(".mjpg")
         if camera not in KNOWN:
             there = ", ".join(f"/{name}.mjpg" for name in KNOWN)

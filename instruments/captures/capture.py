@@ -54,7 +54,7 @@ class CaptureError(ValueError):
 
 
 class Captures(Protocol):
-    """Where whoever opens a link asks for somebody to listen in on it."""
+    """Where whoever opens a link asks for a listener."""
 
     def tap(self, link: str, clock: Clock) -> Tap:
         """A tap for the link ``arm``, ``bath`` or ``stage``, with times by ``clock``."""
@@ -64,7 +64,7 @@ class Captures(Protocol):
 class NoCapture:
     """Nothing is captured."""
 
-    def tap(self, link: str, clock: Clock) -> Tap:  # noqa: ARG002 - nobody listens in, on whatever link
+    def tap(self, link: str, clock: Clock) -> Tap:  # noqa: ARG002 - no listener on any link
         return NoTap()
 
 

@@ -289,7 +289,7 @@ class FarEnd:
         return "; ".join(left)
 
     def connect(self, connection: Connection) -> None:
-        """Somebody plugs in: what came unasked then comes again."""
+        """A host connects: what came unasked then comes again."""
         if self._again and self.finished:
             self._next = 0
             self._left.clear()
@@ -298,7 +298,7 @@ class FarEnd:
             self.report(line, f"connected once more than the {self._next} times that were recorded")
             return
         player = self._players[connection] = Player(self, self._next, connection)
-        # last, as below: somebody may be waiting on another thread for ``finished``
+        # last, as below: another thread may be waiting for ``finished``
         self._next += 1
         player.answer(0)
 

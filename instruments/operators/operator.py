@@ -148,7 +148,7 @@ class Finish:
 
 
 Awaited = Homing | CheckPoint | Arrangement | Touch | BoardAsked | BoardTouch | Task
-Notice = NextTrial | Release | Finish  # nobody waits for an answer to these
+Notice = NextTrial | Release | Finish  # the bench waits for no answer to these
 Request = Awaited | Notice
 
 

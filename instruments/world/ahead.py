@@ -2,7 +2,7 @@
 
 A backdrop depends on its description and the camera alone, so that the pictures are the same bytes
 whichever process draws them. The process is one scene ahead: it writes a scene's pictures when they
-are read, and ends when nobody reads any more.
+are read, and ends when its pipe is closed.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from typing import IO, cast
 
 from instruments.world import backdrop as backdrops
 from instruments.world.backdrop import Backdrop
-from instruments.world.optical_camera import View
-from instruments.world.optics import CameraModel, Floats
+from instruments.world.optics import CameraModel
 from instruments.world.sensor import Image
 from instruments.world.shading import Lighting
 
@@ -50,16 +49,10 @@ class DrawnAhead:
         except OSError:  # it ended at once
             self._coming.clear()
 
-    def draw(
-        self,
-        backdrop: Backdrop,
-        lighting: Lighting,
-        camera: CameraModel,
-        rays: tuple[Floats, Floats],
-    ) -> Drawn:
+    def draw(self, backdrop: Backdrop, lighting: Lighting, camera: CameraModel) -> Drawn:
         """As `backdrops.draw`."""
         drawn = self._taken((backdrop, lighting)).get(camera.name)
-        return drawn or backdrops.draw(backdrop, lighting, camera, rays)
+        return drawn or backdrops.draw(backdrop, lighting, camera)
 
     def _taken(self, scene: Scene) -> dict[str, Drawn]:
         """The pictures of a scene by camera; those of the scenes before it are passed over."""
@@ -84,12 +77,8 @@ def main() -> None:
     """The process's own part."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the bench, which ends us
     cameras, scenes = pickle.load(sys.stdin.buffer)  # noqa: S301 - the bench's own
-    views = [View(camera) for camera in cameras]
     for backdrop, lighting in scenes:
-        drawn = {
-            view.camera.name: backdrops.draw(backdrop, lighting, view.camera, view.rays)
-            for view in views
-        }
+        drawn = {camera.name: backdrops.draw(backdrop, lighting, camera) for camera in cameras}
         pickle.dump(drawn, sys.stdout.buffer, protocol=5)
         sys.stdout.buffer.flush()
 

@@ -8,6 +8,7 @@ grid on the table and looked up by each pixel; only the table receives them, and
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ TEXEL_MM = 2.0
 # what is worked out on the way stays in the processor's cache; OpenCV's remap takes at most 32767
 # rows
 PIXELS_AT_ONCE = 16384
+KEPT = 2  # drawn backdrops: those of a rig's two cameras, for a rig that is opened again
 FAR_MM = 2400.0  # the room's walls
 
 
@@ -128,10 +130,12 @@ def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
     )
 
 
-def draw(
-    backdrop: Backdrop, lighting: Lighting, camera: CameraModel, rays: tuple[Floats, Floats]
-) -> tuple[Image, Image]:
-    """Light of the backdrop before lens and sensor, and depth in mm, (height, width) each."""
+@lru_cache(KEPT)
+def draw(backdrop: Backdrop, lighting: Lighting, camera: CameraModel) -> tuple[Image, Image]:
+    """Light of the backdrop before lens and sensor, and depth in mm, (height, width) each; both
+    read-only, for the latest answers are kept.
+    """
+    rays = camera.rays()
     room = backdrop.room_albedo * lighting.ambient * lighting.brightness
     image = np.full(camera.height_px * camera.width_px, room, dtype=np.float32)
     depth = np.full_like(image, FAR_MM)
@@ -144,6 +148,7 @@ def draw(
             light, far = _light(patch, lighting, camera, rays, pixel)
             image[pixel] += share * (light - image[pixel])
             depth[pixel] += share * (far - depth[pixel])
+    image.flags.writeable = depth.flags.writeable = False
     shape = (camera.height_px, camera.width_px)
     return image.reshape(shape), depth.reshape(shape)
 

@@ -7,7 +7,8 @@ undoes distortion.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ Floats = NDArray[np.float64]
 
 ROWS_AT_ONCE = 32  # a block of rows whose iteration stays in the processor's cache
 NEWTON_STEPS = 12  # five are enough for any lens seen; the last ones only prove it
+RAYS_KEPT = 3  # cameras: those of a rig, which commands and tests open again and again
 CONVERGED = 1e-13  # of the normalised image plane: below 1e-9 px for any focal length in use
 
 
@@ -32,7 +34,8 @@ def rotation_from_vector(om: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraModel:
-    """One camera: lens and pose. Pixel centres are at whole numbers, the first at (0, 0).
+    """One camera: lens and pose; equal by its values. Pixel centres are at whole numbers, the first
+    at (0, 0).
 
     ``fc``, ``cc`` (2,) focal length and principal point, px; ``alpha_c`` skew; ``kc`` (5,) k1 k2 p1
     p2 k3; ``R`` (3, 3), ``t_mm`` (3,): X_camera = R X_world + t.
@@ -47,6 +50,16 @@ class CameraModel:
     kc: Floats
     R: Floats
     t_mm: Floats
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, CameraModel) and self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash(self._values())
+
+    def _values(self) -> tuple[Any, ...]:
+        values = (getattr(self, field.name) for field in fields(self))
+        return tuple(one.tobytes() if isinstance(one, np.ndarray) else one for one in values)
 
     @property
     def centre_mm(self) -> Floats:
@@ -77,17 +90,10 @@ class CameraModel:
         return np.column_stack(_undistort(x, y, self.kc, self.name))
 
     def rays(self) -> tuple[Floats, Floats]:
-        """The ray (x, y, 1) of every pixel centre, camera's frame, as two arrays (height, width).
-        About 0.2 s for 1.4 million pixels: keep the answer.
+        """The ray (x, y, 1) of every pixel centre, camera's frame, as two read-only arrays (height,
+        width). About 0.2 s for 1.4 million pixels; the answers for `RAYS_KEPT` cameras are kept.
         """
-        x, y = np.empty((2, self.height_px, self.width_px))
-        u = np.arange(self.width_px, dtype=np.float64)
-        for top in range(0, self.height_px, ROWS_AT_ONCE):
-            v = np.arange(top, min(top + ROWS_AT_ONCE, self.height_px), dtype=np.float64)
-            pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-            block = self.plane_from_pixels(pixels).reshape(len(v), -1, 2)
-            x[top : top + len(v)], y[top : top + len(v)] = block[..., 0], block[..., 1]
-        return x, y
+        return _rays(self)
 
     def resized(self, width_px: int, height_px: int) -> CameraModel:
         """The same camera read out on another grid over the same sensor area."""
@@ -95,6 +101,19 @@ class CameraModel:
         # The corner of the first pixel is at (-0.5, -0.5) on either grid.
         cc = (self.cc + 0.5) * scale - 0.5
         return replace(self, width_px=width_px, height_px=height_px, fc=self.fc * scale, cc=cc)
+
+
+@lru_cache(RAYS_KEPT)
+def _rays(camera: CameraModel) -> tuple[Floats, Floats]:
+    x, y = np.empty((2, camera.height_px, camera.width_px))
+    u = np.arange(camera.width_px, dtype=np.float64)
+    for top in range(0, camera.height_px, ROWS_AT_ONCE):
+        v = np.arange(top, min(top + ROWS_AT_ONCE, camera.height_px), dtype=np.float64)
+        pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        block = camera.plane_from_pixels(pixels).reshape(len(v), -1, 2)
+        x[top : top + len(v)], y[top : top + len(v)] = block[..., 0], block[..., 1]
+    x.flags.writeable = y.flags.writeable = False
+    return x, y
 
 
 def _distort(x: Floats, y: Floats, kc: Floats) -> tuple[Floats, Floats]:

@@ -2,7 +2,7 @@
 steps.
 
 Exchanges of heat are booked on both sides, so the balance closes. Each step has its own noise: how
-often somebody looks changes nothing. Float switch and cut-out act in the heater's circuit; a
+often it is read changes nothing. Float switch and cut-out act in the heater's circuit; a
 circulator latches an alarm for them, a controller of its own (``fit``) does not. Users hold the
 world's lock.
 """

@@ -152,7 +152,7 @@ class TestFile:
             ),
         ],
     )
-    def test_faults_are_told(self, tmp_path: Path, block: str, said: str) -> None:
+    def test_faults_are_reported(self, tmp_path: Path, block: str, said: str) -> None:
         path = tmp_path / "calibration.toml"
         path.write_text(dump_calibration(thesis_rig()) + "\n" + block + "\n", encoding="utf-8")
         with pytest.raises(ValueError, match=said):

@@ -173,7 +173,7 @@ def test_a_wide_lens_and_a_strong_tilt_make_none(om: list[float]) -> None:
 
 
 @pytest.mark.parametrize("at", [(0, 0), (0, 4), (3, 8), (2, 5), (5, 0)])
-def test_one_beside_its_place_is_told_and_its_neighbours_are_not(at: tuple[int, int]) -> None:
+def test_one_beside_its_place_is_reported_and_its_neighbours_are_not(at: tuple[int, int]) -> None:
     grid = wide_grid([0.3, -0.3, 0.1])
     beside = grid.copy()
     beside[at] += (15.0, -21.0)

@@ -142,7 +142,9 @@ class TestCoverage:
             ([-0.5, 0.0, 0.0], "lower"),
         ],
     )
-    def test_a_tilt_is_told_by_the_edge_that_comes_nearer(self, om: list[float], side: str) -> None:
+    def test_a_tilt_is_reported_by_the_edge_that_comes_nearer(
+        self, om: list[float], side: str
+    ) -> None:
         pose = Motion.from_vectors(om, [0.0, 0.0, 1000.0])
         edges = {"left": [-100.0, 0, 0], "right": [100.0, 0, 0]}
         edges |= {"upper": [0, -100.0, 0], "lower": [0, 100.0, 0]}

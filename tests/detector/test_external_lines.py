@@ -57,7 +57,9 @@ def test_pixel_pairs_are_triangulated(rig: Calibration) -> None:
 
 
 @pytest.mark.parametrize("left", [[float("nan"), 1.0], [1e308, -1e308], [float("inf"), 0.0]])
-def test_pixels_that_lead_nowhere_are_told_as_pixels(rig: Calibration, left: list[float]) -> None:
+def test_pixels_that_lead_nowhere_are_reported_as_pixels(
+    rig: Calibration, left: list[float]
+) -> None:
     note = r'"left_px" .* and "right_px" .* of teat 1 lead to no point in space'
     with pytest.raises(BadAnswer, match=note):
         parse_answer(line(teats=[{"left_px": left, "right_px": [1.0, 2.0]}]), "7", rig)
@@ -102,7 +104,7 @@ def test_what_is_no_answer_is_garbled(rig: Calibration, sent: bytes, note: str) 
         ({"reason": 5}, "not text"),
     ],
 )
-def test_wrong_values_are_told(rig: Calibration, answer: dict[str, Any], note: str) -> None:
+def test_wrong_values_are_reported(rig: Calibration, answer: dict[str, Any], note: str) -> None:
     with pytest.raises(BadAnswer, match=note):
         parse_answer(line(**answer), "7", rig)
 
@@ -115,7 +117,7 @@ def test_the_first_line_says_ready() -> None:
             check_ready(wrong)
 
 
-def test_what_serve_says_is_what_the_bench_hears(rig: Calibration) -> None:
+def test_what_serve_says_is_what_the_bench_gets(rig: Calibration) -> None:
     teat = Teat(np.array([1.0, 2.0, 3.0]), np.eye(3))
     heard = parse_answer(answer_line("7", Detection((teat, teat), 1, "why")), "7", rig)
     assert (len(heard.teats), heard.hidden, heard.reason) == (2, 1, "why")

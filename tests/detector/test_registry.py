@@ -119,7 +119,9 @@ def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) ->
         ("nothing", "AttributeError"),
     ],
 )
-def test_a_broken_one_is_told_by_name(plugs: dict[str, EntryPoint], how: str, note: str) -> None:
+def test_a_broken_one_is_reported_by_name(
+    plugs: dict[str, EntryPoint], how: str, note: str
+) -> None:
     said = f"detector '{how.lower()}' of .*udders:{how}.* can't be loaded: .*{note}"
     with pytest.raises(BrokenDetectorError, match=said):
         create(how.lower(), plugs.values())
@@ -145,7 +147,7 @@ def test_a_name_that_no_file_could_bear_is_left_out() -> None:
         create("../up", given)
 
 
-def test_an_installed_package_is_found_and_a_broken_one_told(
+def test_an_installed_package_is_found_and_a_broken_one_reported(
     tmp_path: Path,
 ) -> None:
     path = installed(tmp_path, "udders", PACKAGE, "mine = udders:Plain\nbad = udders:fails")

@@ -146,7 +146,7 @@ def test_a_capture_is_never_written_over(tmp_path: Path) -> None:
     assert (tmp_path / "c").read_text(encoding="utf-8") == "precious"
 
 
-def test_where_no_file_can_be_is_told(tmp_path: Path) -> None:
+def test_where_no_file_can_be_is_reported(tmp_path: Path) -> None:
     for path in (tmp_path / "no" / "folder" / "c", tmp_path / ("x" * 300)):
         with pytest.raises(CaptureError, match="can't be written"):
             CaptureFile(path, FACTS)

@@ -161,7 +161,7 @@ def test_what_is_written_into_a_broken_link_never_arrived_and_what_is_read_from_
         (b"\x89PNG\r\n\x1a\n\0\0", 1, "not UTF-8"),
     ],
 )
-def test_a_fault_is_told_in_its_line(
+def test_a_fault_is_reported_in_its_line(
     tmp_path: Path, text: str | bytes, line: int, message: str
 ) -> None:
     path = written(tmp_path, text)
@@ -171,7 +171,7 @@ def test_a_fault_is_told_in_its_line(
     assert caught.value.faults[0][0] == line
 
 
-def test_all_faults_are_told_and_of_many_the_first(tmp_path: Path) -> None:
+def test_all_faults_are_reported_and_of_many_the_first(tmp_path: Path) -> None:
     with pytest.raises(CaptureError) as caught:
         read_capture(
             written(tmp_path, HEAD + OPENED + "x\n" + SENT + "y\n" + RECEIVED.replace("00", "0"))
@@ -183,7 +183,7 @@ def test_all_faults_are_told_and_of_many_the_first(tmp_path: Path) -> None:
     assert str(caught.value).endswith("980 faults more")
 
 
-def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match="can't be read"):
         read_capture(tmp_path / "none")
     with pytest.raises(CaptureError, match="can't be read"):
@@ -214,7 +214,7 @@ EVENTS = st.lists(
 
 @given(EVENTS)
 @settings(ONE_FOLDER, max_examples=100)
-def test_whatever_taps_are_told_is_read_back(
+def test_whatever_taps_get_is_read_back(
     tmp_path: Path, events: list[tuple[str, str, bytes]]
 ) -> None:
     path = tmp_path / "c"

@@ -148,7 +148,7 @@ def test_planned_actions_run_in_order_of_time() -> None:
     assert clock.now() == 5.0
 
 
-def test_a_tap_hears_every_byte_once_and_in_order() -> None:
+def test_a_tap_gets_every_byte_once_and_in_order() -> None:
     tap = Heard()
     with linked(Echo(12.0), VirtualClock(), tap=tap) as (link, listener):
         link.read_until(b"\n", 1.0)

@@ -107,7 +107,9 @@ def test_a_host_that_sets_nothing_up_gets_raw_bytes_too(listener: PtyListener) -
     os.close(end)
 
 
-def test_what_a_host_says_before_it_is_noticed_is_heard(listener: PtyListener, echo: Echo) -> None:
+def test_what_a_host_sends_before_it_is_noticed_is_received(
+    listener: PtyListener, echo: Echo
+) -> None:
     echo.bye = b"x"
     end = os.open(listener.url, os.O_RDWR | os.O_NOCTTY)
     os.write(end, b"x")  # the device hangs up, so that nothing is left to read but the end

@@ -168,7 +168,7 @@ def test_a_host_that_is_faster_than_it_was_gets_everything_in_order(play: Play) 
     assert bench.note == []
 
 
-def test_what_the_host_sends_otherwise_is_told_and_answered_by_silence(play: Play) -> None:
+def test_what_the_host_sends_otherwise_is_reported_and_answered_by_silence(play: Play) -> None:
     bench = play(*TALK)
     link = bench.link()
     link.write(b"who?")
@@ -198,7 +198,7 @@ def test_of_a_long_request_the_place_is_shown(play: Play) -> None:
     assert len(mismatch.expected) == 24
 
 
-def test_a_host_that_leaves_early_is_told_on(play: Play) -> None:
+def test_a_host_that_leaves_early_is_reported(play: Play) -> None:
     bench = play(*TALK, (15.0, "closed", ""))
     link = bench.link()
     assert bench.replay.unplayed == ["arm: connection 1: the host left after 0 of 2 requests"]
@@ -210,7 +210,7 @@ def test_a_host_that_leaves_early_is_told_on(play: Play) -> None:
     assert bench.note == []
 
 
-def test_a_host_that_goes_on_where_it_had_closed_is_told_on(play: Play) -> None:
+def test_a_host_that_goes_on_where_it_had_closed_is_reported(play: Play) -> None:
     bench = play(*TALK, (15.0, "closed", ""))
     link = bench.link()
     link.write(b"who?reset\x03")

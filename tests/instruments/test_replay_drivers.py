@@ -273,7 +273,7 @@ def test_a_bath_that_broke_off_is_met_anew_in_the_replay(tmp_path: Path) -> None
     assert replayed(capture, "bath", bath_session, VirtualClock()) == (found, [])
 
 
-def test_a_driver_that_asks_otherwise_is_told_on(tmp_path: Path) -> None:
+def test_a_driver_that_asks_otherwise_is_reported(tmp_path: Path) -> None:
     captured("stage", tmp_path / "c")
 
     def elsewhere(url: str, clock: Clock, tap: Tap | None) -> Found:

@@ -26,6 +26,7 @@ STEPS = (Step("met", "100 %", RUN.href, "2026-11-22: met"), Step("aborted", "–
 PAGE = RunsPage("Runs", "1 run.", (RUN,), (History(HOSTILE, "demo", STEPS),), (("old", "why"),))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1440, 390])
 def test_axe_is_content(browser: Browser, tmp_path: Path, width: int, scheme: Scheme) -> None:

@@ -205,7 +205,7 @@ def test_a_browser_that_hangs_is_ended(tmp_path: Path) -> None:
         assert not (Path("/proc") / pid.read_text(encoding="utf-8").strip()).exists()
 
 
-def test_a_program_that_prints_nothing_is_told(made: Made, tmp_path: Path) -> None:
+def test_a_program_that_prints_nothing_is_reported(made: Made, tmp_path: Path) -> None:
     target, page = tmp_path / "report.pdf", write_report(*made)
     said = r"report\.pdf: .* ended with code 2 and printed nothing: .*unknown option"
     with pytest.raises(PageError, match=said):

@@ -17,7 +17,7 @@ from instruments.stage.emulator.controller import Controller
 from instruments.stage.emulator.motion import Switch, Vector
 from instruments.stage.emulator.store import CLASSIC, Dialect, Store
 
-GLANCE_S = 1e-3  # over which a velocity is told
+GLANCE_S = 1e-3  # over which a velocity is measured
 
 
 class Fault(Enum):

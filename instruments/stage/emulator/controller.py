@@ -195,7 +195,7 @@ class Controller:
         self._greet()
 
     def alarm(self, code: int, *, critical: bool = False) -> None:
-        """Stop dead and lock; a critical alarm makes deaf until a reset."""
+        """Stop dead and lock; a critical alarm ignores all input until a reset."""
         self.carriage.halt(self.now)
         self.homed = False
         self.mode = Mode.CRITICAL if critical else Mode.LOCKED

@@ -233,7 +233,7 @@ class Mode(Enum):
 
     READY = "ready"
     LOCKED = "locked"
-    CRITICAL = "critical"  # a limit alarm: nothing is heard until a reset
+    CRITICAL = "critical"  # a limit alarm: all input is ignored until a reset
     HOMING = "homing"
     HOLD = "hold"
     DOOR = "door"

@@ -19,6 +19,8 @@ from tests.bench.calibrate.conftest import calibrate_cameras
 from tests.bench.calibrate.touched import write_touched
 from tests.bench.commands import Said
 
+pytestmark = pytest.mark.slow
+
 
 def named(page: Path) -> str:
     """What stands in the page's section of faults, as a reader sees it."""
@@ -46,7 +48,6 @@ def test_a_sound_one_accuses_nobody(lab: Path) -> None:
     assert "Nothing: no fault left a mark" in named(lab / "cameras.page" / "index.html")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "put_in", "seen"),
     [
@@ -77,7 +78,6 @@ def test_a_calibration_that_went_wrong(
     assert re.search(seen, faults), faults
 
 
-@pytest.mark.slow
 def test_a_wrong_square_size_against_the_arm(lab: Path, in_lab: Said) -> None:
     (lab / "wrong.toml").write_text(BOARD_TOML.replace("40.0", "39.0"), encoding="utf-8")
     code = calibrate_cameras(lab, lab / "short.toml", board="wrong.toml")

@@ -122,7 +122,7 @@ def test_the_picture_is_green_where_it_is_covered(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_who_has_had_enough_is_told_what_is_missing(tmp_path: Path) -> None:
+def test_who_has_had_enough_reads_what_is_missing(tmp_path: Path) -> None:
     room = Room(enough_at=5)
     assert room.gather(tmp_path) == 4
     assert room.note[-1].startswith(
@@ -149,7 +149,7 @@ def test_a_camera_that_delivers_nothing_is_named(tmp_path: Path) -> None:
         Room().gather(tmp_path, ViewsRequest(("left", "thermal"), ("thermal",)))
 
 
-def test_the_same_instruction_for_two_cameras_is_told_once() -> None:
+def test_the_same_instruction_for_two_cameras_is_reported_once() -> None:
     guide = Guide(SMALL, ("left", "right"))
     assert all(text.startswith("left and right: ") for text in guide.missing)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+import scipy
 
 from detector.calibration import Part, load_calibration, load_part
 from detector.geometry import Motion
@@ -74,9 +74,7 @@ class TestCameras:
         assert record.cameras == {"left": "emulated 680 x 512", "right": "emulated 680 x 512"}
         assert "left/01.png" in record.inputs
 
-    def test_the_operator_is_told_of_each_view_and_of_what_is_missing(
-        self, bench_room: Path
-    ) -> None:
+    def test_the_operator_reads_of_each_view_and_of_what_is_missing(self, bench_room: Path) -> None:
         said = (bench_room / "said.txt").read_text(encoding="utf-8").splitlines()
         assert re.fullmatch(
             r"view 1: left (found, 54 points|refused: .+); right (found, 54 points|refused: .+)",
@@ -161,7 +159,7 @@ def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_ro
     left, right = put_in.project(places)
     off, covariance = found.place(left, right) - places, found.covariance_of(places)
     distances = [float(o @ np.linalg.solve(c, o)) for o, c in zip(off, covariance, strict=True)]
-    assert max(distances) < chi2.ppf(0.9999, 3)
+    assert max(distances) < scipy.stats.chi2.ppf(0.9999, 3)
     assert found.record is not None
     assert found.record.cameras["thermal"].startswith("emulated")
 

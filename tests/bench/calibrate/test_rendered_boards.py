@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+import scipy
 
 from bench.calibrate.views import pattern_of
 from detector.calibration import dump_calibration
@@ -77,8 +77,8 @@ def test_what_was_put_in_is_missed_by_what_the_covariance_says() -> None:
     )
     distances = [float(miss @ np.linalg.solve(covariance, miss)) for miss, covariance in twenty]
     freedom = 22 * SEEDS
-    low, high = chi2.ppf([0.001, 0.999], freedom)
+    low, high = scipy.stats.chi2.ppf([0.001, 0.999], freedom)
     assert low < sum(distances) < high, (
         f"{sum(distances) / freedom:.2f} a degree of freedom, 1 is expected"
     )
-    assert max(distances) < chi2.ppf(1.0 - 0.001 / SEEDS, 22)
+    assert max(distances) < scipy.stats.chi2.ppf(1.0 - 0.001 / SEEDS, 22)

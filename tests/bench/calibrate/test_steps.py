@@ -18,6 +18,8 @@ from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touch
 from tests.bench.commands import Said
 from tests.reports.markup import read
 
+pytestmark = pytest.mark.slow
+
 FROM_PAIRS = "calibrate thermal --pairs pairs.csv --image-size 640x480"
 
 
@@ -98,7 +100,6 @@ def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
     assert text.count("<figure") == 3, "residuals of both cameras, precision by distance"
 
 
-@pytest.mark.slow
 def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, in_lab: Said) -> None:
     write_pairs(lab / "day2", 5, seed=2)
     check = "calibrate check cameras.toml {} --board board.toml --page again"
@@ -132,7 +133,6 @@ def test_all_steps_make_one_calibration(lab: Path, in_lab: Said) -> None:
     assert "Mapped points miss the arm" in page
 
 
-@pytest.mark.slow
 def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path, in_lab: Said) -> None:
     write_touched(lab / "points3.csv")
     sds: list[float] = []
@@ -146,7 +146,6 @@ def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path, in_lab: S
     assert 0.0 < sds[0] * 1.5 < min(sds[1:])
 
 
-@pytest.mark.slow
 def test_whose_cameras_they_are_is_on_record(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert calibrate_cameras(
         lab, lab / "named.toml", "--identity", "left=L-17", "--identity", "right=R-18"
@@ -159,7 +158,6 @@ def test_whose_cameras_they_are_is_on_record(lab: Path, capsys: pytest.CaptureFi
     assert "say left=SERIAL" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_parts_that_do_not_belong_together_are_refused(lab: Path, in_lab: Said) -> None:
     write_touched(lab / "points2.csv")
     write_pairs_table(lab / "pairs.csv")

@@ -225,7 +225,7 @@ def test_the_time_to_stable_is_way_and_window(
     assert found == (None if expected is None else pytest.approx(expected))
 
 
-def test_a_bath_that_cannot_be_read_is_told_beside_its_last_reading() -> None:
+def test_a_bath_that_cannot_be_read_is_reported_beside_its_last_reading() -> None:
     view = BathView(StabilityGate(33.0))
     assert view.line() == "no reading yet"
     reading = a_reading(1.0, 24.0, None, alarm=3)

@@ -50,7 +50,7 @@ def damaged_recording(folder: Path) -> None:
     ],
     ids=["libpng", "OpenCV", "FFmpeg"],
 )
-def test_what_a_library_would_write_to_the_terminal_is_told_in_our_words(
+def test_what_a_library_would_write_to_the_terminal_is_reported_in_our_words(
     arguments: list[str], message: str, tmp_path: Path
 ) -> None:
     """In a process of its own, for they are told to be quiet before they are loaded."""
@@ -73,7 +73,7 @@ def test_what_a_library_would_write_to_the_terminal_is_told_in_our_words(
     ] == []
 
 
-def test_runs_that_cannot_be_kept_are_told(tmp_path: Path, said: Said) -> None:
+def test_runs_that_cannot_be_kept_are_reported(tmp_path: Path, said: Said) -> None:
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     assert "--out" in said(2, "run --out {}", tmp_path / "file").err
 

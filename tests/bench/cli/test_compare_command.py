@@ -204,7 +204,7 @@ def test_what_was_held_against_other_limits_is_not_compared(baseline: Path, tmp_
         compare_folders([baseline, slower])
 
 
-def test_what_else_differs_is_told(baseline: Path, tmp_path: Path) -> None:
+def test_what_else_differs_is_reported(baseline: Path, tmp_path: Path) -> None:
     other = changed(
         baseline, tmp_path / "other", "UPDATE facts SET value = '\"emulated\"' WHERE key = 'kind'"
     )

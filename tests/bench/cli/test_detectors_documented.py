@@ -73,12 +73,12 @@ def test_the_file_shows_the_defaults(tmp_path: Path) -> None:
     assert (shown.restarts, shown.faults_in_a_row) == (usual.restarts, usual.in_a_row)
 
 
-def test_every_variant_of_the_thesis_is_told() -> None:
+def test_every_variant_of_the_thesis_is_reported() -> None:
     for name in available([]):
         assert f"`{name}`" in PAGE, name
 
 
-def test_the_published_failures_are_told() -> None:
+def test_the_published_failures_are_reported() -> None:
     text = re.findall(r"^\| `(\w+)` \| (\d) \|", PAGE, re.MULTILINE)
     assert [(name, int(found)) for name, found in text] == [
         (one.name, one.found) for one in thesis().situations

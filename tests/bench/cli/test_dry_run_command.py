@@ -85,7 +85,7 @@ def test_a_script_in_python_on_a_rig_whose_stage_does_not_answer(
 
 
 @pytest.mark.slow
-def test_what_a_run_is_refused_for_is_told_by_its_dry_run(tmp_path: Path, said: Said) -> None:
+def test_what_a_run_is_refused_for_is_reported_by_its_dry_run(tmp_path: Path, said: Said) -> None:
     rig = lab_rig(tmp_path, {"/dev/ttyACM0": NO_STAGE})
     (tmp_path / "lab.tripped.json").write_text(
         '{"rule": "bath too hot", "why": "38 degC"}', encoding="utf-8"

@@ -74,7 +74,7 @@ def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, said: Said) -> None:
     assert 20 < picture.std() < 120
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path, said: Said) -> None:
+def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path, said: Said) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     for command, why in (("record", "can't be written"), ("sheet", "there is no folder")):
         refusal = said(

@@ -23,6 +23,7 @@ def test_the_demo_shows_ten_members_of_each_situation() -> None:
     assert {trial.scene.seed for trial in script.planned if trial.scene} == set(range(16000, 16010))
 
 
+@pytest.mark.slow
 def test_the_bench_comes_first_and_no_detector_spoils_another(
     said: Said, short_script: Path, tmp_path: Path
 ) -> None:

@@ -64,7 +64,7 @@ def test_a_gate_that_never_opens_and_an_interlock_are_met(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_what_the_arm_does_not_reach_is_told_by_the_trial_and_the_others_are_gone_through(
+def test_what_the_arm_does_not_reach_is_reported_by_the_trial_and_the_others_are_gone_through(
     tmp_path: Path,
 ) -> None:
     rig, script = loaded(tmp_path, script=SCRIPT.replace(FAR, "{ y_mm = 300.0 }"))
@@ -83,7 +83,7 @@ def test_a_check_point_out_of_reach_ends_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_the_run_gets_over_is_told_and_is_no_finding(tmp_path: Path) -> None:
+def test_what_the_run_gets_over_is_reported_and_is_no_finding(tmp_path: Path) -> None:
     faults = 'faults = [{ instrument = "stage", name = "disconnect", amount = 0.2 }]'
     rehearsal = rehearse(*loaded(tmp_path, stage=STAGE, emulation=faults), ())
     assert dict(rehearsal.recovered) == {"an instrument dropped out and came back": 1}
@@ -115,7 +115,9 @@ class Failing:
 
 
 @pytest.mark.slow
-def test_answers_that_are_left_over_are_met_and_one_that_skips_is_told(tmp_path: Path) -> None:
+def test_answers_that_are_left_over_are_found_and_one_that_skips_is_reported(
+    tmp_path: Path,
+) -> None:
     answers = tmp_path / "answers.toml"
     answers.write_text(ANSWERS.format("skip the teat came off"), encoding="utf-8")
     rig, script = loaded(tmp_path, operator="script:answers.toml")

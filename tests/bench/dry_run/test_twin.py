@@ -61,7 +61,9 @@ def test_every_address_is_an_emulators_and_nothing_else_is_changed(
     assert twin.emulation.ambient_c == twin.emulation.bath_start_c == lab.rig.bath.room_c
 
 
-def test_the_emulated_stage_is_set_as_the_controller_told(lab: LoadedRig, tmp_path: Path) -> None:
+def test_the_emulated_stage_is_set_as_the_controller_reported(
+    lab: LoadedRig, tmp_path: Path
+) -> None:
     settings = twin_of(lab, script(tmp_path), TOLD).rig.emulation.stage.settings
     wanted = {130: 620.0, 131: 400.0, 132: 90.0, 24: 120.0, 25: 2000.0, 27: 2.0}
     wanted |= {100: 80.0, 111: 6000.0, 120: 500.0}

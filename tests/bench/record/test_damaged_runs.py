@@ -215,7 +215,7 @@ def test_what_is_whole_is_taken_by_every_command(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", DAMAGES)
-def test_a_damaged_run_is_refused_or_told_to_be_damaged(
+def test_a_damaged_run_is_refused_or_marked_as_damaged(
     run: Path, whole: Path, tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     DAMAGES[what](run)

@@ -513,6 +513,7 @@ class Spoken:
         return action
 
 
+@pytest.mark.slow
 def test_all_that_was_said_is_durable_before_the_next_physical_action(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -205,7 +205,7 @@ def is_rowid(db: sqlite3.Connection, table: str) -> bool:
     )
 
 
-def test_what_a_dead_bench_leaves_is_told_but_no_damage(run: Path, said: Said) -> None:
+def test_what_a_dead_bench_leaves_is_reported_but_no_damage(run: Path, said: Said) -> None:
     store = Store(run)
     store.frames("004-x-1", {"left": np.zeros((4, 5), np.uint8)}, {})
     (run / "frames" / "004-x-1" / "right.png.part").write_bytes(b"half a fra")

@@ -228,7 +228,7 @@ def test_a_run_without_a_calibration_has_neither_ties_nor_lenses_and_pixels_have
 @pytest.mark.parametrize(
     ("kind", "library"), [("parquet", "pyarrow"), ("mcap", "mcap"), ("mcap", "mcap_protobuf")]
 )
-def test_a_missing_library_is_told_with_what_to_do(
+def test_a_missing_library_is_reported_with_what_to_do(
     run: RunRecord, kind: str, library: str, monkeypatch: pytest.MonkeyPatch, said: Said
 ) -> None:
     for name in list(sys.modules):

@@ -134,7 +134,7 @@ def test_tables_that_this_bench_does_not_know_are_refused(
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "record.md").read_text(encoding="utf-8")
 
 
-def test_every_table_and_its_times_are_told() -> None:
+def test_every_table_and_its_times_are_reported() -> None:
     note = dict(re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", PAGE, re.MULTILINE))
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as db:
         make_tables(db)
@@ -147,11 +147,11 @@ def test_every_table_and_its_times_are_told() -> None:
         assert not times or {"t_s", "wall_time"} & there[table] <= named
 
 
-def test_every_schema_of_the_time_line_is_told() -> None:
+def test_every_schema_of_the_time_line_is_reported() -> None:
     assert set(re.findall(r"`((?:foxglove|teatbench)\.\w+)`", PAGE)) == {
         kind.DESCRIPTOR.full_name for kind in MESSAGES
     }
 
 
-def test_the_version_is_told() -> None:
+def test_the_version_is_reported() -> None:
     assert f"this bench writes {SCHEMA_VERSION} and reads 1 to {SCHEMA_VERSION}" in PAGE

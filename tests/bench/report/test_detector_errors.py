@@ -253,7 +253,7 @@ def test_detect_shows_the_last_words_of_a_program_that_gave_no_answer(
     assert "can't open file" in json.loads(line)["stderr"]
 
 
-def test_a_file_that_was_meant_to_run_is_told_how(
+def test_a_file_that_was_meant_to_run_is_answered_with_how(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

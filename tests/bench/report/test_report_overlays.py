@@ -115,7 +115,7 @@ def test_a_fitted_teat_s_outline_goes_over_its_end(calibration: Calibration) -> 
         assert layer(found, "other").shapes[-1].title == "d: rejected, its place is too unsure"  # type: ignore[union-attr]
 
 
-def test_truth_is_named_and_hidden_ends_are_told(calibration: Calibration) -> None:
+def test_truth_is_named_and_hidden_ends_are_reported(calibration: Calibration) -> None:
     one = trial({})
     hidden = TrialRecord(one.head, (), (), ({**one.truth[0], "visible": 0},), (), (), {})
     ring, name = layer(

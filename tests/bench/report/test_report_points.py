@@ -22,6 +22,7 @@ from bench.results.verdicts import judge
 from reports.render import render
 from tests.axe import violations
 from tests.chromium import Scheme, browser_page, chromium
+from tests.conftest import NO_FIGURE
 from tests.reports.markup import Document, read
 
 pytestmark = pytest.mark.slow
@@ -42,6 +43,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> Path
 @pytest.fixture(scope="module")
 def document(folder: Path) -> Document:
     return read((folder / "report" / "index.html").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made up to their last artist, but not rendered, where none is looked at."""
+    monkeypatch.setattr(
+        "matplotlib.figure.Figure.savefig", lambda _, file, **__: file.write(NO_FIGURE)
+    )
+
+
+@pytest.fixture
+def copy(folder: Path, tmp_path: Path) -> Path:
+    """The run, for tests that write another report."""
+    return Path(shutil.copytree(folder, tmp_path / folder.name))
 
 
 def page_of(run: RunRecord, pictures: Path) -> str:
@@ -141,7 +156,8 @@ def test_frames_are_jpeg_of_quality_80_and_link_their_originals(
     assert f"../frames/{trial}/left.png" in document.values("href")
 
 
-def test_faults_of_cameras_are_told(folder: Path, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("undrawn")
+def test_faults_of_cameras_are_reported(folder: Path, tmp_path: Path) -> None:
     run = read_run(folder)
     faults = {"camera faults": {"left: frozen": 3}, "retries": {"bath": 2}}
     marked = dataclasses.replace(run, facts={**run.facts, **faults})
@@ -183,8 +199,8 @@ def test_the_same_run_gives_the_same_bytes(folder: Path) -> None:
     assert files_of(folder / "report") == before
 
 
-def test_a_baseline_and_a_single_file(folder: Path, tmp_path: Path) -> None:
-    copy = shutil.copytree(folder, tmp_path / folder.name)
+@pytest.mark.usefixtures("undrawn")
+def test_a_baseline_and_a_single_file(copy: Path) -> None:
     assert main(["report", str(copy), "--baseline", str(copy), "--single-file"]) in DECIDED
     page = read((copy / "report" / "index.html").read_text(encoding="utf-8"))
     said = page.by_id("baseline").text
@@ -195,32 +211,34 @@ def test_a_baseline_and_a_single_file(folder: Path, tmp_path: Path) -> None:
     assert not re.search(r'src="(?!data:image/)', alone.read_text(encoding="utf-8"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_pdf_needs_a_browser_that_prints(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with monkeypatch.context() as without:
         without.setattr("reports.pdf.find_browser", lambda: None)
-        assert main(["report", str(folder), "--pdf"]) == 2
+        assert main(["report", str(copy), "--pdf"]) == 2
     assert "no Chromium, Chrome or Edge was found" in capsys.readouterr().err
     monkeypatch.setenv("TEATBENCH_BROWSER", sys.executable)
-    assert main(["report", str(folder)]) in DECIDED, "costs the PDF only"
+    assert main(["report", str(copy)]) in DECIDED, "costs the PDF only"
     note = capsys.readouterr()
     assert "Report: " in note.out
     assert re.search(r"no PDF: .*report\.pdf: .* ended with code 2 and printed nothing", note.err)
-    assert main(["report", str(folder), "--pdf"]) == 2
+    assert main(["report", str(copy), "--pdf"]) == 2
 
 
 @pytest.mark.browser
+@pytest.mark.usefixtures("undrawn")
 def test_a_pdf_is_printed_where_a_browser_is(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("TEATBENCH_BROWSER", chromium())
-    printed = folder / "report" / "report.pdf"
-    verdict = main(["report", str(folder)])
+    printed = copy / "report" / "report.pdf"
+    verdict = main(["report", str(copy)])
     assert verdict in DECIDED
     assert f"PDF: {printed}" in capsys.readouterr().out
     assert b"/Title (Six situations: not met)" in printed.read_bytes()
-    assert main(["report", str(folder), "--no-pdf"]) == verdict
+    assert main(["report", str(copy), "--no-pdf"]) == verdict
     assert not printed.exists()  # an older one doesn't stand beside a newer page
 
 

@@ -274,7 +274,7 @@ def test_few_repeats_say_what_is_missing(tmp_path: Path, two_teats: RunRecord) -
     assert expected in (message(single, Paragraph, "Repeatability and reproducibility").text)
 
 
-def test_the_truth_s_own_gage_study_is_told(tmp_path: Path) -> None:
+def test_the_truth_s_own_gage_study_is_reported(tmp_path: Path) -> None:
     run = set_ups(tmp_path)
     with_arm = replace(run, facts={**run.facts, "identities": {"arm": {}}})
     rows = table(list(gage_parts(with_arm, 5.0)), "Gage R&R")

@@ -126,7 +126,7 @@ LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
         ),
     ],
 )
-def test_a_bad_answer_is_told_and_stops_nothing(
+def test_a_bad_answer_is_reported_and_stops_nothing(
     calibration: Calibration, does: Callable[[], Any], reason: str
 ) -> None:
     answer = examine(Scripted(does), FRAMES, calibration)

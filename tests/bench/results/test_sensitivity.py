@@ -149,14 +149,14 @@ def test_wrong_use_is_explained(arguments: str, why: str, tmp_path: Path, said: 
     assert wrong.out == ""
 
 
-def test_a_scene_that_cannot_stand_before_the_cameras_is_told() -> None:
+def test_a_scene_that_cannot_stand_before_the_cameras_is_reported() -> None:
     quantity = replace(QUANTITIES["range"], values=(3.0,))
     why = "range 3 can't be set up for member 0: .* stands behind the board .*; choose others by"
     with pytest.raises(ConfigError, match=f"{why} --first"):
         list(measure(Bench(load_rig(find_rig(None)), [], [0], 1), quantity))
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(ConfigError, match="can't be written"):
         write_figure(tmp_path / "file", QUANTITIES["range"], [Measured(1.0, 4, {}, LIMIT)])
@@ -200,6 +200,7 @@ def renderer() -> Renderer:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", QUANTITIES)
 def test_every_scene_can_be_set_up_is_seen_and_comes_again(name: str, renderer: Renderer) -> None:
     quantity = QUANTITIES[name]

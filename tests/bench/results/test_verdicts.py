@@ -138,7 +138,7 @@ def test_a_rate_of_times_counts_poses(tmp_path: Path) -> None:
         (0.8, 0.5, ""),
     ],
 )
-def test_a_machine_that_was_too_busy_is_told_where_times_count(
+def test_a_machine_that_was_too_busy_is_reported_where_times_count(
     tmp_path: Path, cpu_s: float | None, load: float, why: str
 ) -> None:
     """In the bench's process by what the processor gave; of another by the machine's load."""

@@ -171,7 +171,7 @@ def test_a_faulty_verification_file_is_refused_in_its_place(
     refused(load_verification, path, place, message)
 
 
-def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way", encoding="utf-8")
     with pytest.raises(ConfigError, match="--out"):
         write_file(tmp_path / "file" / "arm.toml", "x = 1\n")

@@ -69,7 +69,7 @@ def test_a_contact_that_falls_off_and_comes_back_is_heat_without_a_pump(tmp_path
 
 
 @pytest.mark.slow
-def test_a_pump_that_is_not_fitted_is_told_and_not_pretended(tmp_path: Path) -> None:
+def test_a_pump_that_is_not_fitted_is_reported_and_not_pretended(tmp_path: Path) -> None:
     path = rig_of(tmp_path, "eurotherm-3200")
     record = run(path, tmp_path, {0, 1, 3, 4})
     text = "not fitted to the controller: nothing here proves that the water goes round"

@@ -88,7 +88,7 @@ KINDS = ("a.txt:3: ", 'no prompt is of the kind "tuch"', 'did you mean "touch"')
         ("a.txt", "otherwise homing: 3\n", ("a.txt:1: ", "Not understood: '3'")),
     ],
 )
-def test_a_wrong_file_is_told_with_its_place(
+def test_a_wrong_file_is_reported_with_its_place(
     name: str, text: str, words: tuple[str, ...], tmp_path: Path
 ) -> None:
     (tmp_path / name).write_text(text, encoding="utf-8")

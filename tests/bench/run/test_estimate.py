@@ -61,7 +61,7 @@ def test_a_run_teaches_how_long_the_next_takes(
 
 
 @pytest.mark.slow
-def test_an_emulated_run_takes_what_was_told_and_tells_what_is_left_all_the_while(
+def test_an_emulated_run_takes_as_long_as_estimated_and_says_what_is_left_all_the_while(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of what is emulated nothing is assumed: hands take what the rig file says, and the bath is

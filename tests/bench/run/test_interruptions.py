@@ -125,7 +125,7 @@ def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path:
     assert len(texts(record, "back")) == 1
 
 
-def test_an_abort_is_heard_while_preparing_waits_for_an_instrument(tmp_path: Path) -> None:
+def test_an_abort_is_taken_while_preparing_waits_for_an_instrument(tmp_path: Path) -> None:
     record = given("abort", tmp_path, fault("arm", "silent", 0.1))
     assert (record.ending, len(record.trials)) == ("aborted", 0)
     assert texts(record, EVENT) == ["preparing", "paused", "safing", "aborted"]
@@ -397,7 +397,7 @@ def test_a_trial_is_repeated_whole_and_another_skipped_each_with_its_reason(tmp_
     assert len(run.trials) == 2
 
 
-def test_an_abort_is_heard_before_the_first_trial_too(tmp_path: Path) -> None:
+def test_an_abort_is_taken_before_the_first_trial_too(tmp_path: Path) -> None:
     class Impatient(Person):
         def typed(self) -> str | None:
             return self._lines.pop(0) if self._lines else None
@@ -444,7 +444,9 @@ def test_words() -> None:
 
 
 @pytest.mark.slow
-def test_words_that_mean_nothing_are_told_and_change_nothing(tmp_path: Path, said: Said) -> None:
+def test_words_that_mean_nothing_are_reported_and_change_nothing(
+    tmp_path: Path, said: Said
+) -> None:
     note: list[str] = []
     lines = ["hallo", "skip"]
     wishes = Requests(tmp_path, lambda: lines.pop(0), note.append)
@@ -465,7 +467,7 @@ TERMINAL = pytest.mark.skipif(
 
 @pytest.mark.slow
 @TERMINAL
-def test_a_run_that_waits_at_a_prompt_hears_what_another_terminal_says(
+def test_a_run_that_waits_at_a_prompt_takes_requests_of_another_terminal(
     tmp_path: Path, said: Said
 ) -> None:
     with at_terminal(files(tmp_path, operator="console:")) as terminal:
@@ -507,7 +509,7 @@ def test_a_bench_in_the_background_reads_nothing_of_what_is_typed_to_others(
         assert typed() == "abort\n"
 
 
-def test_who_tells_a_bench_that_has_died_is_told_that_nobody_took_it(tmp_path: Path) -> None:
+def test_a_request_to_a_bench_that_has_died_is_not_accepted_and_says_so(tmp_path: Path) -> None:
     leave_wish(tmp_path, "pause")
     clock = VirtualClock()
     assert not was_taken(tmp_path, clock, 10.0)

@@ -56,7 +56,7 @@ def taken_over(path: Path) -> list[str]:
     return note
 
 
-def test_the_second_bench_is_told_who_has_the_rig_and_gets_it_when_that_one_ends(
+def test_the_second_bench_names_who_has_the_rig_and_gets_it_when_that_one_ends(
     tmp_path: Path,
 ) -> None:
     path, note = tmp_path / "lab.lock.json", list[str]()
@@ -69,7 +69,9 @@ def test_the_second_bench_is_told_who_has_the_rig_and_gets_it_when_that_one_ends
     assert path.read_bytes() == b""
 
 
-def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_told(tmp_path: Path) -> None:
+def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_reported(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "lab.lock.json"
     first = holder(path)
     first.kill()
@@ -90,7 +92,9 @@ def test_a_file_that_says_nothing_understandable_is_taken_over(tmp_path: Path) -
     assert "can't be read" in taken_over(path)[0]
 
 
-def test_an_emulated_rig_needs_none_and_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_an_emulated_rig_needs_none_and_a_folder_that_is_not_there_is_reported(
+    tmp_path: Path,
+) -> None:
     assert lock_path(load_rig(find_rig(None))) is None
     with locked(None, "x", print):
         pass

@@ -32,7 +32,7 @@ def page_of(record: RunRecord) -> str:
 
 
 @pytest.mark.slow
-def test_a_skipped_trial_leaves_the_counts_and_is_told_with_its_reason(tmp_path: Path) -> None:
+def test_a_skipped_trial_leaves_the_counts_and_is_reported_with_its_reason(tmp_path: Path) -> None:
     why = "the teat came off"
     code, record = answered(tmp_path, f"{WILLING}touch (trial 2 of 3, teat 3): skip {why}\n")
     assert code == 0, texts(record, "fault")

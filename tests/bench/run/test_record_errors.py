@@ -164,7 +164,7 @@ def test_a_folder_that_is_gone_is_noticed_in_the_trial_in_which_it_went(
 
 
 @pytest.mark.slow
-def test_a_folder_that_is_gone_is_told_by_the_command(
+def test_a_folder_that_is_gone_is_reported_by_the_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
 ) -> None:
     own = Store.frames
@@ -182,7 +182,7 @@ def test_a_folder_that_is_gone_is_told_by_the_command(
     assert any(event["kind"] == "safe" or "standby" in event["text"] for event in run.events)
 
 
-def test_a_folder_that_may_not_be_written_is_told_before_anything_is_opened(
+def test_a_folder_that_may_not_be_written_is_reported_before_anything_is_opened(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
 ) -> None:
     def refused(*_: Any, **__: Any) -> Any:

@@ -387,7 +387,7 @@ def test_frames_of_another_run_are_left_alone_and_the_run_goes_on_without(touche
     assert content(path) == {"frames/001-another-1/left.png": b"precious"}
 
 
-def test_a_recording_that_cannot_be_written_is_told_once_and_ends_no_run(
+def test_a_recording_that_cannot_be_written_is_reported_once_and_ends_no_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: Any, **__: Any) -> None:

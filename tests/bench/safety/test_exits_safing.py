@@ -95,7 +95,7 @@ def test_stop_is_heater_off_then_a_minute_of_pump_then_pump_off() -> None:
     assert bath.message == [(0.0, "heater off"), (0.0, "pump on"), (60.0, "pump off")]
 
 
-def test_a_relay_that_is_dead_is_told_and_the_heater_is_off_all_the_same() -> None:
+def test_a_relay_that_is_dead_is_reported_and_the_heater_is_off_all_the_same() -> None:
     class DeadRelay(Noted):
         def set(self, name: str, value: float | str) -> None:
             raise LinkError("pump", "no answer", seconds=1.0)

@@ -143,7 +143,7 @@ def test_a_mistake_in_one_try_does_not_end_the_guardian(
 
 
 @pytest.mark.slow
-def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(
+def test_the_guardian_is_small_and_gets_no_signal_that_is_meant_for_the_bench(
     hot: HotBath,
 ) -> None:
     with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
@@ -165,7 +165,7 @@ def test_the_guardian_is_small_and_hears_no_signal_that_is_meant_for_the_bench(
         line.done()
 
 
-def test_a_guardian_that_cannot_start_is_told_with_its_own_words(tmp_path: Path) -> None:
+def test_a_guardian_that_cannot_start_is_reported_with_its_own_words(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match=r"did not start.*no-such-family"):
         GuardianClient(GuardianTarget("tcp://127.0.0.1:1", "no-such-family"), tmp_path, Heartbeat())
 

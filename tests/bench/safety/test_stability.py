@@ -49,7 +49,7 @@ def test_a_bath_that_heats_up_goes_through_all_three_states() -> None:
     assert states.index(STABLE) >= 400 + 590  # the ramp has to leave the window first
 
 
-def test_what_is_waited_for_is_told_by_the_readings_near_the_set_point() -> None:
+def test_what_is_waited_for_is_reported_by_the_readings_near_the_set_point() -> None:
     """The way there fills the window too, and has a slope and a range that say nothing of how
     steady the bath is now.
     """

@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
-from scipy.stats import binomtest, norm, permutation_test, ttest_1samp
-from statsmodels.stats.contingency_tables import mcnemar  # type: ignore[import-untyped]
-from statsmodels.stats.multitest import multipletests  # type: ignore[import-untyped]
 
 from bench.scoring.comparison import (
     MANY,
@@ -254,12 +252,15 @@ def test_six_scenes_all_one_way_are_needed() -> None:
     assert Discordance(both=24).p_value == 1.0
 
 
+@pytest.mark.slow
 @given(COUNTS)
 def test_mcnemar_against_statsmodels_and_the_binomial_test(d: Discordance) -> None:
+    from statsmodels.stats.contingency_tables import mcnemar  # type: ignore[import-untyped]
+
     table = [[d.both, d.only_old], [d.only_new, d.neither]]
     assert d.p_value == pytest.approx(float(mcnemar(table, exact=True).pvalue), rel=1e-9)
     if text := d.only_old + d.only_new:
-        assert d.p_value == pytest.approx(binomtest(d.only_old, text).pvalue, rel=1e-9)
+        assert d.p_value == pytest.approx(scipy.stats.binomtest(d.only_old, text).pvalue, rel=1e-9)
 
 
 def test_the_interval_of_a_published_table() -> None:
@@ -281,7 +282,7 @@ def test_the_interval_holds_what_the_score_test_does_not_refuse(d: Discordance) 
     assert -1.0 <= span[0] <= estimate <= span[1] <= 1.0
     for bound in span:
         if abs(bound) < 1.0 - 1e-6:
-            assert score_statistic(d, bound) == pytest.approx(norm.ppf(0.975), abs=2e-3)
+            assert score_statistic(d, bound) == pytest.approx(scipy.stats.norm.ppf(0.975), abs=2e-3)
 
 
 def score_statistic(d: Discordance, difference: float) -> float:
@@ -344,10 +345,11 @@ def test_the_bound_is_the_quantile_of_means_with_random_weights(n: int) -> None:
 
 def test_of_many_values_the_bound_is_students() -> None:
     values = np.random.default_rng(1).normal(0.1, 0.5, 4000)
-    students = float(ttest_1samp(values, 0.0).confidence_interval(0.95).high)
+    students = float(scipy.stats.ttest_1samp(values, 0.0).confidence_interval(0.95).high)
     assert upper_bound(values, 5.0, 0.975) == pytest.approx(students, abs=0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [8, 20, 60])
 @pytest.mark.parametrize("changes", DRAWS)
 def test_the_interval_covers_as_often_as_it_says(changes: str, n: int) -> None:
@@ -400,13 +402,13 @@ def test_sign_flips_against_scipy(values: list[float]) -> None:
     keeps apart for different.
     """
     flips = {"permutation_type": "samples", "n_resamples": np.inf}
-    theirs = permutation_test((np.array(values),), np.sum, **flips).pvalue
+    theirs = scipy.stats.permutation_test((np.array(values),), np.sum, **flips).pvalue
     assert sign_flip_p(np.array(values)) == pytest.approx(float(theirs), abs=1e-9)
 
 
 def test_many_signs_are_drawn() -> None:
     values = np.random.default_rng(5).normal(0.3, 1.0, 40)
-    students = ttest_1samp(values, 0.0).pvalue
+    students = scipy.stats.ttest_1samp(values, 0.0).pvalue
     assert sign_flip_p(values, seed=1) == pytest.approx(students, abs=0.02)
     assert sign_flip_p(np.zeros(40)) == 1.0
 
@@ -414,7 +416,9 @@ def test_many_signs_are_drawn() -> None:
 @pytest.mark.parametrize("n", [MANY, MANY + 1])
 def test_very_many_signs_are_normal(n: int) -> None:
     values = np.random.default_rng(6).normal(0.05, 1.0, n)
-    assert sign_flip_p(values, seed=1) == pytest.approx(ttest_1samp(values, 0.0).pvalue, abs=0.02)
+    assert sign_flip_p(values, seed=1) == pytest.approx(
+        scipy.stats.ttest_1samp(values, 0.0).pvalue, abs=0.02
+    )
 
 
 def test_what_cannot_be_said() -> None:
@@ -433,8 +437,11 @@ def test_a_change_counts_up_to_the_limit() -> None:
     assert found == pytest.approx([2.75, -5.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 5, 12])
 def test_holm_against_statsmodels(n: int) -> None:
+    from statsmodels.stats.multitest import multipletests  # type: ignore[import-untyped]
+
     p_values = np.random.default_rng(n).random(n) ** 2
     theirs = tuple(multipletests(p_values, method="holm")[1])
     assert holm(p_values.tolist()) == pytest.approx(theirs)

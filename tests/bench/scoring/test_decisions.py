@@ -9,14 +9,10 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
-from scipy.stats import (
-    nct,
-    ncx2,  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
-    norm,  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
-)
 
 from bench.report.wording import measured
 from bench.rig.model import Arm
@@ -63,7 +59,7 @@ error95 = partial(decide_error, "error", limit_mm=5.0, u_mm=0.23, rate=0.95, con
         (decide_count("false", 0, scenes=3), "0"),
     ],
 )
-def test_a_bound_is_told_on_its_side(decision: Decision, text: str) -> None:
+def test_a_bound_is_reported_its_side(decision: Decision, text: str) -> None:
     assert measured(decision) == text
 
 
@@ -277,7 +273,7 @@ def test_near_the_limit_it_says_how_many_more() -> None:
     assert error([1.0] * 83 + [4.6]).verdict is MET
 
 
-def test_what_was_missed_is_told_beside_the_errors_of_the_rest() -> None:
+def test_what_was_missed_is_reported_beside_the_errors_of_the_rest() -> None:
     assert error([1.0] * 59, missed=7).sentence.endswith("Of the found teats only: 7 were missed.")
 
 
@@ -403,11 +399,16 @@ def largest_met_mm(n: int, u: float) -> float:
     assert accept is not None
 
     def risk(at: float) -> float:
-        return good + (1.0 - good) * float(ncx2.cdf((at / u) ** 2, 3, (5.0 / u) ** 2)) - 0.05
+        return (
+            good
+            + (1.0 - good) * float(scipy.stats.ncx2.cdf((at / u) ** 2, 3, (5.0 / u) ** 2))
+            - 0.05
+        )
 
     return accept if risk(accept) <= 0.0 else float(brentq(risk, 1.0, accept))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("truth", TRUTHS)
 @pytest.mark.parametrize(
     ("detector", "n"), [(spread, 59), (astray, 59), (biased, 59), (just_over, 59), (just_over, 91)]
@@ -436,7 +437,9 @@ def test_no_number_of_poses_makes_the_risk_more_than_5_percent(u: float, rate: f
     for share in (0.7, 0.9, 0.95, 0.99, 0.9999):
         passed = leak(share * accept, 5.0, u)
         assert passed == pytest.approx(
-            float(ncx2.cdf((share * accept / u) ** 2, 3, (5.0 / u) ** 2)), rel=1e-6, abs=1e-12
+            float(scipy.stats.ncx2.cdf((share * accept / u) ** 2, 3, (5.0 / u) ** 2)),
+            rel=1e-6,
+            abs=1e-12,
         )
         n = guarded_n(0, rate, 0.95, passed)
         assert n is not None
@@ -476,9 +479,11 @@ def test_the_radial_limit_solves_the_noncentral_chi_square(limit: float, relativ
     u = limit * relative
     accept = acceptance_limit_mm(limit, u)
     if accept is None:
-        assert ncx2.cdf((limit / u) ** 2, 3, 1e-12) <= 0.95
+        assert scipy.stats.ncx2.cdf((limit / u) ** 2, 3, 1e-12) <= 0.95
     else:
-        assert ncx2.cdf((limit / u) ** 2, 3, (accept / u) ** 2) == pytest.approx(0.95, abs=1e-6)
+        assert scipy.stats.ncx2.cdf((limit / u) ** 2, 3, (accept / u) ** 2) == pytest.approx(
+            0.95, abs=1e-6
+        )
 
 
 def test_the_radial_limit_by_monte_carlo() -> None:
@@ -534,7 +539,9 @@ def test_frozen_tolerance_factors() -> None:
     st.integers(2, 500), st.sampled_from([0.9, 0.95, 0.99]), st.sampled_from([0.5, 0.9, 0.95, 0.99])
 )
 def test_the_normal_factor_against_scipy_stats(n: int, rate: float, confidence: float) -> None:
-    referee = nct.ppf(confidence, n - 1, norm.ppf(rate) * np.sqrt(n)) / np.sqrt(n)
+    referee = scipy.stats.nct.ppf(
+        confidence, n - 1, scipy.stats.norm.ppf(rate) * np.sqrt(n)
+    ) / np.sqrt(n)
     assert normal_k(n, rate, confidence) == pytest.approx(referee, rel=1e-6)
 
 

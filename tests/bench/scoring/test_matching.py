@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import sqrt
 
-import motmetrics  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -48,9 +47,12 @@ def scene(seed: int, teats: int, spread_mm: float) -> tuple[Floats, Floats]:
     return np.vstack([found, rng.uniform(-50, 150, (2, 3))]), truth
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 6), st.floats(0.5, 15))
 def test_under_the_benchs_gate_against_motmetrics(seed: int, teats: int, spread_mm: float) -> None:
+    import motmetrics  # type: ignore[import-untyped]
+
     found, truth = scene(seed, teats, spread_mm)
     gate = gate_mm(truth)
     mine = match(found, truth, np.ones(teats, dtype=bool), gate)

@@ -6,12 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import (
-    binom,
-    binomtest,  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
-)
 
 from bench.scoring.rates import (
     Rate,
@@ -29,14 +26,18 @@ RATES = st.integers(1, 400).flatmap(lambda n: st.builds(Rate, st.integers(0, n),
 
 @given(RATES, st.sampled_from([0.8, 0.9, 0.95, 0.99]))
 def test_the_interval_is_the_exact_one(rate: Rate, confidence: float) -> None:
-    referee = binomtest(rate.successes, rate.trials).proportion_ci(confidence, method="exact")
+    referee = scipy.stats.binomtest(rate.successes, rate.trials).proportion_ci(
+        confidence, method="exact"
+    )
     assert rate.interval(confidence) == pytest.approx((referee.low, referee.high), abs=1e-9)
 
 
 @given(RATES)
 def test_one_sided_bounds(rate: Rate) -> None:
     greater, less = (
-        binomtest(rate.successes, rate.trials, alternative=side).proportion_ci(0.95, "exact")
+        scipy.stats.binomtest(rate.successes, rate.trials, alternative=side).proportion_ci(
+            0.95, "exact"
+        )
         for side in ("greater", "less")
     )
     assert rate.lower_bound() == pytest.approx(greater.low, abs=1e-9)
@@ -162,7 +163,9 @@ def test_the_risk_of_a_false_claim_is_the_sum_over_the_bad_poses(
     b = np.arange(failures + 1, trials + 1)
     passed = np.minimum(1.0, b * leak / (b - failures))
     bad = 1.0 - rate
-    expected = binom.cdf(failures, trials, bad) + np.sum(binom.pmf(b, trials, bad) * passed)
+    expected = scipy.stats.binom.cdf(failures, trials, bad) + np.sum(
+        scipy.stats.binom.pmf(b, trials, bad) * passed
+    )
     assert shown_falsely(failures, trials, rate, leak) == pytest.approx(float(expected), abs=1e-9)
     if failures == 0:
         assert expected == pytest.approx(rate**trials + (1.0 - rate**trials) * leak)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import chi2
-from statsmodels.stats.multivariate import test_mvmean as hotelling  # type: ignore[import-untyped]
 
 from bench.scoring.errors import Floats
 from bench.scoring.spread import (
@@ -60,7 +59,7 @@ def test_axes_are_those_of_the_spread_longest_first() -> None:
     region = prediction_ellipsoid(np.random.default_rng(3).normal(0, SPREAD, (4000, 3)))
     assert region is not None
     assert region.half_axes_mm == pytest.approx(
-        np.array([2.0, 0.8, 0.4]) * np.sqrt(chi2.ppf(0.95, 3)), rel=0.05
+        np.array([2.0, 0.8, 0.4]) * np.sqrt(scipy.stats.chi2.ppf(0.95, 3)), rel=0.05
     )
     assert np.abs(region.directions) == pytest.approx(np.eye(3)[[1, 2, 0]], abs=0.05)
 
@@ -73,7 +72,10 @@ def test_the_outline_is_the_shadow() -> None:
     assert np.square(shadow / [1.0, 3.0]).sum(axis=1) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_hotelling_against_statsmodels() -> None:
+    from statsmodels.stats.multivariate import test_mvmean as hotelling  # type: ignore[import-untyped]
+
     errors = np.random.default_rng(4).normal([0.3, 0.0, 0.1], SPREAD, (15, 3))
     mine, theirs = bias_test(errors), hotelling(errors, np.zeros(3))
     assert (mine.t_squared, mine.p_value) == pytest.approx((theirs.t2, theirs.pvalue))
@@ -119,7 +121,7 @@ def test_covariances_that_hold_have_a_ratio_of_one() -> None:
     assert right.ratio is not None
     assert right.low < right.ratio < right.high
     assert (right.low, right.high) == pytest.approx(
-        (chi2.ppf(0.025, 600) / 600, chi2.ppf(0.975, 600) / 600)
+        (scipy.stats.chi2.ppf(0.025, 600) / 600, scipy.stats.chi2.ppf(0.975, 600) / 600)
     )
     boastful = consistency(rng.normal(0, 1.5 * SPREAD, (200, 3)), claimed)
     assert boastful.ratio is not None

@@ -7,12 +7,9 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-import pandas as pd  # type: ignore[import-untyped]
 import pytest
-import statsmodels.formula.api as smf  # type: ignore[import-untyped]
 from hypothesis import given
 from hypothesis import strategies as st
-from statsmodels.stats.anova import anova_lm  # type: ignore[import-untyped]
 
 from bench.scoring.precision import (
     distance_accuracy,
@@ -145,7 +142,12 @@ def test_the_manuals_example() -> None:
     assert study.distinct_categories == 4
 
 
+@pytest.mark.slow
 def test_the_table_against_statsmodels() -> None:
+    import pandas as pd  # type: ignore[import-untyped]
+    import statsmodels.formula.api as smf  # type: ignore[import-untyped]
+    from statsmodels.stats.anova import anova_lm  # type: ignore[import-untyped]
+
     rng = np.random.default_rng(1)
     table = (
         rng.normal(0, 1, (6, 1, 1))

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scipy.stats import binom
-from statsmodels.stats.power import TTestPower  # type: ignore[import-untyped]
 
 from bench.scoring.comparison import Discordance
 from bench.scoring.guard_band import acceptance_limit_mm, leak
@@ -43,7 +42,7 @@ def test_the_failures_allowed_are_the_most(trials: int, rate: float) -> None:
 
 def test_the_chance_to_show_a_rate() -> None:
     assert power_of_rate(59, 0.99, 0.95) == pytest.approx(0.99**59)
-    assert power_of_rate(93, 0.99, 0.95) == pytest.approx(float(binom.cdf(1, 93, 0.01)))
+    assert power_of_rate(93, 0.99, 0.95) == pytest.approx(float(scipy.stats.binom.cdf(1, 93, 0.01)))
     assert power_of_rate(58, 0.999, 0.95) == 0.0
 
 
@@ -84,8 +83,10 @@ def test_the_power_of_mcnemar_by_counting_every_outcome(n: int, lost: float, won
     for b in range(n + 1):
         for c in range(n - b + 1):
             if Discordance(only_old=b, only_new=c, both=n - b - c).p_value < 0.05:
-                chance = binom.pmf(b, n, lost) * (
-                    binom.pmf(c, n - b, won / (1.0 - lost)) if lost < 1.0 else float(c == 0)
+                chance = scipy.stats.binom.pmf(b, n, lost) * (
+                    scipy.stats.binom.pmf(c, n - b, won / (1.0 - lost))
+                    if lost < 1.0
+                    else float(c == 0)
                 )
                 total += float(chance)
     assert mcnemar_power(n, lost, won) == pytest.approx(total, abs=1e-9)
@@ -102,12 +103,17 @@ def test_the_smallest_loss_that_shows() -> None:
     loss = detectable_loss(59)
     assert loss is not None
     assert mcnemar_power(59, loss, 0.0) == pytest.approx(0.8, abs=1e-6)
-    assert float(binom.sf(5, 59, loss)) == pytest.approx(0.8, abs=1e-6)  # six lost and none won
+    assert float(scipy.stats.binom.sf(5, 59, loss)) == pytest.approx(
+        0.8, abs=1e-6
+    )  # six lost and none won
     assert detectable_loss(5) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [4, 6, 20, 59, 300])
 def test_the_smallest_shift_against_statsmodels(n: int) -> None:
+    from statsmodels.stats.power import TTestPower  # type: ignore[import-untyped]
+
     assert detectable_shift(n, 1.5) == pytest.approx(
         1.5 * TTestPower().solve_power(nobs=n, alpha=0.05, power=0.8), rel=1e-5
     )

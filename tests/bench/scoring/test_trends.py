@@ -7,10 +7,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 import pytest
-import statsmodels.api as sm  # type: ignore[import-untyped]
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import t
 
 from bench.scoring.errors import Floats
 from bench.scoring.spread import LEAST_TREND_POSES, Trend, trend, trends
@@ -18,10 +17,13 @@ from bench.scoring.spread import LEAST_TREND_POSES, Trend, trend, trends
 
 def line(x: Floats, y: Floats, strata: npt.NDArray[np.int64]) -> float:
     """The least-squares slope with a level for each stratum, by dummy variables."""
+    import statsmodels.api as sm  # type: ignore[import-untyped]
+
     levels = (strata[:, None] == np.unique(strata)[None, :]).astype(float)
     return float(sm.OLS(y, np.column_stack([x, levels])).fit().params[0])
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(LEAST_TREND_POSES, 9), st.integers(1, 3))
 def test_the_slope_and_its_jackknife_by_leaving_out_each_group(
@@ -40,11 +42,14 @@ def test_the_slope_and_its_jackknife_by_leaving_out_each_group(
     assert found.low is not None
     assert found.high is not None
     assert (found.high - found.low) / 2 == pytest.approx(
-        float(t.ppf(0.975, groups - 1)) * error, rel=1e-6
+        float(scipy.stats.t.ppf(0.975, groups - 1)) * error, rel=1e-6
     )
 
 
+@pytest.mark.slow
 def test_the_error_is_near_statsmodels_cluster_robust_one() -> None:
+    import statsmodels.api as sm
+
     rng = np.random.default_rng(1)
     group = np.repeat(np.arange(60), 4)
     x = rng.normal(0, 50, 240)

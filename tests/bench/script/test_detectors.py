@@ -79,7 +79,7 @@ def test_its_version_follows_its_files(tmp_path: Path) -> None:
         ("name.toml", "name"),
     ],
 )
-def test_what_cannot_be_used_is_told(tmp_path: Path, name: str, note: str) -> None:
+def test_what_cannot_be_used_is_reported(tmp_path: Path, name: str, note: str) -> None:
     for file, text in {
         "bad.toml": "comand = ['x']",
         "lost.toml": "command = ['no-such-program-at-all']",

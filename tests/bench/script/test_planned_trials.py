@@ -315,7 +315,7 @@ def test_redrawn_trials_show_a_member_for_each_pose_and_others_one_for_all(tmp_p
     assert "member 2" in chosen(same.script.trials[0])
 
 
-def test_the_operator_is_told_what_stands_where(tmp_path: Path) -> None:
+def test_the_operator_reads_what_stands_where(tmp_path: Path) -> None:
     (planned,) = of_families(tmp_path, 'family = "hot_body_at_ends"\n').planned
     asked = planned.arrangement("XY")
     found = situation("hot_body_at_ends", 0)
@@ -347,6 +347,6 @@ def test_the_emulated_operator_sets_the_whole_scene_up(tmp_path: Path) -> None:
         ('family = "ideal"\nmember = -1\n', "greater than or equal to 0"),
     ],
 )
-def test_what_is_wrong_is_told_in_its_place(tmp_path: Path, trial: str, said: str) -> None:
+def test_what_is_wrong_is_reported_in_its_place(tmp_path: Path, trial: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         of_families(tmp_path, trial)

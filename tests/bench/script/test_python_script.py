@@ -110,6 +110,6 @@ def test_a_run_keeps_the_file_and_what_it_gave(tmp_path: Path) -> None:
         "no value",
     ],
 )
-def test_what_is_wrong_is_told_with_its_place(text: str, words: str, tmp_path: Path) -> None:
+def test_what_is_wrong_is_reported_with_its_place(text: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=words):
         load_script(written(tmp_path, text))

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+import scipy
 
 from bench.truth.carrying import Reference, carried, fixed_key, reference_from_dict
 from bench.truth.uncertainty import (
@@ -242,7 +242,7 @@ def test_a_carried_end_keeps_its_budget_and_gets_a_line() -> None:
 
 
 def test_the_region_is_the_ellipsoid_of_95_percent() -> None:
-    assert pytest.approx(chi2.ppf(0.95, 3)) == CHI2_95
+    assert pytest.approx(scipy.stats.chi2.ppf(0.95, 3)) == CHI2_95
     truth = touched(np.zeros((1, 3)), ARM)
     edge = np.sqrt(CHI2_95) * truth.uncertainty.u_mm
     assert truth.holds((0.999 * edge, 0.0, 0.0))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import binom
+import scipy
 
 from bench.config import ConfigError
 from bench.truth.registration import (
@@ -37,7 +37,7 @@ from tests.bench.truth.touches import (
 
 SEEDS = 200
 # of 200 honest figures no more lie beyond 2 u, but once in ten thousand
-MOST = int(binom.ppf(0.9999, SEEDS, 0.0455))
+MOST = int(scipy.stats.binom.ppf(0.9999, SEEDS, 0.0455))
 TILTED_MM = np.vstack([CORNERS_MM, CORNERS_MM + np.array([0.0, 0.0, -60.0])])
 
 
@@ -84,7 +84,7 @@ def test_residuals_are_what_the_formula_expects() -> None:
     assert np.sqrt(np.mean(fre)) == pytest.approx(found.expected_fre_mm, rel=0.06)
 
 
-def test_a_crooked_stage_is_told_with_what_to_do() -> None:
+def test_a_crooked_stage_is_reported_with_what_to_do() -> None:
     rng = np.random.default_rng(1)
     found = registered(TrueStage(np.eye(3), np.diag([0.012, 0.0, 0.0])), rng)
     assert found.contradicted

@@ -224,7 +224,7 @@ def test_no_truth_is_not_carried_on() -> None:
     assert bench.trial(1, 10.0).how is How.TOUCHED
 
 
-def test_what_speaks_against_the_registration_is_told_at_once() -> None:
+def test_what_speaks_against_the_registration_is_reported_at_once() -> None:
     bench = Bench()
     bench.stage = type(bench.stage)(np.eye(3), np.diag([0.01, 0.0, 0.0]))
     bench.new_source().begin()

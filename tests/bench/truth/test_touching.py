@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import chi
 
 from bench.truth.touching import FAR, MEDIAN_LENGTH, SPARE, Ends, NoTruthError, mistaken, outliers
 from bench.truth.uncertainty import reading_u_mm
@@ -115,11 +115,11 @@ def test_an_unsteady_hand_widens_its_own_limit() -> None:
     assert lost <= 0.03 * 8 * 500
 
 
-def test_of_two_readings_neither_can_be_told_to_be_wrong() -> None:
+def test_of_two_readings_neither_can_be_shown_to_be_wrong() -> None:
     apart = np.array([[0.0, 0.0, 0.0], [FAR * S0 * 1.5, 0.0, 0.0]])
     assert list(outliers(apart, S0)) == [0, 1]
     assert outliers(0.5 * apart, S0) == outliers(apart[:1], S0) == {}
-    assert pytest.approx(chi.median(3), abs=1e-4) == MEDIAN_LENGTH
+    assert pytest.approx(scipy.stats.chi.median(3), abs=1e-4) == MEDIAN_LENGTH
 
 
 @given(st.permutations([1, 2, 3, 4]), st.tuples(*[st.floats(-12.0, 12.0)] * 2))

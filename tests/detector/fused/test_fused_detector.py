@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from detector.calibration import Calibration, ParameterCovariance
 from detector.fused.detector import FusedDetector
@@ -84,8 +84,8 @@ def test_covariances_are_honest(find: Find, udder: list[Body]) -> None:
     n = len(normalised)
     # claims hold what paint and shadow add in real pictures, so drawn ones may do better; they may
     # not do worse than chi-square allows
-    assert 0.1 < np.mean(normalised) < chi2.ppf(0.975, 3 * n) / n
-    assert max(normalised) < chi2.ppf(1 - 0.01 / n, 3)
+    assert 0.1 < np.mean(normalised) < scipy.stats.chi2.ppf(0.975, 3 * n) / n
+    assert max(normalised) < scipy.stats.chi2.ppf(1 - 0.01 / n, 3)
 
 
 @pytest.mark.slow

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import rig_renderer, warm
@@ -98,5 +98,11 @@ def test_normalised_squared_errors_are_within_the_bounds_of_chi_square(members: 
     sums = np.concatenate([normalised(one) for one in members])
     n = len(sums)
     assert n > 80
-    assert chi2.ppf(0.025, 3 * n) / n < np.mean(sums) < chi2.ppf(0.975, 3 * n) / n
-    assert np.max(sums) < chi2.ppf(1 - 0.001 / n, 3)  # no end far beyond what is stated of it
+    assert (
+        scipy.stats.chi2.ppf(0.025, 3 * n) / n
+        < np.mean(sums)
+        < scipy.stats.chi2.ppf(0.975, 3 * n) / n
+    )
+    assert np.max(sums) < scipy.stats.chi2.ppf(
+        1 - 0.001 / n, 3
+    )  # no end far beyond what is stated of it

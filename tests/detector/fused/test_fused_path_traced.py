@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from scipy.stats import chi2
 
 from detector.calibration import load_calibration
 from detector.fused.detector import FusedDetector
@@ -125,5 +125,5 @@ def test_the_covariances_claim_what_is_so(tallies: dict[str, Tally]) -> None:
         "anywhere",
     ]
     sums = np.concatenate([tallies[name].normalised for name in plain])
-    assert 0.3 * 3 < np.mean(sums) < chi2.ppf(0.975, 3 * len(sums)) / len(sums)
+    assert 0.3 * 3 < np.mean(sums) < scipy.stats.chi2.ppf(0.975, 3 * len(sums)) / len(sums)
     assert np.mean(np.concatenate([t.normalised for t in tallies.values()])) < 1.5 * 3

@@ -231,7 +231,7 @@ def test_no_heat_with_an_alarm(stand: Stand, fault: str, message: str) -> None:
     assert not stand.plant.running
 
 
-def test_a_write_that_does_not_stand_is_told(stand: Stand) -> None:
+def test_a_write_that_does_not_stand_is_reported(stand: Stand) -> None:
     bath = stand.bath()
     stand.emulator.fault("manual mode")
     assert bath.read().remote is False

@@ -318,7 +318,7 @@ def test_garbage_never_crashes_it_and_silence_cures_it(data: bytes) -> None:
 
 
 @given(at=st.integers(0, 7), bit=st.integers(0, 7))
-def test_no_frame_with_a_flipped_bit_is_heard(at: int, bit: int) -> None:
+def test_no_frame_with_a_flipped_bit_is_answered(at: int, bit: int) -> None:
     broken = bytearray(REQUESTS[0])
     broken[at] ^= 1 << bit
     assert frames([bytes(broken)]) == []

@@ -191,7 +191,7 @@ def test_who_has_words_to_turn() -> None:
 
 
 @pytest.mark.parametrize("name", FLOATS)
-def test_words_the_other_way_round_are_refused_or_learnt(name: str) -> None:
+def test_words_the_other_way_round_are_refused_or_found(name: str) -> None:
     with met(name, fault="word order") as (emulator, url, profile, clock):
         if name == LEARNT:
             with closing(Bath(url, profile, clock)) as bath:
@@ -301,7 +301,7 @@ def message_at_the_first_look(
         ("omega-cn7", {0x1000: 0x8003}, r"alarm 32771, sensor not connected \(meaning inferred\)"),
     ],
 )
-def test_a_broken_sensor_is_told_by_its_alarm(
+def test_a_broken_sensor_is_reported_by_its_alarm(
     name: str, changes: dict[int, int], text: str
 ) -> None:
     assert message_at_the_first_look(

@@ -97,7 +97,7 @@ def test_eurotherm_is_silent_for_5_s_when_it_resets_and_goes_on(profile: str) ->
 
 
 @pytest.mark.parametrize("profile", EUROTHERMS)
-def test_eurotherm_follows_the_remote_set_point_where_it_is_told_so(profile: str) -> None:
+def test_eurotherm_follows_the_remote_set_point_where_it_is_set_so(profile: str) -> None:
     controller = Asked(profile)
     controller.ask("10 8004 0002 04 4204 0000")  # local, parameter 2: 33
     controller.ask("10 8034 0002 04 41F8 0000")  # remote, parameter 26: 31
@@ -161,7 +161,7 @@ def test_watlow_maps(profile: str, set_point: int, mode: int, power: int) -> Non
 
 
 @pytest.mark.parametrize(("profile", "unit"), [(WATLOWS[0], 2490), (WATLOWS[1], 2308)])
-def test_watlow_speaks_fahrenheit_until_it_is_told(profile: str, unit: int) -> None:
+def test_watlow_speaks_fahrenheit_until_it_is_set(profile: str, unit: int) -> None:
     controller = Asked(profile, as_shipped=True)
     assert controller.float(360, low_first=True) == pytest.approx(68.0)
     assert controller.word(unit) == 30

@@ -110,7 +110,7 @@ LAST = '[[rows]]\nname = "run"'
         ),
     ],
 )
-def test_a_fault_is_told_with_its_place(
+def test_a_fault_is_reported_with_its_place(
     tmp_path: Path, old: str, new: str, key: str, message: str
 ) -> None:
     assert SMALL.count(old) >= 1
@@ -122,7 +122,7 @@ def test_a_fault_is_told_with_its_place(
     assert any(place == key and message in said for place, said in faults), faults
 
 
-def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
+def test_all_faults_are_reported_at_once(tmp_path: Path) -> None:
     text = SMALL.replace(VALUES, "values = { off = 0 }").replace(RANGE, "")
     assert {place for place, _ in faults_of(tmp_path, text)} == {"rows.1", "rows.2.values"}
 
@@ -155,7 +155,7 @@ def test_a_file_that_is_missing_or_no_toml_says_so(tmp_path: Path) -> None:
         load_profile(written(tmp_path, "family = "))
 
 
-def test_alarm_codes_are_told_with_their_doubt() -> None:
+def test_alarm_codes_are_reported_with_their_doubt() -> None:
     profile = load_profile("julabo-presto")
     assert profile.alarm_text(1) == "alarm 1, low level (meaning inferred)"
     assert "manual" in profile.alarm_text(77)

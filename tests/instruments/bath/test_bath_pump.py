@@ -130,7 +130,7 @@ WIRED: list[tuple[str, Framing]] = [
 
 
 @pytest.mark.parametrize(("fault", "framing"), WIRED)
-def test_whatever_is_wrong_with_its_wire_no_wrong_state_is_told(
+def test_whatever_is_wrong_with_its_wire_no_wrong_state_is_reported(
     fault: str, framing: Framing
 ) -> None:
     with bath_and_relay("eurotherm-3200", framing) as (bath, emulator, relay, clock):
@@ -152,7 +152,7 @@ def test_whatever_is_wrong_with_its_wire_no_wrong_state_is_told(
 
 
 @pytest.mark.parametrize("framing", ["tcp", "rtu"])
-def test_a_power_cut_opens_the_contact_and_is_told(framing: Framing) -> None:
+def test_a_power_cut_opens_the_contact_and_is_reported(framing: Framing) -> None:
     with bath_and_relay("omega-cn7", framing) as (bath, emulator, relay, _):
         bath.set("pump", "on")
         relay.fault(POWER_CUT)
@@ -268,7 +268,7 @@ def test_elsewhere_it_has_a_link_of_its_own_that_is_mended(relay: RelayProfile) 
         assert all(pdu[0] in (1, 5) for pdu in box.asked)
 
 
-def test_what_a_relay_does_not_do_is_told(relay: RelayProfile) -> None:
+def test_what_a_relay_does_not_do_is_reported(relay: RelayProfile) -> None:
     with elsewhere(relay) as (bath, box):
 
         def forget(frame: bytes) -> bytes:

@@ -94,7 +94,7 @@ def test_full_power_is_believed_and_a_safety_sensor_at_zero_is_none() -> None:
     assert (reading.power_percent, reading.external_c, reading.safety_c) == (100.0, 60.0, None)
 
 
-def test_no_temperature_is_told_with_the_alarm() -> None:
+def test_no_temperature_is_reported_with_the_alarm() -> None:
     with pytest.raises(DeviceError, match=r"no temperature .*alarm 5, working sensor"):
         read("0004 0005 0000 0000 0000  7FC0 0000  4204 0000  0000 0000  4204 0000")
 

@@ -76,7 +76,7 @@ def test_garbage_and_a_damaged_answer_on_a_serial_port() -> None:
 
 @pytest.mark.slow
 @pty
-def test_an_adapter_that_is_unplugged_is_told_and_the_next_one_is_found() -> None:
+def test_an_adapter_that_is_unplugged_is_reported_and_the_next_one_is_found() -> None:
     with terminal("eurotherm-2400") as (listener, emulator, clock):
         profile = load_profile("eurotherm-2400")
         bath = Bath(listener.url, profile, clock)
@@ -131,7 +131,7 @@ def test_a_tap_sees_every_byte_garbage_too() -> None:
     assert tap.text[2:] == [("closed", "")]
 
 
-def test_a_tap_is_told_of_a_link_that_breaks_and_of_the_next_one(stand: Stand) -> None:
+def test_a_tap_gets_a_link_that_breaks_and_the_next_one(stand: Stand) -> None:
     tap = Heard()
     bath = Bath(stand.url, stand.profile, stand.clock, tap=tap)
     stand.emulator.pull_the_cable()
@@ -150,7 +150,7 @@ def test_a_tap_is_told_of_a_link_that_breaks_and_of_the_next_one(stand: Stand) -
 
 @pytest.mark.slow
 @pty
-def test_a_setting_that_the_port_does_not_have_is_told() -> None:
+def test_a_setting_that_the_port_does_not_have_is_reported() -> None:
     with (
         terminal("omega-cn7") as (listener, _, clock),
         pytest.raises(LinkError, match=r"the port can't be opened in 6 tries"),

@@ -61,7 +61,7 @@ def test_p1_silence_costs_little_and_a_slow_answer_is_taken_for_what_it_is() -> 
         assert [pdu[0] for pdu in far_end.asked] == [3, 3, 4, 3]
 
 
-def test_a_dead_line_is_told_in_time_and_works_again_when_it_is_back() -> None:
+def test_a_dead_line_is_reported_in_time_and_works_again_when_it_is_back() -> None:
     with linked() as (far_end, link):
         far_end.delays_s = [None] * 100
         for _ in range(20):
@@ -121,7 +121,7 @@ def test_p1_whatever_is_late_no_wrong_value_gets_through(
 
 @pytest.mark.parametrize("framing", ["rtu", "tcp"])
 @pytest.mark.parametrize("sent", [0, 1, 3, 4, 125])
-def test_p2_a_wrong_number_of_registers_is_told(framing: str, sent: int) -> None:
+def test_p2_a_wrong_number_of_registers_is_reported(framing: str, sent: int) -> None:
     with linked(framing) as (far_end, link):
         registers = bytes((3, 2 * sent)) + b"\x12\x34" * sent
 
@@ -283,7 +283,7 @@ def test_p6_one_damaged_answer_costs_a_time_out_and_no_more(damage: str) -> None
         assert far_end.clock.now() - start <= 1.5 + 1e-9
 
 
-def test_p6_damage_that_stays_is_told_with_what_came() -> None:
+def test_p6_damage_that_stays_is_reported_with_what_came() -> None:
     with linked() as (far_end, link):
         far_end.spoils = [lambda frame: frame[:-1] + bytes((frame[-1] ^ 1,))] * 3
         with pytest.raises(
@@ -501,7 +501,7 @@ def test_what_a_url_says(url: str, line: Line) -> None:
         ("COM5?stopbits=1.5", "from 1 to 2"),
     ],
 )
-def test_a_url_that_is_none_is_told_why(url: str, said: str) -> None:
+def test_a_url_that_is_none_is_refused_with_why(url: str, said: str) -> None:
     with pytest.raises(LineError) as caught:
         parse_line(url)
     assert said in str(caught.value)

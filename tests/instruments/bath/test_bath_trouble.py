@@ -52,7 +52,7 @@ def test_a_poll_that_takes_too_long_is_none(stand: Stand) -> None:
         bath.read()
 
 
-def test_a_power_cut_is_told_once(stand: Stand) -> None:
+def test_a_power_cut_is_reported_once(stand: Stand) -> None:
     bath = stand.bath()
     bath.start(33.0)
     stand.plant.standby()
@@ -243,7 +243,7 @@ def test_standby_within_another_call_while_nobody_answers(
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_session_that_is_closed_while_it_waits_is_told_as_a_broken_link(family: str) -> None:
+def test_a_session_that_is_closed_while_it_waits_is_reported_as_a_broken_link(family: str) -> None:
     with stand_of(family) as stand:
         bath = stand.bath()
         stand.emulator.fault("silence")

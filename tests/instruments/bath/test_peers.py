@@ -160,7 +160,7 @@ def test_one_register_for_two_is_no_answer(link: Transactions) -> None:
     assert link.read(3, REGISTERS, 3) == VALUES
 
 
-def test_busy_is_told(link: Transactions) -> None:
+def test_busy_is_reported(link: Transactions) -> None:
     with pytest.raises(RefusedError, match="busy") as caught:
         link.read(3, BUSY, 1)
     assert caught.value.code == 6

@@ -16,7 +16,7 @@ from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.camera.genicam import GenicamCamera, load_aravis
 from instruments.camera.settings import Settings, Trigger
 from instruments.clock import RealClock
-from instruments.errors import DeviceError, LinkError
+from instruments.errors import DeviceError, InstrumentError, LinkError
 from tests.instruments.camera.peers import ADDRESS, gige_camera, need_aravis
 
 IN_PROCESS = "Fake_1"
@@ -39,14 +39,19 @@ def opened(device: str, clock: RealClock, **asked: Any) -> closing[GenicamCamera
 
 
 def whole(camera: GenicamCamera) -> RawFrame:
-    """The next frame that comes whole: a busy machine loses packets on its own loopback too."""
-    for _ in range(20):
-        camera.begin()
+    """The next frame that comes whole. A busy machine loses packets on its own loopback too, and
+    the camera's answers come too late.
+    """
+    tries = 40
+    while True:
+        tries -= 1
         try:
+            camera.begin()
             return camera.take()
-        except FrameError as error:
-            text = error
-    raise text
+        except InstrumentError as error:
+            late = isinstance(error, FrameError | LinkError) or "timeout" in str(error).lower()
+            if not tries or not late:
+                raise
 
 
 @pytest.mark.parametrize(
@@ -117,7 +122,7 @@ def test_one_of_this_machine_by_name_open_already_and_without_its_trigger(clock:
 
 
 @pytest.mark.slow
-def test_lost_packets_are_told_and_the_next_frame_is_whole(clock: RealClock) -> None:
+def test_lost_packets_are_reported_and_the_next_frame_is_whole(clock: RealClock) -> None:
     """One packet in a thousand is lost, and a frame has some 190: about one frame in six comes with
     holes.
     """
@@ -136,13 +141,15 @@ def test_one_that_lost_control_says_so_and_is_opened_again(
     clock: RealClock, trigger: Trigger
 ) -> None:
     with gige_camera():
-        camera = GenicamCamera("left", ADDRESS, clock, Settings(trigger=trigger), patience_s=0.5)
+        # a frame fits into the socket's buffer, however long the reader waits for the processor
+        small = Settings(trigger=trigger, resolution=(256, 128), pixel_format="Mono8")
+        camera = GenicamCamera("left", ADDRESS, clock, small, patience_s=0.5)
         whole(camera)
     with gige_camera():  # as after its power was off: it knows nobody any more
         while "no longer under this program's control" not in (said := outcome(camera)):
             pass
         assert "opened again" in said
-        assert whole(camera).pixels.shape == (512, 512)
+        assert whole(camera).pixels.shape == (128, 256)
         camera.close()
 
 
@@ -205,3 +212,21 @@ def test_without_the_library_it_is_said_what_to_install(
         ),
     ):
         GenicamCamera("left", IN_PROCESS, clock)
+
+
+def test_a_camera_that_refuses_when_it_is_opened_again_is_tried_once_more(
+    aravis: Any, clock: RealClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> tuple[str, ...]:
+        raise DeviceError("left", "it refused: timeout")
+
+    with closing(GenicamCamera("left", IN_PROCESS, clock, patience_s=0.0)) as camera:
+        with monkeypatch.context() as another_program:
+            another_program.setattr("instruments.camera.genicam._controls", lambda _: False)
+            assert "no longer under this program's control" in outcome(camera)
+        with monkeypatch.context() as busy:
+            busy.setattr("instruments.camera.genicam.apply", refuse)
+            with pytest.raises(DeviceError, match="it refused"):
+                camera.begin()
+        camera.begin()
+        assert "Fake" in camera.identity

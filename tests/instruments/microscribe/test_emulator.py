@@ -104,7 +104,7 @@ def test_the_letter_o_swallows_24_bytes(host: Host) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.binary(min_size=1, max_size=40), max_size=6))
-def test_whatever_it_hears_it_can_be_signed_on_again(noise: list[bytes]) -> None:
+def test_whatever_it_receives_it_can_be_signed_on_again(noise: list[bytes]) -> None:
     host = Host()
     try:
         for data in noise:
@@ -270,7 +270,7 @@ def test_the_tremor_has_the_size_asked_for_and_is_new_with_each_packet(grip: Han
     assert (arm.tremor(0) != mechanics(grip, seed=2, tremor_mm=0.05).tremor(0)).any()
 
 
-def test_what_the_arm_cannot_reach_is_told_beforehand(fresh: Host) -> None:
+def test_what_the_arm_cannot_reach_is_reported_beforehand(fresh: Host) -> None:
     fresh.arm.check_reach(POINT, UP)
     with pytest.raises(OutOfReachError, match="out of reach"):
         fresh.arm.check_reach(POINT * 5, UP)
@@ -306,7 +306,7 @@ def test_a_fault_may_spare_the_first_answers(host: Host) -> None:
     assert whole == [True] * 3 + [False] * 2 + [True] * 2
 
 
-def test_an_old_session_hears_letters_as_commands(fresh: Host) -> None:
+def test_an_old_session_takes_letters_as_commands(fresh: Host) -> None:
     fresh.arm.faults.inject("old session alive", 1)
     fresh.plug_in_again()
     assert fresh.ask("03") == AT_REST

@@ -81,7 +81,7 @@ def test_an_arm_without_beta_is_not_asked_for_it(make: Callable[..., Rig]) -> No
     assert b"\xd3" not in rig.ear.heard
 
 
-def test_a_joint_that_loses_count_is_told(make: Callable[..., Rig]) -> None:
+def test_a_joint_that_loses_count_is_reported(make: Callable[..., Rig]) -> None:
     maxima = dataclasses.replace(UNIT.maxima, encoders=(0x3FFF, 0x3FFF, 0x1FFF, 4999, 0x0FFF, 0))
     driver = make(dataclasses.replace(UNIT, maxima=maxima)).driver()
     driver.sign_on()
@@ -280,7 +280,9 @@ def shown(root: Path, name: str, text: str) -> None:
     sys.platform == "win32",
     reason="needs links between files: Windows gives them to administrators only",
 )
-def test_a_slow_adapter_behind_a_link_is_told_with_the_command_that_helps(tmp_path: Path) -> None:
+def test_a_slow_adapter_behind_a_link_is_reported_with_the_command_that_helps(
+    tmp_path: Path,
+) -> None:
     shown(tmp_path / "sys", "ttyUSB3", "16\n")
     (tmp_path / "ttyUSB3").touch()
     (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB3")

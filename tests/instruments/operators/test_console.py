@@ -65,7 +65,7 @@ def test_it_says_how_far_the_run_is() -> None:
     assert op.time_left(9000.0) == "about 2.5 h left"
 
 
-def test_teats_are_told_by_their_names_where_they_have_some() -> None:
+def test_teats_are_reported_by_their_names_where_they_have_some() -> None:
     who, out = asked("\n\n")
     named = tuple(
         replace(teat, name=name)
@@ -103,7 +103,7 @@ def test_boards_may_be_enough_but_for_one_that_is_to_be_touched() -> None:
     assert "[position 1] Fix the board." in out.getvalue()
 
 
-def test_hidden_teats_are_told_by_number() -> None:
+def test_hidden_teats_are_reported_by_number() -> None:
     assert asked("2, 4\n")[0].ask(ASKED).visible == (True, False, True, False)
 
 
@@ -155,7 +155,7 @@ def test_a_skip_without_a_reason_is_asked_for_one_and_without_it_there_is_none()
     assert out.getvalue().count("Why?") == out.getvalue().count("Enter to go on") == 2
 
 
-def test_a_trip_is_told_and_ends_the_prompt() -> None:
+def test_a_trip_is_reported_and_ends_the_prompt() -> None:
     who, out = asked("\n")
 
     def tripped() -> None:

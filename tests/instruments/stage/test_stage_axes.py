@@ -76,7 +76,7 @@ def test_axes_that_no_stage_has(make: Make) -> None:
         Stage(bench.stage._link, bench.clock, "XB")
 
 
-def test_a_controller_without_a_fourth_axis_is_told(make: Make) -> None:
+def test_a_controller_without_a_fourth_axis_is_reported(make: Make) -> None:
     bench = make(axes="XY").again(axes="XYA")
     with pytest.raises(
         DeviceError, match=r"no axis A: setting \$103 is missing.*grblHAL build with four axes"

@@ -259,7 +259,7 @@ def test_a_fresh_eeprom_speaks_of_an_error_first(make_board: Make) -> None:
     assert greeting.endswith(b"$132=50.000\r\n" + WELCOME + LOCK)
 
 
-def test_beyond_the_soft_limit_nothing_is_heard_until_a_reset(board: Board) -> None:
+def test_beyond_the_soft_limit_input_is_ignored_until_a_reset(board: Board) -> None:
     board.answered_at(b"$H\n")
     assert board.say(b"G53G1X-301F1000\n") == b"ALARM:2\r\n[MSG:Reset to continue]\r\n"
     assert board.say(b"?\n$X\n?!~", 10.0) == b""

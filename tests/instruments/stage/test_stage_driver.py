@@ -207,7 +207,7 @@ def test_hold_and_stop_end_a_jog(bench: Bench, end: str) -> None:
     stage.move_to(-5, -5)
 
 
-def test_a_jog_that_the_panel_ended_is_told_and_keeps_the_position(bench: Bench) -> None:
+def test_a_jog_that_the_panel_ended_is_reported_and_keeps_the_position(bench: Bench) -> None:
     stage = bench.homed()
     stage.jog(x_mm=-200)
     bench.clock.sleep(1.0)
@@ -296,7 +296,7 @@ def test_hold_resume_and_finish(bench: Bench) -> None:
     assert stage.homed
 
 
-def test_a_resume_that_is_lost_is_told(bench: Bench) -> None:
+def test_a_resume_that_is_lost_is_reported(bench: Bench) -> None:
     stage = bench.homed()
     stage.begin_move(-200, -1)
     bench.clock.sleep(1.0)

@@ -86,7 +86,7 @@ def test_board_and_table_have_temperatures_of_their_own() -> None:
     assert seen[-6].mean() == pytest.approx(19.6, abs=0.01)
 
 
-def test_posters_hang_where_they_are_told_in_both_cameras() -> None:
+def test_posters_hang_where_they_are_put_in_both_cameras() -> None:
     poster = Poster(-300.0, 300.0, 90.0, 60.0, 0.0)
     for eye in (renderer().left, renderer().right):
         seen = eye.expected(replace(NOBODY, backdrop=replace(PLAIN, posters=(poster,))))

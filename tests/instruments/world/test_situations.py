@@ -213,7 +213,7 @@ def _rod_in(one: Situation) -> SceneObject:
         (lambda one: {"phantom": Phantom((Teat((-320.0, 250.0)),))}, "out of the cameras' view"),
     ],
 )
-def test_faults_are_told(change: Callable[[Situation], dict[str, object]], said: str) -> None:
+def test_faults_are_reported(change: Callable[[Situation], dict[str, object]], said: str) -> None:
     one = members("ideal")[0]
     changed = replace(one, **change(one))  # type: ignore[arg-type]
     assert any(said in fault for fault in faults(changed)), faults(changed)
