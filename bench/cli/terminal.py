@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import TracebackType
+from typing import TextIO
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.live import Live
@@ -53,9 +54,14 @@ def working(what: str) -> Iterator[Report]:
     """A bar while something goes on, gone after it; gives what to call with how much is done. It
     writes to standard error, and nothing where that or the output is no terminal.
     """
-    console = Console(stderr=True, file=unfiltered(sys.stderr), markup=False)
-    shown = console.is_terminal and Terminal().is_terminal
-    with Progress(*_columns(), console=console, transient=True, disable=not shown) as bar:
+    console = Terminal(sys.stderr)
+    with Progress(
+        *_columns(),
+        console=console,
+        transient=True,
+        disable=not (console.is_terminal and Terminal().is_terminal),
+        redirect_stdout=sys.stdout.isatty(),  # a pipe's lines stay its own, whatever is forced
+    ) as bar:
         task = bar.add_task(what, total=None)
 
         def report(done: int, total: int) -> None:
@@ -147,12 +153,12 @@ class TerminalProgress:
 
 
 class Terminal(Console):
-    """The program's standard output. Only control segments, which rich makes itself, are written as
-    they are.
+    """The program's standard output, or ``file``. Only control segments, which rich makes itself,
+    are written as they are.
     """
 
-    def __init__(self) -> None:
-        super().__init__(file=unfiltered(sys.stdout), markup=False, emoji=False)
+    def __init__(self, file: TextIO | None = None) -> None:
+        super().__init__(file=unfiltered(file or sys.stdout), markup=False, emoji=False)
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
