@@ -223,6 +223,7 @@ def environment() -> Environment:
         autoescape=True,
         undefined=StrictUndefined,
         finalize=_printable,
+        auto_reload=False,
         trim_blocks=True,
         lstrip_blocks=True,
     )

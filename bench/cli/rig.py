@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from bench import __version__
 from bench.cli.arguments import CODES, complain, refuse_existing
+from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
 from instruments.clock import Clock, RealClock
@@ -200,7 +201,8 @@ def sheet(given: argparse.Namespace) -> int:
 
     refuse_existing(given.out, replace=True)
     rig = load_rig(find_rig(given.rig))
-    write_sheet(rig, given.situation, _members(given), given.out, given.seed)
+    with working("rendering the scenes"):
+        write_sheet(rig, given.situation, _members(given), given.out, given.seed)
     print(given.out)
     return CODES.met
 
@@ -214,22 +216,26 @@ def boards(given: argparse.Namespace) -> int:
     frames = record_boards(
         rig, board, watching, given.poses, given.out, given.seed, warmer_k=given.warmer_k
     )
-    return _shown(frames, given.out)
+    return _shown(frames, given.out, given.poses)
 
 
 def record(given: argparse.Namespace) -> int:
+    from bench.rig.scenes import chosen
     from bench.rig.scenes import record as recorded
 
     rig = load_rig(find_rig(given.rig))
     frames = recorded(rig, given.situation, _members(given), given.out, given.seed)
-    return _shown(frames, given.out)
+    return _shown(frames, given.out, len(chosen(given.situation)) * given.seeds)
 
 
-def _shown(frames: Iterator[str], out: Path) -> int:
+def _shown(frames: Iterator[str], out: Path, total: int) -> int:
     written = 0
-    for frame in frames:
-        print(frame, flush=True)
-        written += 1
+    with working("rendering the scenes") as report:
+        report(0, total)
+        for frame in frames:
+            print(frame, flush=True)
+            written += 1
+            report(written, total)
     print(f"{written} frames in {out}")
     return CODES.met
 

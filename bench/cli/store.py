@@ -8,7 +8,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,7 +30,9 @@ def undamaged(runs: Sequence[Path], given: argparse.Namespace) -> Iterator[tuple
     """Checks the runs' records first; gives what is damaged, where that was allowed, and says it
     before and after all else.
     """
-    with checked_first(runs, despite_damage=given.despite_damage) as damage:
+    with ExitStack() as stack:
+        with working("checking the record"):
+            damage = stack.enter_context(checked_first(runs, despite_damage=given.despite_damage))
         alarm = f"{'!' * 40}\n{NOT_AS_WRITTEN}. {shortened(damage)}\n{'!' * 40}\n" if damage else ""
         sys.stderr.write(alarm)
         yield damage
@@ -84,7 +86,8 @@ def compare(given: argparse.Namespace) -> int:
 
     with undamaged(given.run, given) as damage:
         if given.together:
-            judgements = judge_folders(given.run, given.detector, damage)
+            with working("judging the runs together"):
+                judgements = judge_folders(given.run, given.detector, damage)
             rows = [
                 {
                     "detector": one.detector,
@@ -95,13 +98,14 @@ def compare(given: argparse.Namespace) -> int:
             ]
             verdict = run_verdict(judgements)
         else:
-            found = compare_folders(
-                given.run,
-                given.detector,
-                margin_mm=given.margin_mm,
-                confidence=given.confidence,
-                damage=damage,
-            )
+            with working("comparing the runs"):
+                found = compare_folders(
+                    given.run,
+                    given.detector,
+                    margin_mm=given.margin_mm,
+                    confidence=given.confidence,
+                    damage=damage,
+                )
             rows = as_json(found)
             verdict = overall(comparison.compared.gate.verdict for comparison in found)
         if given.json:
@@ -111,7 +115,8 @@ def compare(given: argparse.Namespace) -> int:
         else:
             _show(found)
         if given.out and not given.together:
-            path = write_comparison(found, given.out)
+            with working("writing the report"):
+                path = write_comparison(found, given.out)
             if not given.json:
                 print(f"Report: {path}")
     codes = {Verdict.MET: CODES.met, Verdict.NOT_MET: CODES.not_met}

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import TracebackType
+from typing import TextIO
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.live import Live
@@ -76,10 +77,15 @@ def working(what: str, pace: str = "") -> Iterator[Working]:
     ``pace`` names what is counted, for the rate and the time left. It writes to standard error, and
     nothing where that or the output is no terminal.
     """
-    console = Console(stderr=True, file=unfiltered(sys.stderr), markup=False)
-    shown = console.is_terminal and Terminal().is_terminal
+    console = Terminal(sys.stderr)
     columns = (*_columns(), *([TextColumn("{task.fields[detail]}")] if pace else []))
-    with Progress(*columns, console=console, transient=True, disable=not shown) as bar:
+    with Progress(
+        *columns,
+        console=console,
+        transient=True,
+        disable=not (console.is_terminal and Terminal().is_terminal),
+        redirect_stdout=sys.stdout.isatty(),  # a pipe's lines stay its own, whatever is forced
+    ) as bar:
         yield Working(bar, what, pace)
 
 
@@ -166,12 +172,12 @@ class TerminalProgress:
 
 
 class Terminal(Console):
-    """The program's standard output. Only control segments, which rich makes itself, are written as
-    they are.
+    """The program's standard output, or ``file``. Only control segments, which rich makes itself,
+    are written as they are.
     """
 
-    def __init__(self) -> None:
-        super().__init__(file=unfiltered(sys.stdout), markup=False, emoji=False)
+    def __init__(self, file: TextIO | None = None) -> None:
+        super().__init__(file=unfiltered(file or sys.stdout), markup=False, emoji=False)
 
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None

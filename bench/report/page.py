@@ -103,6 +103,7 @@ def build_page(
     chapters: tuple[Section, ...] = (),
 ) -> Page:
     """The page; writes the trials' pictures into ``folder``/images. ``chapters`` come later."""
+    trials = trial_parts(run, calibration, folder)
     verdict, why, then = headline(run, judgements)
     facts, limit_mm, looks = run.facts, rules.visible_within_mm, first_looks(run)
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
@@ -148,7 +149,7 @@ def build_page(
         subtitle=str(facts.get("about", "")),
         banner=banner,
         sections=sections,
-        trials=trial_parts(run, calibration, folder),
+        trials=tuple(trials),
         worst=tuple(map(trial_id, worst_trials(run))),
         alarm=alarm if run.damage else "",
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),

@@ -54,11 +54,15 @@ def trial_id(trial: TrialRecord) -> str:
     return f"trial-{int(trial.head['number']):03d}"
 
 
-def trial_parts(run: RunRecord, calibration: Calibration, folder: Path) -> tuple[TrialPart, ...]:
-    """A part a trial; its pictures are written into ``folder``/images."""
+def trial_parts(run: RunRecord, calibration: Calibration, folder: Path) -> Iterator[TrialPart]:
+    """A part a trial, in order; its pictures are written into ``folder``/images. All are begun at
+    once, and go on beside what the caller does until it takes them.
+    """
     (folder / IMAGES).mkdir(parents=True, exist_ok=True)
-    with ThreadPoolExecutor(AT_ONCE) as threads:
-        return tuple(threads.map(lambda trial: _part(run, trial, calibration, folder), run.trials))
+    threads = ThreadPoolExecutor(AT_ONCE)
+    parts = threads.map(lambda trial: _part(run, trial, calibration, folder), run.trials)
+    threads.shutdown(wait=False)
+    return parts
 
 
 def worst_trials(run: RunRecord) -> tuple[TrialRecord, ...]:
