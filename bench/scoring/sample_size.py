@@ -11,7 +11,6 @@ from math import floor, sqrt
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import bdtr, bdtrc, gammaincinv, ndtr, stdtrit
-from scipy.stats import binom
 
 from bench.scoring.guard_band import acceptance_limit_mm, leak
 from bench.scoring.rates import (
@@ -81,6 +80,8 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
     """The chance that exact McNemar is significant where shares `lost` and `won` of the scenes are
     solved by the old or the new one only (Duffy, Biometrics 40, 1984).
     """
+    from scipy.stats import binom  # a second of CPU time, which no run needs
+
     check_open("alpha", alpha)
     if min(lost, won) < 0.0 or lost + won > 1.0:
         raise ValueError(
