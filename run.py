@@ -91,7 +91,9 @@ def install(extra: str) -> int:
     if fault:
         return fault
     what = f"{ROOT}[{extra}]" if extra else str(ROOT)
-    pip = [str(python()), "-m", "pip", "install", "--disable-pip-version-check", "--quiet"]
+    # most modules are never imported: Python compiles the others itself, at their first import
+    quiet = ("--disable-pip-version-check", "--no-compile", "--quiet")
+    pip = [str(python()), "-m", "pip", "install", *quiet]
     done = subprocess.run(
         [*pip, "--constraint", str(CONSTRAINTS), "--editable", what],
         stdout=subprocess.PIPE,

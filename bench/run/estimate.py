@@ -242,8 +242,9 @@ def needs(
     one += 2 * math.prod(c.thermal.sensor_size)
     disk_mb = 2.0 * len(script.planned) * one / 1e6
     readings = script.script.truth.readings or arm.touches
-    of_ends = f"touches ({readings} for each teat end)"
-    asked = {"homing": 1, "arm check": checks, "set-ups": len(touches), of_ends: sum(touches)}
+    of_ends = f"teat ends ({readings} {'touch' if readings == 1 else 'touches'} each)"
+    ends = sum(touches) // readings
+    asked = {"homing": 1, "arm check": checks, "set-ups": len(touches), of_ends: ends}
     return Forecast(time, disk_mb, asked)
 
 

@@ -81,6 +81,8 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
     """The chance that exact McNemar is significant where shares `lost` and `won` of the scenes are
     solved by the old or the new one only (Duffy, Biometrics 40, 1984).
     """
+    from scipy.stats import binom  # a second of CPU time, which no run needs
+
     check_open("alpha", alpha)
     if min(lost, won) < 0.0 or lost + won > 1.0:
         raise ValueError(
@@ -89,7 +91,6 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
         )
     if lost + won < RARE:
         return 0.0
-    from scipy.stats import binom  # late: loads for half a second
 
     discordant = np.arange(trials + 1)
     chance, share = binom.pmf(discordant, trials, lost + won), lost / (lost + won)

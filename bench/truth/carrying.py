@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -47,8 +47,8 @@ from instruments.world.phantom import Phantom, PlatePose
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Ends touched at one stage position (machine mm), with the teats' ``axes``; ``trial`` says
-    when, ``fixed`` of what (`fixed_key`).
+    """Ends touched at one stage position (machine mm), with the teats' ``axes`` and ``names``;
+    ``trial`` says when, ``fixed`` of what (`fixed_key`).
     """
 
     trial: str
@@ -56,12 +56,13 @@ class Reference:
     stage_mm: Triple
     points: tuple[TruthPoint, ...]
     axes: tuple[Triple, ...]
+    names: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and text, for the store; `reference_from_dict` reads it back."""
         ends = [{"point_mm": list(p.point_mm), **p.uncertainty.as_dict()} for p in self.points]
         plain = {"trial": self.trial, "fixed": self.fixed, "stage_mm": list(self.stage_mm)}
-        return {**plain, "axes": self.axes, "ends": ends}
+        return {**plain, "axes": self.axes, "names": self.names, "ends": ends}
 
 
 def reference_from_dict(stored: Mapping[str, Any]) -> Reference:
@@ -74,7 +75,8 @@ def reference_from_dict(stored: Mapping[str, Any]) -> Reference:
         for end in stored["ends"]
     )
     axes = tuple(triple(axis) for axis in stored["axes"])
-    return Reference(stored["trial"], stored["fixed"], triple(stored["stage_mm"]), points, axes)
+    at, names = triple(stored["stage_mm"]), tuple(stored.get("names", ()))
+    return Reference(stored["trial"], stored["fixed"], at, points, axes, names)
 
 
 def fixed_key(phantom: Phantom, by_hand: PlatePose, yaw_rad: float) -> str:
@@ -195,7 +197,8 @@ class CarriedTruth(TouchedTruth):
         truth = super().of_trial(shown)
         stage_mm = truth.stage_mm or self._stands_at()
         axes = tuple(triple(axis) for axis in shown.ends.axes)
-        self._refer(Reference(shown.trial, shown.fixed, stage_mm, truth.points, axes))
+        names = shown.ends.names
+        self._refer(Reference(shown.trial, shown.fixed, stage_mm, truth.points, axes, names))
         return truth
 
     def stored(self, trial: str, truth: TrialTruth) -> None:
@@ -218,8 +221,9 @@ class CarriedTruth(TouchedTruth):
         stage_mm = self._stands_at()
         expected = self._carried(reference, stage_mm)
         places = np.array([point.point_mm for point in expected])
+        ends = Ends(places, np.array(reference.axes), names=reference.names)
         try:
-            seen, _ = self._toucher.touch_all(Ends(places, np.array(reference.axes)))
+            seen, _ = self._toucher.touch_all(ends)
         except OperatorSkip as skip:  # a wish about this check, not about the trial to come
             self._tell(
                 "check touch",
@@ -249,13 +253,13 @@ class CarriedTruth(TouchedTruth):
         ]
         worst = int(np.argmax(off_mm))
         found = (
-            f"check touch {number}: the worst end, teat {worst + 1}, is {off_mm[worst]:.2f} mm from"
-            f" where it was carried to, limit {limit_mm:g} mm"
+            f"check touch {number}: the worst end, {ends.called(worst + 1)}, is {off_mm[worst]:.2f}"
+            f" mm from where it was carried to, limit {limit_mm:g} mm"
         )
         if off_mm[worst] > limit_mm:
             self._failed(number, rows, found)
-            name = f"check touch {number}"
-            self._refer(Reference(name, reference.fixed, stage_mm, tuple(seen), reference.axes))
+            name, points = f"check touch {number}", tuple(seen)
+            self._refer(replace(reference, trial=name, stage_mm=stage_mm, points=points))
             return
         since = tuple(state.since)
         self._store.checked(rows, (), "")

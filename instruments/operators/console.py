@@ -164,7 +164,8 @@ class Console(PromptedOperator):
                 if line.strip().lower() in op.ABORT:
                     raise op.OperatorAbort("the operator aborted the run")
             progress = f"[{prompt.progress}] " if prompt.progress else ""
-            self._write(f"\n{progress}{prompt.text}\n")
+            end = " " if prompt.press else "\n"
+            self._write(f"\n{progress}{prompt.text}{end}".removeprefix("\n" * prompt.press))
             if self._mailbox:
                 self._mailbox.open(prompt)
             try:

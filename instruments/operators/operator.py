@@ -84,7 +84,8 @@ class Arrangement:
 @dataclass(frozen=True, slots=True)
 class Touch:
     """The tip is to be held still on the end of teat ``teat`` (from 1) of ``of``, for the
-    ``number``-th time of ``numbers``; ``again`` says why it is repeated.
+    ``number``-th time of ``numbers``; ``again`` says why it is repeated. The first asks for all
+    touches of its teat; what follows is a ``press`` and no question of its own.
     """
 
     teat: int
@@ -92,6 +93,11 @@ class Touch:
     number: int = 1
     numbers: int = 1
     again: str = ""
+
+    @property
+    def press(self) -> bool:
+        """Whether the person knows already that this touch is wanted."""
+        return self.number > 1 and not self.again
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +235,8 @@ class NotUnderstoodError(ValueError):
 @dataclass(frozen=True, slots=True)
 class Prompt:
     """``text``: what to do; ``progress``: how far the run is; ``pedal``: as good as Enter. What may
-    be answered: numbers of hidden teat ends, 1 to ``hidden_to``, and ``enough``.
+    be answered: numbers of hidden teat ends, 1 to ``hidden_to``, and ``enough``. ``press``: one
+    more touch of those that the prompt before asked for; the same answers, said in short.
     """
 
     kind: Kind
@@ -238,6 +245,7 @@ class Prompt:
     hidden_to: int = 0
     pedal: bool = False
     enough: bool = False
+    press: bool = False
 
     @property
     def in_trial(self) -> bool:
@@ -247,6 +255,8 @@ class Prompt:
     def keys(self, *, pedal: bool = False) -> str:
         """The possible answers, always with abort. ``pedal``: a pedal is watched."""
         go = "Enter or a pedal to go on" if pedal and self.pedal else "Enter to go on"
+        if self.press:
+            return f"{go} (s, r, ? or a as before): "
         if self.hidden_to:
             go = "Enter when it stands; if teat ends are hidden from a camera, their numbers first"
             go += f" (1 to {self.hidden_to})"

@@ -1,7 +1,8 @@
 """Operators who are asked in words, with the run's progress; one answers from a list.
 
 Answers of the list go in order, each to the first prompt that it fits; other prompts get
-``otherwise`` by kind. A prompt without either and answers left over are errors.
+``otherwise`` by kind. A prompt without either and answers left over are errors. The answer to a
+teat's first touch is that to all of them, but where the next one of the list names a later press.
 """
 
 from __future__ import annotations
@@ -115,20 +116,27 @@ class PromptedOperator(ABC):
         return op.Prompt("set up", text, progress=self._progress(), hidden_to=request.teats)
 
     def _touch_prompt(self, request: op.Touch) -> op.Prompt:
-        """By the teat's name, with how many touches of the trial are left."""
+        """By the teat's name, with how many touches of the trial are left. One prompt asks for all
+        touches of the teat; the presses that follow are a line each.
+        """
         teat, of = request.teat, request.of
         teats = self._stands[0].phantom.teats if self._stands else ()
         name = teats[teat - 1].name if teat <= len(teats) else ""
         which = f"{called(teat, name)}{',' if name else ''}"
+        ends, after = (of, of - teat) if self._trial else (1, 0)  # outside of trials it is one end
+        left = (after + 1) * request.numbers - request.number + 1
+        left_of = f"{left} of {ends * request.numbers}"
+        if request.press:
+            progress = f"press {request.number} of {request.numbers}, {left_of} left"
+            text = "Lift the tip, then touch the same end again."
+            return op.Prompt("touch", text, progress=progress, pedal=True, press=True)
         if request.again:
             text = f"Once more: touch the end of {which} with the tip and hold it still."
-        elif request.number > 1:
-            text = f"Lift the tip, then touch the end of {which} again."
         else:
             text = f"Touch the end of {which} with the tip and hold it still."
-        at = (teat - 1) * request.numbers + request.number
-        count = f"touch {at} of {of * request.numbers}"
-        progress = self._progress(f"teat {teat} of {of}", count)
+            if request.numbers > 1:
+                text = f"{text.rstrip('.')}: {request.numbers} touches, lifted in between."
+        progress = self._progress(f"teat {teat} of {of}", f"{left_of} touches left")
         return op.Prompt("touch", text, progress=progress, pedal=True)
 
     def _progress(self, *further: str) -> str:
@@ -210,6 +218,8 @@ class ScriptedAnswers(PromptedOperator):
 
     def answer(self, prompt: op.Prompt, check: Callable[[], None]) -> frozenset[int]:
         check()
+        if prompt.press and not self._names(prompt):
+            return frozenset()
         answer = self._next(prompt)
         self._show(f"{_words(prompt)} > {answer}")
         try:
@@ -229,6 +239,11 @@ class ScriptedAnswers(PromptedOperator):
             )
             hint = "Take them out, or correct the prompts that they are for."
             raise ProtocolError("operator", f"{what}; the first is {left[0]}", hint=hint)
+
+    def _names(self, prompt: op.Prompt) -> bool:
+        """Whether the next answer of the list says words of just this prompt."""
+        following = next(iter(self._answers[self._given :]), None)
+        return bool(following and following.says and following.fits(prompt))
 
     def _next(self, prompt: op.Prompt) -> str:
         following = next(iter(self._answers[self._given :]), None)

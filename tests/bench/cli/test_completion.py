@@ -54,3 +54,21 @@ COMP_TYPE=9; _python_argcomplete teatbench; printf '%s\\n' "${{COMPREPLY[@]}}" "
         check=True,
     )
     assert set(offered) <= {word.strip() for word in done.stdout.splitlines()}, done
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("fish") is None, reason="needs fish")
+def test_fish_completes_a_line(tmp_path: Path) -> None:
+    program = tmp_path / "teatbench"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m bench.cli "$@"\n', encoding="utf-8")
+    program.chmod(0o755)
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        ["fish", "-c", "teatbench completion fish | source; complete -C 'teatbench run six'"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)},
+        check=True,
+    )
+    assert done.stdout.split() == ["six-situations"], done

@@ -28,7 +28,7 @@ def test_each_question_and_why_a_touch_was_refused_stay_on_the_screen(
     columns: int, tmp_path: Path
 ) -> None:
     """The sentences wrap at 37 and 80 columns, and their last row may be as good as full."""
-    teats = [f"teat {teat} of 4, touch {teat} of 4; " for teat in (1, 2, 3, 4)]
+    teats = [f"teat {teat} of 4, {5 - teat} of 4 touches left; " for teat in (1, 2, 3, 4)]
     asked = ["on its peg", "Situation ideal", *teats[:2], "Once more", *teats[2:]]
     mistake = 'mistakes = ["wrong teat"]'
     with at_terminal(

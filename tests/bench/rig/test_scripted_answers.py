@@ -41,6 +41,20 @@ touch (teat 2 of 4): skip the teat came off
 """
 
 
+def test_an_answer_is_for_all_touches_of_a_teat_end(tmp_path: Path) -> None:
+    path = tmp_path / "answers.txt"
+    text = "touch: go\ntouch (teat 2 of 4): go\ntouch (press 3 of 3): skip it is loose\n"
+    path.write_text(text, encoding="utf-8")
+    who = load_answers(path)
+    for teat, number in ((1, 1), (1, 2), (1, 3), (2, 1), (2, 2)):
+        who.ask(Touch(teat, 4, number, 3))
+    with pytest.raises(ProtocolError, match="the first is 'skip it is loose'"):
+        who.ask(Finish())
+    with pytest.raises(OperatorSkip, match="it is loose"):
+        who.ask(Touch(2, 4, 3, 3))
+    who.ask(Finish())
+
+
 @pytest.mark.parametrize(("name", "text"), [("answers.toml", TOML), ("answers.txt", TEXT)])
 def test_both_forms_say_the_same(name: str, text: str, tmp_path: Path) -> None:
     path = tmp_path / name

@@ -53,11 +53,12 @@ def test_a_new_user_gets_through_a_run(tmp_path: Path) -> None:
         assert Path(picture).read_bytes().startswith(b"\x89PNG")
         assert "s REASON = skip this trial" in said
         for teat in (1, 2, 3, 4):
-            for touch in (1, 2):
-                count = f"touch {2 * (teat - 1) + touch} of 8"
-                at = f"trial 1 of 2, teat {teat} of 4, {count}; about 4 min left"
-                do = "Touch" if touch == 1 else "Lift the tip, then touch"
-                answer(terminal, f"[{at}] {do} the end of teat {teat}, ")
+            left = 8 - 2 * (teat - 1)
+            at = f"trial 1 of 2, teat {teat} of 4, {left} of 8 touches left; about 4 min left"
+            answer(terminal, f"[{at}] Touch the end of teat {teat}, ")
+            terminal.expect(f"[press 2 of 2, {left - 1} of 8 left] Lift the tip")
+            terminal.expect("as before): ")
+            terminal.type(ENTER)
         answer(terminal, "[trial 2 of 2; ", "s")
         terminal.expect("Why?")
         terminal.type("the hose came off")

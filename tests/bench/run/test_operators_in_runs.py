@@ -171,7 +171,7 @@ def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
     assert code == 0, texts(record, "fault")
     assert [row["visible"] for row in record.trials[0].truth] == [1, 0, 1, 0]
     assert exact_ends(record) == pytest.approx(WANTED, abs=1e-6)
-    at = "[trial 2 of 3, teat 4 of 4, touch 4 of 4; less than a minute left]"
+    at = "[trial 2 of 3, teat 4 of 4, 1 of 4 touches left; less than a minute left]"
     assert f"{at} Touch the end of teat 4, left front (LF), with" in capsys.readouterr().out
     assert record.folder.joinpath("answers.txt").read_text(encoding="utf-8") == answers
 

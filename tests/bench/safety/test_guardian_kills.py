@@ -39,7 +39,7 @@ pytestmark = pytest.mark.slow
 
 AT_ONCE = 3  # an arm in real time that waits for a busy processor counts as lost
 PROMPT = "a = abort the run): "
-CHECK, TOUCH = r"(\d) of (\d)\] Arm check", r"teat (\d+) of (\d+), touch"
+CHECK, TOUCH = r"(\d) of (\d)\] Arm check", r"teat (\d+) of (\d+), \d+ of \d+ touches left"
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,33 @@ def test_it_says_what_to_do_and_waits_for_enter() -> None:
         assert words in out.getvalue()
 
 
+def test_one_prompt_asks_for_all_touches_of_a_teat_end() -> None:
+    who, out = asked("\n\n\n\ns loose\n")
+    who.ask(op.NextTrial(3, 18, None))
+    who.ask(ASKED)
+    for number in (1, 2):
+        who.ask(op.Touch(2, 4, number, 3))
+    who.ask(op.Touch(2, 4, 2, 3, again="It moved."))
+    with pytest.raises(op.OperatorSkip, match="loose"):
+        who.ask(op.Touch(2, 4, 3, 3))
+    said = out.getvalue()
+    assert (
+        "[trial 3 of 18, teat 2 of 4, 9 of 12 touches left] Touch the end of teat 2, right rear (RR),"
+        in said
+    )
+    assert "hold it still: 3 touches, lifted in between.\nEnter to go on (s REASON" in said
+    press = (
+        "] Lift the tip, then touch the same end again. Enter to go on (s, r, ? or a as before): "
+    )
+    for number, left in ((2, 8), (3, 7)):
+        assert f"[press {number} of 3, {left} of 12 left{press}" in said
+    assert said.count("s REASON") == 3, "the set-up, the teat, and the touch that was refused"
+    assert (
+        "It moved.\n\n[trial 3 of 18, teat 2 of 4, 8 of 12 touches left] Once more: touch the end of"
+        in said
+    )
+
+
 def test_it_says_how_far_the_run_is() -> None:
     who, out = asked("\n" * 5)
     who.ask(op.NextTrial(3, 18, 754.0))
@@ -52,7 +79,7 @@ def test_it_says_how_far_the_run_is() -> None:
     who.ask(op.CheckPoint(4, 5))
     said = out.getvalue()
     assert "[trial 3 of 18; about 13 min left] Situation ideal" in said
-    touch = "[trial 3 of 18, teat 2 of 4, touch 4 of 12; about 13 min left]"
+    touch = "[trial 3 of 18, teat 2 of 4, 9 of 12 touches left; about 13 min left]"
     assert f"{touch} Touch the end of teat 2, right rear (RR), with" in said
     assert "[touch 4 of 5] Arm check" in said
 
