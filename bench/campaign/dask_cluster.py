@@ -87,7 +87,6 @@ class _Kept:
                 return
         taken[0].close()
 
-
     def close(self, key: str) -> None:
         """End those of a client that has gone."""
         with self._lock:

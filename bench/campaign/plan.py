@@ -24,6 +24,8 @@ from bench.config import ConfigError, Positive, Section, read_calibration, read_
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedOptical, EmulatedThermal, make_renderer
 from bench.rig.scenes import chosen
+from bench.scoring.rates import Rate
+from bench.scoring.sequential import confidence_sequence
 from bench.script.detectors import EXEC, FILE, make_detectors
 from bench.toml import toml_text
 from detector.calibration import Calibration
@@ -87,6 +89,14 @@ class Plan(Section):
     @property
     def chunk_count(self) -> int:
         return len(self.families) * self.chunks_a_family
+
+    def interval(self, failures: int, scenes: int) -> tuple[float, float] | None:
+        """Of a failure rate, 95 %: exact for a number of scenes, one that holds at every look where
+        the plan stops by it; None of nothing.
+        """
+        if self.half_width is not None and scenes:
+            return confidence_sequence(failures, scenes)
+        return Rate(failures, scenes).interval()
 
     def chunk(self, number: int) -> Chunk:
         """Chunk ``number`` of all, from 0; the families take turns."""

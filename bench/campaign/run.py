@@ -21,10 +21,9 @@ from bench.campaign.shards import SHARDS, Shards
 from bench.config import ConfigError
 from bench.files import write_synced
 from bench.scoring.rates import Rate
+from bench.scoring.sequential import tight_enough
 
 PLAN, LOCK = "plan.toml", "campaign.lock"
-# failures and scenes so far of a detector on a family -> interval that holds at every look
-Interval = Callable[[int, int], tuple[float, float]]
 
 
 class Executor(Protocol):
@@ -56,16 +55,14 @@ class _Family:
 
 
 class Campaign:
-    """A campaign in ``folder``, new or gone on with. ``interval`` is asked where the plan has a
-    width to be reached. Raises ConfigError for a plan that can't be opened, and for a folder whose
-    rows were made by something else.
+    """A campaign in ``folder``, new or gone on with. Raises ConfigError for a plan that can't be
+    opened, and for a folder whose rows were made by something else.
     """
 
-    def __init__(self, plan: Plan, folder: Path, interval: Interval | None = None) -> None:
+    def __init__(self, plan: Plan, folder: Path) -> None:
         self.plan, self.folder = plan, folder
         self.job, self.made_by = open_plan(plan)
         self.shards = Shards(folder)
-        self._interval = interval
         path = folder / PLAN
         if path.exists():
             kept = read_plan(path)
@@ -155,10 +152,10 @@ class Campaign:
                 family.chunks = {k: v for k, v in family.chunks.items() if k < family.stopped}
 
     def _tight(self, family: _Family) -> bool:
-        if self._interval is None or self.plan.half_width is None:
-            return False
-        spans = [self._interval(rate.failures, rate.trials) for rate in family.sums.values()]
-        return all(high - low <= 2.0 * self.plan.half_width for low, high in spans)
+        width = self.plan.half_width
+        return width is not None and all(
+            tight_enough(rate.failures, rate.trials, width) for rate in family.sums.values()
+        )
 
     def _status(self, families: Mapping[str, _Family]) -> Status:
         failures: dict[str, int] = defaultdict(int)

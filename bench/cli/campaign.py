@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from bench.cli.arguments import CODES, complain
 from bench.config import ConfigError
@@ -15,7 +15,7 @@ from bench.config import ConfigError
 if TYPE_CHECKING:
     from bench.campaign.dask_cluster import DaskPool
     from bench.campaign.plan import Plan
-    from bench.campaign.run import Campaign, Executor, Interval, Status
+    from bench.campaign.run import Campaign, Executor, Status
 
 # flag -> key of a plan
 FLAGS = {
@@ -39,8 +39,7 @@ def run(given: argparse.Namespace) -> int:
     from bench.report.campaign import write_campaign_page
 
     plan = _plan(given)
-    interval = _interval(plan)
-    campaign = Campaign(plan, given.out, interval)
+    campaign = Campaign(plan, given.out)
     with locked(given.out):
         campaign.begin()
         try:
@@ -55,8 +54,8 @@ def run(given: argparse.Namespace) -> int:
             )
         except PoolError as error:
             return complain(f"{error} The same command goes on where it stopped.", CODES.fault)
-        page = write_campaign_page(given.out, plan, campaign.made_by, interval)
-        return _told(given, campaign, status, page, interval)
+        page = write_campaign_page(given.out, plan, campaign.made_by)
+        return _told(given, campaign, status, page)
 
 
 def chunk(given: argparse.Namespace) -> int:
@@ -138,19 +137,6 @@ def _plan(given: argparse.Namespace) -> Plan:
         raise ConfigError.plain(why) from error
 
 
-def _interval(plan: Plan) -> Interval | None:
-    """How tight a plan's intervals are, where it asks for that."""
-    if plan.half_width is None:
-        return None
-    try:
-        from bench.scoring.sequential import (  # type: ignore[import-untyped, import-not-found, unused-ignore]
-            confidence_sequence,
-        )
-    except ImportError:
-        raise ConfigError.plain("half_width: this release has no sequential intervals") from None
-    return cast("Interval", confidence_sequence)
-
-
 @contextmanager
 def _executor(
     campaign: Campaign, workers: int | None, dask: str | None, say: Callable[[str], None]
@@ -189,14 +175,14 @@ def _told(
     campaign: Campaign,
     status: Status,
     page: Path,
-    interval: Interval | None,
 ) -> int:
     from bench.report.campaign import family_rates, scenes_aside
     from bench.scoring.rates import percent
 
     with campaign.shards.connect() as db:
         rates, aside = family_rates(db), scenes_aside(db)
-    spans = [(rate, rate.interval(interval) or (None, None)) for rate in rates]
+    of = campaign.plan.interval
+    spans = [(rate, of(rate.failures, rate.scenes) or (None, None)) for rate in rates]
     digest = campaign.shards.digest()
     if given.json:
         keys = ("family", "detector", "scenes", "failures")

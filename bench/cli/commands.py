@@ -435,7 +435,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     ),
     "campaign query": (
         "ask DuckDB over the views scenes and teats",
-        'campaign query campaigns/ideal "SELECT failure, count(*) FROM scenes GROUP BY ALL"',
+        'campaign query campaigns/ideal "SELECT failure, count() FROM scenes GROUP BY ALL"',
         option("folder DIR", "the campaign's folder"),
         option("sql SQL", "a SELECT; DESCRIBE scenes and DESCRIBE teats tell the columns"),
         flag("--json", "a JSON list with an object a row"),

@@ -13,10 +13,9 @@ import duckdb
 
 from bench.campaign.chunk import ASIDE
 from bench.campaign.plan import Plan
-from bench.campaign.run import Interval
 from bench.campaign.shards import Shards
 from bench.report.wording import key_values, table
-from bench.scoring.rates import Rate, percent, plural
+from bench.scoring.rates import percent, plural
 from instruments.world.situations import spoken
 from reports.page import Banner, Page, Paragraph, Part, Section
 from reports.render import write_report
@@ -42,12 +41,6 @@ class FamilyRate:
     error: int
     median_mm: float | None
     p95_mm: float | None
-
-    def interval(self, by: Interval | None) -> tuple[float, float] | None:
-        """Of the failure rate, 95 %: exact, or ``by`` another way; None of nothing."""
-        if by is not None and self.scenes:
-            return by(self.failures, self.scenes)
-        return Rate(self.failures, self.scenes).interval()
 
 
 RATES = f"""
@@ -82,14 +75,12 @@ def scenes_aside(db: duckdb.DuckDBPyConnection) -> dict[str, str]:
     return {f"{family}-{member:04d}": why for family, member, why in found.fetchall()}
 
 
-def write_campaign_page(
-    folder: Path, plan: Plan, made_by: Mapping[str, str], interval: Interval | None
-) -> Path:
+def write_campaign_page(folder: Path, plan: Plan, made_by: Mapping[str, str]) -> Path:
     """``report/index.html`` of the campaign in ``folder``; gives back its path. Raises OSError."""
     with Shards(folder).connect() as db:
         rates, aside = family_rates(db), scenes_aside(db)
         worst = db.execute(WORST_FIRST).fetchall()
-    sections = [Section("rates", "Failures by family", (_rates(rates, interval),))]
+    sections = [Section("rates", "Failures by family", (_rates(rates, plan),))]
     if aside:
         rows = tuple(aside.items())
         found = table("Scenes set aside: no detector's failure", "scene | why", rows)
@@ -134,10 +125,10 @@ def _page(
     return Page(title, "Simulated scenes, scored without instruments", banner, sections)
 
 
-def _rates(rates: Sequence[FamilyRate], interval: Interval | None) -> Part:
+def _rates(rates: Sequence[FamilyRate], plan: Plan) -> Part:
     rows = []
     for rate in rates:
-        span = rate.interval(interval)
+        span = plan.interval(rate.failures, rate.scenes)
         rows.append(
             (
                 spoken(rate.family),
@@ -155,7 +146,7 @@ def _rates(rates: Sequence[FamilyRate], interval: Interval | None) -> Part:
         return Paragraph("No scene was scored.", "warn")
     how = (
         "a confidence sequence, which holds at every look"
-        if interval
+        if plan.half_width
         else "exact (Clopper and Pearson)"
     )
     return table(

@@ -196,14 +196,11 @@ def test_a_client_killed_at_random_goes_on_where_it_was(
 def test_a_family_stops_when_its_interval_is_tight_enough_whatever_came_first(
     tmp_path: Path,
 ) -> None:
-    plan = small_plan(tmp_path, scenes=9, half_width=0.1)
-
-    def interval(failures: int, scenes: int) -> tuple[float, float]:
-        return 0.0, (1.0 if scenes < 6 else 0.2)
-
+    # the thesis's detector fails on all of these: tight enough after six
+    plan = small_plan(tmp_path, scenes=9, half_width=0.3)
     digests = set()
     for name, order in (("as-planned", list), ("backwards", lambda chunks: chunks[::-1])):
-        campaign = Campaign(plan, tmp_path / name, interval)
+        campaign = Campaign(plan, tmp_path / name)
         campaign.begin()
         status = campaign.run(Here(campaign.job, order), lambda _: None)
         assert (status.done, status.planned) == (12, 12)
