@@ -21,7 +21,8 @@ from reports.page import Banner, Page, Paragraph, Part, Section
 from reports.render import write_report
 
 REPORT = "report"
-WORST = 50
+WORST = 25  # of each detector
+ORDER = "false_teats DESC, missed DESC, max_mm DESC NULLS FIRST, family, member"
 FAILURES = ("no answer", "false", "missed", "error")
 
 
@@ -57,8 +58,8 @@ FROM scenes GROUP BY family, detector ORDER BY family, detector
 WORST_FIRST = f"""
 SELECT family, member, detector, failure, found, visible, false_teats, max_mm FROM scenes
 WHERE failure NOT IN ('', '{ASIDE}')
-ORDER BY false_teats DESC, missed DESC, max_mm DESC NULLS FIRST, family, member, detector
-LIMIT {WORST}
+QUALIFY row_number() OVER (PARTITION BY detector ORDER BY {ORDER}) <= {WORST}
+ORDER BY detector, {ORDER}
 """
 
 
@@ -168,8 +169,8 @@ def _worst(rows: Sequence[tuple[object, ...]]) -> Part:
         for family, member, detector, failure, found, visible, false, max_mm in rows
     ]
     return table(
-        f"Worst scenes (at most {WORST})",
-        "scene | detector | failure | >found of visible | >false | >largest error [mm] ?",
+        f"Worst scenes (at most {WORST} of a detector)",
+        "scene | detector | failure | >found of visible | >false | >largest error [mm] ~.2f?",
         shown,
         "A scene's name is its family and the seed of the member.",
         searchable=True,

@@ -28,12 +28,12 @@ from tests.bench.campaign.small_campaign import KILLS, Here, command, small_plan
 from tests.bench.commands import Said
 
 WORKERS = (1, 2, 7) if KILLS else (2,)
-CLIENT_KILLS = int(KILLS or 2)
+CLIENT_KILLS, WORKER_KILLS = int(KILLS or 2), int(KILLS or 0)
 
 
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
-    return small_plan(tmp_path_factory.mktemp("plan"))
+    return small_plan(tmp_path_factory.mktemp("plan"), scenes=max(8, 2 * WORKER_KILLS))
 
 
 @pytest.fixture(scope="module")
@@ -66,20 +66,23 @@ def test_the_order_of_chunks_changes_nothing(
     assert shards.digest() == plain[1]
     assert len(shards.files()) == 2  # merged, a file a family
     assert query(tmp_path, "SELECT count(*), count(DISTINCT (family, member)) FROM scenes")[1] == [
-        (16, 16)
+        (2 * plan.most_scenes,) * 2
     ]
 
 
 class Killing:
-    """A pool that loses a worker after each of some results."""
+    """A pool that loses a worker after each of some results: which signal it gets, by the number of
+    the result.
+    """
 
     def __init__(self, inner: LocalPool, after: Mapping[int, int]) -> None:
         self._inner, self._after = inner, after
+        self._chance = random.Random(8)
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
         for number, found in enumerate(self._inner.results(chunks)):
             if number in self._after:
-                os.kill(self._inner.pids[0], self._after[number])
+                os.kill(self._chance.choice(self._inner.pids), self._after[number])
             yield found
 
 
@@ -92,7 +95,8 @@ def test_a_worker_killed_and_one_stopped_change_nothing(
     said: list[str] = []
     campaign = Campaign(plan, tmp_path)
     campaign.begin()
-    signals = {0: signal.SIGKILL, 2: signal.SIGSTOP}
+    more = dict.fromkeys(range(4, 4 + WORKER_KILLS), signal.SIGKILL)
+    signals = {0: signal.SIGKILL, 2: signal.SIGSTOP, **more}
     with pool(campaign, workers, said, limit_s=5.0) as inner:
         campaign.run(Killing(inner, signals), lambda _: None)
     assert campaign.shards.digest() == plain[1]
@@ -190,7 +194,7 @@ def test_a_client_killed_at_random_goes_on_where_it_was(
     out, err = last.communicate(timeout=100)
     assert last.returncode == 0, err
     assert json.loads(out)["digest"] == plain[1]
-    assert json.loads(out)["scenes"] == 16
+    assert json.loads(out)["scenes"] == 2 * plan.most_scenes
 
 
 def test_a_family_stops_when_its_interval_is_tight_enough_whatever_came_first(
@@ -212,15 +216,16 @@ def test_what_the_commands_write_and_refuse(
     plan: Plan, plain: tuple[Path, str], tmp_path: Path, said: Said
 ) -> None:
     folder, digest = plain
-    flags = "--family ideal --family overlapping --scenes 8 --chunk-scenes 3 --seed 7"
+    flags = "--family ideal --family overlapping --chunk-scenes 3 --seed 7"
+    flags += f" --scenes {plan.most_scenes}"
     line = f"campaign run {flags} --detector {{}} --rig {{}} --out {{}}"
     again = said(0, f"{line} --json", "thesis", plan.rig, folder)  # all is done: no worker starts
     found = json.loads(again.out)
-    assert (found["digest"], found["scenes"]) == (digest, 16)
+    assert (found["digest"], found["scenes"]) == (digest, 2 * plan.most_scenes)
     assert (folder / "report" / "index.html").is_file()
     assert {rate["scenes"] for rate in found["rates"]} == {8}
     size = sum(file.stat().st_size for file in (folder / "shards").iterdir())
-    assert size / 16 < 2000  # metadata: eight scenes a family; docs/campaigns.md has larger ones
+    assert size / (2 * plan.most_scenes) < 1500  # much of it metadata: few scenes a file
 
     table = said(0, "campaign query {} {}", folder, ["SELECT count(*) AS n FROM teats"]).out
     assert table.split()[0] == "n"
@@ -243,6 +248,35 @@ def test_what_the_commands_write_and_refuse(
     both = said(2, "campaign run {} --seed 3 --out {}", folder / "plan.toml", tmp_path / "x").err
     assert "both a plan and flags" in both
 
-    assert said(0, "campaign chunk {}", folder / "plan.toml").out == "6\n"
+    assert said(0, "campaign chunk {}", folder / "plan.toml").out == f"{plan.chunk_count}\n"
     assert "was done before" in said(0, "campaign chunk {} 0", folder / "plan.toml").out
-    assert "there is no chunk 6" in said(2, "campaign chunk {} 6", folder / "plan.toml").err
+    assert "there is no chunk 999" in said(2, "campaign chunk {} 999", folder / "plan.toml").err
+
+
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+from bench.cli.main import main
+with LocalCluster(1, processes=False, threads_per_worker=2, dashboard_address=None) as cluster:
+    code = main([*sys.argv[1:], "--dask", cluster.scheduler_address])
+sys.exit(code)
+"""
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_makes_the_same_rows(
+    plan: Plan, plain: tuple[Path, str], tmp_path: Path
+) -> None:
+    file = tmp_path / "plan.toml"
+    file.write_text(plan_text(plan, {}), encoding="utf-8")
+    words = ["campaign", "run", str(file), "--json", "--out", str(tmp_path / "out")]
+    ended = subprocess.run(
+        [sys.executable, "-c", CLUSTER, *words],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        timeout=200,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout)["digest"] == plain[1]
