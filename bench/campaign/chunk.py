@@ -198,7 +198,7 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
     answers = [
         examine(detector, frames, stated, timeout_s=math.inf) for detector in bench.detectors
     ]
-    digest = _digest(frames)
+    digest = digest_of_frames(frames)
     scores = [
         score_answer(answer, drawn.truth, limit_mm=bench.limit_mm, time_limit_s=math.inf)
         for answer in answers
@@ -217,7 +217,8 @@ def set_aside(scene: Scene, detectors: Iterable[str], why: str) -> Rows:
     return Rows(rows, (), tuple(Taken(0.0, None, why) for _ in rows))
 
 
-def _digest(frames: FrameSet) -> str:
+def digest_of_frames(frames: FrameSet) -> str:
+    """The start of the SHA-256 of all pictures' pixels, in hex."""
     whole = hashlib.sha256()
     for picture in (frames.left, frames.right, frames.thermal, frames.thermal_ck):
         if picture is not None:

@@ -6,7 +6,7 @@ What it finds are failures, not how often they come: their share among what it t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count, islice
 
@@ -15,15 +15,25 @@ from cmaes import CMA
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from bench.campaign.chunk import Rows, SceneRow
+from bench.campaign.chunk import (
+    Bench,
+    Rows,
+    Scene,
+    SceneRow,
+    run_scene,
+)
+from bench.scoring.weighted import Proposal, WeightedRate, weighted_rate
+from instruments.world.situations import ATTEMPTS, Around, Situation, drawn
 
 Floats = NDArray[np.float64]
 
 APART = 0.2  # of the parameters' ranges, root mean square; two even points are 0.41 apart
 EVEN_SHARE = 0.3  # of a search's scenes, before it goes uphill
 STEP = 0.3  # of the parameters' ranges, at first
+POPULATION = 8  # points of a generation
 STALE = 3  # generations of a climb that bring nothing new, until it ends
-ASKED = 200  # points for one that can be set up
+ASKED = 1000  # points for one that can be set up
+RATE_FIRST = 500_000_000  # the first member of which a rate is measured
 GATE_MM = 25.0  # a missed or false teat is as bad as an error so large
 
 
@@ -36,13 +46,14 @@ class Tried:
     point: Floats
     grade_mm: float
     failed: bool
+    row: SceneRow | None = None
 
 
 # None for a point that can't be set up, which costs nothing
 Evaluate = Callable[[Floats], Tried | None]
 
 
-class NothingFits(Exception):
+class NothingFitsError(Exception):
     """Of `ASKED` points none can be set up."""
 
 
@@ -87,7 +98,7 @@ def at_random(evaluate: Evaluate, dimensions: int, scenes: int, seed: int) -> li
 def search(
     evaluate: Evaluate, dimensions: int, scenes: int, seed: int, apart: float = APART
 ) -> Iterator[Tried]:
-    """So many scenes, each as soon as it was scored. Raises NothingFits."""
+    """So many scenes, each as soon as it was scored. Raises NothingFitsError."""
     chance = np.random.default_rng([seed, *b"search"])
     tried: list[Tried] = []
     failures: list[Tried] = []
@@ -119,7 +130,9 @@ def _climb(
     beside one that is known counts for nothing, so that it goes on to others; new ones are added.
     """
     box = np.tile([0.0, 1.0], (len(start.point), 1))
-    steps = CMA(start.point, STEP, bounds=box, seed=int(chance.integers(2**31)))
+    steps = CMA(
+        start.point, STEP, bounds=box, seed=int(chance.integers(2**31)), population_size=POPULATION
+    )
     best, stale = start.grade_mm, 0
     while stale < STALE:
         asked = (steps.ask() for _ in count())
@@ -127,7 +140,7 @@ def _climb(
         for _ in range(steps.population_size):
             try:
                 one = next(_tried(evaluate, asked))
-            except NothingFits:
+            except NothingFitsError:
                 return
             yield one
             new = one.failed and not _near(one.point, failures, apart)
@@ -141,6 +154,52 @@ def _climb(
         stale = 0 if found else stale + 1
 
 
+def evaluate_around(bench: Bench, around: Around) -> Evaluate:
+    """Scores points of a member's parameters with the first detector of the bench."""
+
+    def evaluate(point: Floats) -> Tried | None:
+        shares = dict(zip(around.parameters, point.tolist(), strict=True))
+        found, _ = around.at(shares)
+        scene = Scene(around.name, around.seed)
+        return None if found is None else _scored(bench, scene, found, point)
+
+    return evaluate
+
+
+def _scored(bench: Bench, scene: Scene, found: Situation, point: Floats) -> Tried | None:
+    try:
+        rows = run_scene(bench, scene, found)
+    except ValueError:  # a thing too near a camera
+        return None
+    grade, failed = grade_mm(rows, bench.detectors[0].name, bench.limit_mm)
+    return Tried(point, grade, failed, rows.scenes[0])
+
+
+def family_rate(
+    bench: Bench, family: str, known: Sequence[Mapping[str, float]], scenes: int
+) -> Iterator[WeightedRate]:
+    """The family's failure rate after each of so many scenes, half of them drawn near failures that
+    are ``known`` by the shares of their parameters. Their members are none that was searched.
+    """
+    names = list(dict.fromkeys(name for one in known for name in one))
+    table = np.array([[one.get(name, np.nan) for name in names] for one in known])
+    proposal = Proposal.around(table) if names else Proposal(np.empty(0), np.empty(0), 1.0)
+    failed: list[bool] = []
+    weights: list[float] = []
+    for member in range(RATE_FIRST, RATE_FIRST + scenes):
+        chance = np.random.default_rng([bench.seed, member, *family.encode()])
+        for attempt in range(ATTEMPTS):
+            point = proposal.draw(chance)
+            shares = dict(zip(names, point.tolist(), strict=True))
+            found, parameters = drawn(family, member, attempt, shares)
+            if found and (one := _scored(bench, Scene(family, member), found, point)):
+                there = np.array([name in parameters for name in names], dtype=np.bool_)
+                weights.append(proposal.weight(np.where(there, point, np.nan)))
+                failed.append(one.failed)
+                yield weighted_rate(failed, weights, proposal.largest)
+                break
+
+
 def _tried(evaluate: Evaluate, points: Iterator[Floats]) -> Iterator[Tried]:
     while True:
         for point in islice(points, ASKED):
@@ -148,7 +207,7 @@ def _tried(evaluate: Evaluate, points: Iterator[Floats]) -> Iterator[Tried]:
                 yield one
                 break
         else:
-            raise NothingFits
+            raise NothingFitsError
 
 
 def _near(point: Floats, others: Sequence[Tried], apart: float) -> bool:

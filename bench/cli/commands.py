@@ -433,6 +433,33 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("number N", "from 0", whole(0), nargs="?"),
         option("--out DIR", "the campaign's folder (default: the plan's)"),
     ),
+    "campaign search": (
+        "look for scenes on which a detector fails, around members of the families",
+        "campaign search --family low_contrast --scenes 100 --rate-scenes 200 --out searches/low",
+        option(
+            "plan PLAN", "a .toml file that says all of it (docs/campaigns.md)", Path, nargs="?"
+        ),
+        option("--family NAME", "may be given several times (default: all eleven)", many=True),
+        option("--scenes N", "tried around each member (default: 100)", whole(1, 10_000_000)),
+        option("--members N", "searched around, of each family", whole(1, 10_000), 1),
+        option("--rate-scenes N", "weighted scenes for each family's rate", whole(0, 1_000_000), 0),
+        DETECTORS,
+        option("--first N", "the first member's seed (default: 0)", whole(0)),
+        option("--seed N", "of noise, fixed patterns and the search (default: 1)", whole(0)),
+        option("--rig", "whose cameras: a shipped rig by name, or a .toml file"),
+        option("--calibration FILE", "what detectors are told (default: the cameras' own)", str),
+        option("--limit-mm MM", "of each teat's error (default: 5)", LENGTH),
+        option("--out DIR", "the search's folder, a new one", required=True),
+        JSON,
+    ),
+    "campaign keep": (
+        "add a failure that a search found to a recording, which `compare --gate` then holds",
+        "campaign keep searches/low 1 --into recordings/kept --name grey-on-grey",
+        option("folder DIR", "the search's folder"),
+        option("number N", "the failure's number", whole(1)),
+        option("--into DIR", "the recording; is added to", required=True),
+        option("--name NAME", "of the frame (default: family, member and number)", str),
+    ),
     "campaign query": (
         "ask DuckDB over the views scenes and teats",
         'campaign query campaigns/ideal "SELECT failure, count() FROM scenes GROUP BY ALL"',

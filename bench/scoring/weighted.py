@@ -77,10 +77,14 @@ class Proposal:
 
     @classmethod
     def around(cls, failures: Floats, even: float = EVEN) -> Proposal:
-        """By the mean and variance of failures (n, d); few of them give a wider density."""
-        mean = np.clip(failures.mean(axis=0), NARROWEST, 1.0 - NARROWEST)
-        variance = failures.var(axis=0) * (1.0 + FEW / len(failures)) + NARROWEST**2
-        both = mean * (1.0 - mean) / variance - 1.0
+        """By the mean and variance of failures (n, d), NaN where one has no such parameter; few of
+        them give a wider density.
+        """
+        count = np.isfinite(failures).sum(axis=0)
+        mean = np.clip(np.nanmean(failures, axis=0), NARROWEST, 1.0 - NARROWEST)
+        variance = np.nanvar(failures, axis=0) * (1.0 + FEW / count) + NARROWEST**2
+        # one failure alone says nothing of a width
+        both = np.where(count > 1, mean * (1.0 - mean) / variance - 1.0, 0.0)
         # no density is infinite at an end
         return cls(np.maximum(1.0, mean * both), np.maximum(1.0, (1.0 - mean) * both), even)
 
@@ -89,16 +93,15 @@ class Proposal:
         """The bound of the weights."""
         return 1.0 / self.even
 
-    def draw(self, chance: np.random.Generator) -> tuple[Floats, float]:
-        """A point (d,) and its weight."""
+    def draw(self, chance: np.random.Generator) -> Floats:
+        """A point (d,)."""
         if chance.random() < self.even:
-            point: Floats = chance.random(len(self.a))
-        else:
-            point = chance.beta(self.a, self.b)
-        return point, self.weight(point)
+            return chance.random(len(self.a))
+        return np.asarray(chance.beta(self.a, self.b))
 
     def weight(self, point: Floats) -> float:
-        """Density of even draws over that of these."""
-        x = np.clip(point, 1e-12, 1.0 - 1e-12)
+        """Density of even draws over that of these; NaN where a scene has no such parameter."""
+        x = np.clip(np.nan_to_num(point, nan=0.5), 1e-12, 1.0 - 1e-12)
         logs = xlogy(self.a - 1.0, x) + xlog1py(self.b - 1.0, -x) - betaln(self.a, self.b)
-        return float(1.0 / (self.even + (1.0 - self.even) * np.exp(logs.sum())))
+        density = float(np.exp(logs[np.isfinite(point)].sum()))
+        return 1.0 / (self.even + (1.0 - self.even) * density)

@@ -351,7 +351,7 @@ def situation(name: str, seed: int) -> Situation:
     if seed < 0:
         raise ValueError(f"a situation's seed must be 0 or more, is {seed}")
     for attempt in range(ATTEMPTS):
-        if found := _member(name, seed, Draw(name, seed, attempt)):
+        if found := drawn(name, seed, attempt)[0]:
             return found
     raise RuntimeError(
         f"nothing that can be set up was found for {name} {seed} in {ATTEMPTS} draws: the family's"
@@ -359,14 +359,18 @@ def situation(name: str, seed: int) -> Situation:
     )
 
 
-def _member(name: str, seed: int, draw: Draw) -> Situation | None:
-    """What is drawn, where it can be set up and fits its name."""
-    about, family = SITUATIONS[name]
-    drawn = family(draw)
-    if drawn is None or (name not in CLOSE and apart(drawn.phantom, EYES_MM) < CLEAR_MM):
-        return None
-    found = replace(drawn, name=name, seed=seed, about=about)
-    return None if faults(found) else found
+def drawn(
+    name: str, seed: int, attempt: int, point: Mapping[str, float] | None = None
+) -> tuple[Situation | None, Mapping[str, Parameter]]:
+    """One attempt at a member, None where it can't be set up or doesn't fit its family's name, and
+    its parameters by name. Those in ``point`` are there, in shares from 0 to 1 of their ranges.
+    """
+    draw, (about, family) = Draw(name, seed, attempt, point), SITUATIONS[name]
+    found = family(draw)
+    if found is None or (name not in CLOSE and apart(found.phantom, EYES_MM) < CLEAR_MM):
+        return None, draw.parameters
+    found = replace(found, name=name, seed=seed, about=about)
+    return None if faults(found) else found, draw.parameters
 
 
 class Around:
@@ -377,29 +381,16 @@ class Around:
     def __init__(self, name: str, seed: int) -> None:
         situation(name, seed)
         self.name, self.seed = name, seed
-        for self._attempt in range(ATTEMPTS):
-            draw = Draw(name, seed, self._attempt)
-            if _member(name, seed, draw):
-                break
-        self.parameters: Mapping[str, Parameter] = draw.parameters
+        self._attempt = next(i for i in range(ATTEMPTS) if drawn(name, seed, i)[0])
+        self.parameters = drawn(name, seed, self._attempt)[1]
 
-    def at(self, point: Mapping[str, float]) -> Situation | None:
-        """The situation at ``point``, shares from 0 to 1 of the parameters' ranges by name, the
-        others as they are; None where it can't be set up or doesn't fit its family's name.
-        """
-        return self._drawn(point)[0]
-
-    def values(self, point: Mapping[str, float]) -> dict[str, float]:
-        """The parameters at ``point`` in their own units: some ranges depend on others."""
-        return {name: one.value for name, one in self._drawn(point)[1].parameters.items()}
-
-    def _drawn(self, point: Mapping[str, float]) -> tuple[Situation | None, Draw]:
+    def at(self, point: Mapping[str, float]) -> tuple[Situation | None, Mapping[str, Parameter]]:
+        """As `drawn`. Raises ValueError for a parameter or share that can't be."""
         if unknown := set(point) - set(self.parameters):
             raise ValueError(f"{self.name} {self.seed} has no parameter {min(unknown)!r}")
         if wrong := [name for name, share in point.items() if not 0.0 <= share <= 1.0]:
             raise ValueError(f"{min(wrong)}: a share of a range is from 0 to 1")
-        draw = Draw(self.name, self.seed, self._attempt, point)
-        return _member(self.name, self.seed, draw), draw
+        return drawn(self.name, self.seed, self._attempt, point)
 
 
 def _plain(draw: Draw, phantom: Phantom, *objects: SceneObject) -> Situation:

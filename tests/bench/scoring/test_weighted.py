@@ -29,10 +29,10 @@ def drawn(proposal: Proposal, scenes: int, seed: int) -> tuple[list[bool], list[
     failed: list[bool] = []
     weights: list[float] = []
     while len(weights) < scenes:
-        point, weight = proposal.draw(chance)
+        point = proposal.draw(chance)
         if can_be_set_up(point):
             failed.append(bool(fails(point)))
-            weights.append(weight)
+            weights.append(proposal.weight(point))
     return failed, weights
 
 
