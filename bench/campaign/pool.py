@@ -256,9 +256,9 @@ class LocalPool:
             self._say(f"worker {worker.number} {how} before it was ready")
             if self._starts_failed >= (MORE_START_DEATHS if self._began else START_DEATHS):
                 raise PoolError(
-                    f"{self._starts_failed} workers one after the other {how} before they were ready. Is"
-                    " there memory for them? 'python -m bench.campaign.worker' shows an error of"
-                    " the installation."
+                    f"{self._starts_failed} workers one after the other {how} before they were"
+                    " ready. Is there memory for them? 'python -m bench.campaign.worker' shows an"
+                    " error of the installation."
                 )
             return None
         if not parts:
