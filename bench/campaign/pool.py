@@ -285,6 +285,8 @@ class LocalPool:
         return self.limit_s if worker.ready else START_LIMIT_S
 
     def _kill_silent(self) -> None:
+        if not self._heard.empty():  # who said something while the rows were written is heard first
+            return
         now_s = stopwatch_s()
         for worker in self._workers:
             limit_s = self._silent_s(worker)

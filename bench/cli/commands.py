@@ -441,10 +441,10 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     ),
     "campaign chunk": (
         "do one chunk of a plan, for a cluster's job arrays; without N, print how many there are",
-        "campaign chunk campaigns/night/plan.toml 0",
+        "campaign chunk night.toml 0 --out campaigns/night",
         option("plan PLAN", "the plan's .toml file", Path),
         option("number N", "from 0", whole(0), nargs="?"),
-        option("--out DIR", "the campaign's folder (default: the plan's)"),
+        option("--out DIR", "the campaign's folder (default: the plan's, where that is one)"),
     ),
     "campaign query": (
         "ask DuckDB over the views scenes and teats",

@@ -253,6 +253,11 @@ def test_what_the_commands_write_and_refuse(
     both = said(2, "campaign run {} --seed 3 --out {}", folder / "plan.toml", tmp_path / "x").err
     assert "both a plan and flags" in both
 
+    own = tmp_path / "own" / "plan.toml"
+    own.parent.mkdir()
+    own.write_text(plan_text(plan, {}), encoding="utf-8")
+    assert "a folder of its own" in said(2, "campaign chunk {} 0", own).err
+
     assert said(0, "campaign chunk {}", folder / "plan.toml").out == f"{plan.chunk_count}\n"
     assert "was done before" in said(0, "campaign chunk {} 0", folder / "plan.toml").out
     assert "there is no chunk 999" in said(2, "campaign chunk {} 999", folder / "plan.toml").err
