@@ -31,6 +31,7 @@ from instruments.world.state import SceneState
 
 LIMIT_MM = 5.0  # of the error of each teat; thesis, section 1.4.3
 ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
+WRONG = ("false", "missed", "error")  # failures of an answer, the gravest first
 DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance of 3e-8
 
 
@@ -113,6 +114,11 @@ class SceneRow:
     mean_mm: float | None
     failure: str
     frames: str
+
+    @property
+    def no_answer(self) -> bool:
+        """The detector failed to answer, or was too late."""
+        return self.failure not in ("", ASIDE, *WRONG)
 
 
 @dataclass(frozen=True, slots=True)

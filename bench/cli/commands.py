@@ -22,7 +22,7 @@ from bench.cli.arguments import (
 
 # the help of all: what somebody wants to do, and the commands and groups for it
 TASKS = {
-    "run trials": ("run", "resume", "control", "report", "runs", "trials", "plan"),
+    "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
     "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
     "set up a rig": ("check", "rigs", "calibrate", "emulate"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
@@ -215,6 +215,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         DETECTORS,
         EVENTS,
         flag("--open", "open the report in the browser at the end, where there is a desktop"),
+        flag("--console", "open the console beside it; an emulated rig then takes its real time"),
     ),
     "resume": (
         "go on with a run that stopped, at its first trial without a result",
@@ -243,6 +244,18 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             flag("--pdf", "fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)"),
             flag("--no-pdf", "print no report.pdf, though a browser is installed"),
         ),
+    ),
+    "console": (
+        "a page in the browser: what a run is doing, what it asks, and a button that ends it",
+        "console --runs runs",
+        option("--runs DIR", "where run folders are", default=Path("runs")),
+        option("--port N", "of this machine (default: one that is free)", whole(0, 65535), 0),
+        option(
+            "--listen ADDRESS",
+            "an address of this machine that others reach (default: 127.0.0.1, this machine alone)",
+            default="127.0.0.1",
+        ),
+        flag("--no-open", "don't open the page"),
     ),
     "runs": (
         "list all runs with each detector's verdicts, and write a page over them",
@@ -428,10 +441,10 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     ),
     "campaign chunk": (
         "do one chunk of a plan, for a cluster's job arrays; without N, print how many there are",
-        "campaign chunk campaigns/night/plan.toml 0",
+        "campaign chunk night.toml 0 --out campaigns/night",
         option("plan PLAN", "the plan's .toml file", Path),
         option("number N", "from 0", whole(0), nargs="?"),
-        option("--out DIR", "the campaign's folder (default: the plan's)"),
+        option("--out DIR", "the campaign's folder (default: the plan's, where that is one)"),
     ),
     "campaign search": (
         "look for scenes on which a detector fails, around members of the families",

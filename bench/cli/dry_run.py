@@ -16,7 +16,7 @@ from bench.dry_run.rehearsal import NoTwinError, Rehearsal, rehearse
 from bench.results.answers import close_detectors
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import open_instruments
-from bench.rig.urls import CONSOLE
+from bench.rig.urls import PEOPLE
 from bench.run.estimate import needs, read_learnt
 from bench.run.lock import RigInUseError, lock_path, locked
 from bench.run.trial import refuse_carry
@@ -127,7 +127,7 @@ def _print_needs(rig: LoadedRig, script: LoadedScript, out: Path) -> None:
         for kind, seconds in asdict(wanted.time).items()
         if seconds >= 1
     )
-    how = f"; the operator's {by}" if rig.rig.operator.url == CONSOLE else ""
+    how = f"; the operator's {by}" if rig.rig.operator.url in PEOPLE else ""
     print(f"about {_time(wanted.time.total_s)} of the bench's time: {parts}{how}")
     asked = ", ".join(f"{count} {what}" for what, count in wanted.asked.items() if count)
     print(f"at most {wanted.disk_mb:.0f} MB and the report, {wanted.prompts} prompts: {asked}")

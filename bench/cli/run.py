@@ -17,10 +17,10 @@ from bench.cli.store import undamaged
 from bench.cli.terminal import Terminal, TerminalProgress, working
 from bench.config import ConfigError
 from bench.record.reader import read_run
-from bench.rig.loading import find_rig, load_rig
-from bench.rig.urls import CONSOLE
+from bench.rig.loading import LoadedRig, find_rig, load_rig
+from bench.rig.urls import PEOPLE
 from bench.run.events import Events, SafeProgress, event_lines
-from bench.script.model import find_script, load_script
+from bench.script.model import LoadedScript, find_script, load_script
 from bench.script.pixel_offsets import is_offset_script, load_offsets, outcomes
 from instruments.operators.console import keyboard_of
 
@@ -44,6 +44,15 @@ def run(given: argparse.Namespace) -> int:
         from bench.cli.dry_run import look_ahead
 
         return look_ahead(rig, script, given.out, given.detector, given.seed)
+    if given.console:
+        from bench.cli.console import beside
+
+        with beside(given.out):
+            return _run(given, rig, script)
+    return _run(given, rig, script)
+
+
+def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int:
     from bench.cli.verdict import open_report, show_verdict
     from bench.report.page import write_run_report
     from bench.run.estimate import estimate_text, figures, needs, read_learnt, took, write_learnt
@@ -57,7 +66,7 @@ def run(given: argparse.Namespace) -> int:
             seed=given.seed,
             detectors=given.detector,
             record=given.record,
-            realtime=given.realtime,
+            realtime=given.realtime or (given.console and bool(rig.rig.emulated)),
             capture=given.capture,
             begun=shown.say,
         )
@@ -99,7 +108,7 @@ def resume(given: argparse.Namespace) -> int:
 
 def typed_lines(operator_url: str) -> Callable[[], str | None]:
     """Lines typed at this terminal, where it is one and no operator is asked there."""
-    if operator_url == CONSOLE or sys.stdin is None or not sys.stdin.isatty():
+    if operator_url in PEOPLE or sys.stdin is None or not sys.stdin.isatty():
         return lambda: None
     keyboard, terminal = keyboard_of(sys.stdin, lambda _: None), sys.stdin.fileno()
 

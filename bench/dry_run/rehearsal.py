@@ -34,7 +34,7 @@ from bench.rig.loading import LoadedRig
 from bench.rig.model import Cameras, Checks, EmulatedStage, Emulation, FocusTable, Placed
 from bench.rig.opening import open_instruments
 from bench.rig.scripted_answers import load_answers
-from bench.rig.urls import CONSOLE, EMULATED, SCRIPT
+from bench.rig.urls import EMULATED, PEOPLE, SCRIPT
 from bench.run.context import RunContext
 from bench.run.engine import Engine
 from bench.run.events import Events, read_events
@@ -174,7 +174,7 @@ def rehearse(
             store.fact("detectors", [])
             cameras = StandInCameras(twin, twin_rig, events, script.planned, detectors, course)
             hands = ReachingHands(
-                twin, twin_rig.rig.emulation.arm_placed, events, leans=url == CONSOLE
+                twin, twin_rig.rig.emulation.arm_placed, events, leans=url in PEOPLE
             )
             table = twin_rig.rig.cameras.model_copy(update={"checks": LENIENT})
             tested = replace(twin_rig, rig=twin_rig.rig.model_copy(update={"cameras": table}))

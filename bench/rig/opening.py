@@ -16,7 +16,7 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Emulation, OneCamera, Operator, Rig, ThermalTable
 from bench.rig.scripted_answers import load_answers
-from bench.rig.urls import CONSOLE, ELSEWHERE, EMULATED, SCRIPT
+from bench.rig.urls import BROWSER, CONSOLE, ELSEWHERE, EMULATED, PEOPLE, SCRIPT
 from detector.calibration import Calibration
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.profile import Profile
@@ -32,6 +32,7 @@ from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.stream import Debouncer
 from instruments.operators.console import Console
+from instruments.operators.mailbox import Mailbox
 from instruments.operators.prompted import PromptedOperator
 from instruments.operators.remote import RemoteOperator
 from instruments.stage.driver import Stage
@@ -67,23 +68,25 @@ def open_instruments(
     start_s: float = 0.0,
     identify: bool = True,
     coming: Sequence[Situation] = (),
+    folder: Path | None = None,
 ) -> Iterator[Devices]:
     """The instruments ``names`` of ``rig``; others are None. Closed at the end. Without ``clock``
     time is virtual where all is emulated and no person takes part. ``twin``: emulators already up;
     ``capture`` taps links; ``screen`` is entered around a question; ``identify`` False puts the
-    check of the bath off; scenes that are ``coming`` are drawn ahead. Raises BringUpError, or a
-    single instrument's fault, and ConfigError.
+    check of the bath off; scenes that are ``coming`` are drawn ahead; in the run's ``folder`` a
+    browser's operator is asked. Raises BringUpError, or a single instrument's fault, and
+    ConfigError.
     """
     emulated = twin is not None or any(rig.rig.urls.get(name) == EMULATED for name in names)
     with ExitStack() as stack:
         if clock is None:
-            person = "operator" in names and rig.rig.operator.url == CONSOLE
+            person = "operator" in names and rig.rig.operator.url in PEOPLE
             clock = (
                 VirtualClock()
                 if emulated and not realtime and not person
                 else stack.enter_context(closing(RealClock(start_s)))
             )
-        answerer = _answerer(rig, clock, screen) if "operator" in names else None
+        answerer = _answerer(rig, clock, screen, folder) if "operator" in names else None
         if emulated and twin is None:
             twin = stack.enter_context(
                 EmulatedRig(rig, clock, rig.rig.seed if seed is None else seed)
@@ -115,7 +118,7 @@ def open_instruments(
 
 def in_virtual_time(rig: LoadedRig, *, realtime: bool) -> bool:
     """Whether a run need not wait: all is emulated, and no person takes part."""
-    return bool(rig.rig.emulated) and not realtime and rig.rig.operator.url != CONSOLE
+    return bool(rig.rig.emulated) and not realtime and rig.rig.operator.url not in PEOPLE
 
 
 def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
@@ -182,13 +185,19 @@ def _open_cameras(rig: LoadedRig, clock: Clock) -> Cameras:
     return CameraSet(openers, {name: conversion_of(t, made) for name, t in tables.items()})
 
 
-def _answerer(rig: LoadedRig, clock: Clock, screen: Screen) -> PromptedOperator | None:
-    """Who answers prompts; None for an emulated operator. Raises ConfigError."""
+def _answerer(
+    rig: LoadedRig, clock: Clock, screen: Screen, folder: Path | None
+) -> PromptedOperator | None:
+    """Who answers prompts; None for an emulated operator. Outside of a run there is no ``folder``,
+    and a browser's operator is asked at the terminal. Raises ConfigError.
+    """
     url = rig.rig.operator.url
-    if url == CONSOLE:
+    if url in PEOPLE:
         # a progress bar's stand-in ends each question with a line
         out = getattr(sys.stdout, "rich_proxied_file", sys.stdout)
-        return Console(sys.stdin, out, clock, screen=screen, remind_s=rig.rig.operator.remind_s)
+        mailbox = Mailbox(folder) if folder and url == BROWSER else None
+        remind_s = rig.rig.operator.remind_s
+        return Console(sys.stdin, out, clock, screen=screen, remind_s=remind_s, mailbox=mailbox)
     if url.startswith(EMULATED):
         return None
 

@@ -12,7 +12,8 @@ from pydantic import ValidationInfo
 from bench.config import did_you_mean
 from instruments.bath.connection import ALLOWED, LineError, parse_line
 
-EMULATED, CONSOLE, SCRIPT = "emulator:", "console:", "script:"
+EMULATED, CONSOLE, BROWSER, SCRIPT = "emulator:", "console:", "browser:", "script:"
+PEOPLE = (CONSOLE, BROWSER)  # a person answers, in real time
 ELSEWHERE = "emulator://"  # the operator of another process, which emulates the whole rig
 
 
@@ -55,9 +56,9 @@ def relay_url(url: str) -> str:
 def operator_url(url: str, info: ValidationInfo) -> str:
     if url.startswith(SCRIPT):
         beside(url.removeprefix(SCRIPT), info)
-    elif url not in (EMULATED, CONSOLE) and not re.match(rf"{ELSEWHERE}[^/:]+:\d+$", url):
-        near = did_you_mean(url, (EMULATED, CONSOLE, SCRIPT))
-        allowed = (CONSOLE, EMULATED, f"{SCRIPT}ANSWERS.toml", f"{SCRIPT}ANSWERS.txt")
+    elif url not in (EMULATED, *PEOPLE) and not re.match(rf"{ELSEWHERE}[^/:]+:\d+$", url):
+        near = did_you_mean(url, (EMULATED, *PEOPLE, SCRIPT))
+        allowed = (*PEOPLE, EMULATED, f"{SCRIPT}ANSWERS.toml", f"{SCRIPT}ANSWERS.txt")
         there = ", ".join(f'"{one}"' for one in (*allowed, f"{ELSEWHERE}host:port"))
         raise ValueError(f"not an operator{near} (allowed: {there})")
     return url

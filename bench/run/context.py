@@ -5,19 +5,25 @@ events; with them signs of life for the guardian, looks at the interlocks, and t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bench.record.writer import Store
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig
 from bench.run.estimate import gate_of
 from bench.run.events import EVENT, Events, RunStates
+from bench.run.live import Live, bath_state, interlock_states
 from bench.safety.bath_monitor import TripHandler
 from bench.safety.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.script.model import LoadedScript
 from bench.truth.arm_tip import TipReader
 from instruments.clock import stopwatch_s, wall_time
-from instruments.operators.operator import KIND_OF, Answer, Release, Request
+from instruments.microscribe.stream import Sample
+from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
 
 LOOK_S = 1.0
 STEPPED_S = 5.0  # time servers nudge a clock by less
@@ -47,6 +53,10 @@ class RunContext:
         self.clock = devices.clock
         self.tip = TipReader(devices.arm, rig.rig.arm, rig.frame)
         self.check_interrupts: Callable[[], None] = lambda: None
+        self.live = Live(store.folder)
+        self.progress: Callable[[], Mapping[str, Any]] = dict
+        self.away = ""  # the instrument that dropped out
+        self._touching = False
         self._pulse = pulse or Heartbeat()
         self._wall_behind_s: float | None = None
         self.trips = TripHandler(
@@ -66,9 +76,11 @@ class RunContext:
             return self.devices.operator.ask(request, self.look)
         self._pulse.sign(f"waiting for the operator: {kind}", math.inf)
         self.events.asked(kind)
+        self._touching = isinstance(request, Touch | BoardTouch)
         try:
             return self.devices.operator.ask(request, self.look)
         finally:
+            self._touching = False
             self.events.asked("")
             self._pulse.sign("going on")
 
@@ -91,6 +103,36 @@ class RunContext:
         """
         self.watch.check()
         self.check_interrupts()
+        if self.live.due:
+            self.live.write(self._state(), self._tip_mm())
+
+    def _state(self) -> dict[str, Any]:
+        """The run as it is now; units in the keys."""
+        progress = dict(self.progress())
+        settling_s = progress.pop("settling_s", 0.0)
+        devices = self.devices
+        there = {"arm": devices.arm, "bath": devices.bath, "stage": devices.stage}
+        names = [*(name for name, one in there.items() if one), "cameras"]
+        return {
+            "t_s": self.clock.now(),
+            "state": self.states.current.value,
+            **progress,
+            "bath": bath_state(self.watch, settling_s),
+            "interlocks": interlock_states(self.watch),
+            "tripped": str(self.watch.tripped) if self.watch.tripped else None,
+            "instruments": {name: "away" if name == self.away else "ok" for name in names},
+        }
+
+    def _tip_mm(self) -> NDArray[np.float64] | None:
+        """Where the tip is while a touch is asked for, in the world; None at other times. Raises as
+        the arm's driver does.
+        """
+        arm = self.devices.arm
+        if not self._touching or not arm.homed:
+            return None
+        packet = arm.poll()
+        seen = arm.position([Sample(self.clock.now(), packet.counts, packet.buttons)])
+        return self.tip.in_world(seen).tip_mm
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
         """``what`` may take ``at_most_s`` before the guardian takes the bench for hung. A wait on a

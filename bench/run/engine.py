@@ -95,6 +95,7 @@ class Engine:
         self._reserve = Reserve(store.folder)
         self.bath_is_safe = False  # until the run has ended and made it so
         ctx.events.live = self._live
+        ctx.progress = self._progress
         # whoever looks for what the screen had to show finds why it showed nothing
         ctx.events.not_shown = partial(self._kept, ctx.event, "not shown")
         ctx.events.replaying = self._rehearsed is not None
@@ -233,6 +234,15 @@ class Engine:
             live["left"] = time_left(left_s + watch.stable_in_s(settling_s))
         return live
 
+    def _progress(self) -> dict[str, object]:
+        return {
+            "done": self._attempts.done,
+            "planned": len(self._ctx.script.planned),
+            "left_s": self._attempts.left_s,
+            "paused": self._requests.paused,
+            "settling_s": self._expected.settling_s if self._expected else 0.0,
+        }
+
     def _ended_by(self, why: BaseException) -> Ending:
         """The ending that ``why`` means, written down; raises it again when it is a mistake of the
         bench.
@@ -287,6 +297,7 @@ class Engine:
         self._kept(ctx.store.fact, "ending", ending.value)
         self._kept(ctx.store.fact, "wall_ended", wall_time().isoformat(timespec="seconds"))
         self._kept(ctx.store.flush)
+        ctx.live.end()
         return ending
 
     def _write_down(self, kind: str, text: str, *, aloud: bool = False) -> None:

@@ -21,7 +21,7 @@ from typing import Any
 from bench.files import write_synced
 from bench.record.reader import RunRecord
 from bench.rig.loading import LoadedRig
-from bench.rig.urls import CONSOLE
+from bench.rig.urls import PEOPLE
 from bench.run.events import RunState, read_events
 from bench.safety.stability import StabilityGate, State
 from bench.script.model import LoadedScript
@@ -227,7 +227,7 @@ def needs(
     figures = {**ASSUMED, **learnt}
     if emulated:
         figures |= {"homing": 0.0, "capture": 0.0}
-    if rig.rig.operator.url != CONSOLE:
+    if rig.rig.operator.url not in PEOPLE:
         figures |= dict.fromkeys(
             ("set-up", "placing", "touch"), rig.rig.emulation.prompt_s if emulated else 0.0
         )

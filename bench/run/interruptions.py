@@ -131,6 +131,7 @@ class Recovery:
         ctx, name = self._ctx, str(instrument_of(fault))
         are = "are" if name == "cameras" else "is"
         self._missing = (fault, policy)
+        ctx.away = name
         started_s = ctx.clock.now()
         if name == "arm":
             ctx.ask(Release())
@@ -147,7 +148,7 @@ class Recovery:
             ctx.check()
             note = f"the {name} {are} back after {ctx.clock.now() - started_s:.1f} s"
             ctx.event("back", f"{note}; done again from its start: {what}")
-        self._missing = None
+        self._missing, ctx.away = None, ""
 
     def _back(self, name: str) -> bool:
         """Whether it is back: the arm signed on and homed on its peg, for it may have lost its

@@ -56,6 +56,30 @@ def run_lock(folder: Path) -> Path:
     return folder / RUN_LOCK
 
 
+def holder_of(folder: Path) -> dict[str, Any]:
+    """Which bench the run in ``folder`` is under way in; empty where none is, or where one of this
+    machine has died.
+    """
+    holder = _holder(run_lock(folder))
+    if holder.get("host") == platform.node() and not _lives(holder.get("pid")):
+        return {}
+    return holder
+
+
+def _lives(pid: Any) -> bool:
+    if not isinstance(pid, int):
+        return False
+    if os.name == "nt":  # os.kill would end it
+        return True
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        return True
+    return True
+
+
 def lock_path(rig: LoadedRig) -> Path | None:
     """Where the rig's lock is; None for an emulated rig."""
     return None if rig.rig.emulated else rig.path.with_name(rig.path.stem + ENDING)

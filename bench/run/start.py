@@ -208,6 +208,7 @@ def _run(
                 screen=events.aside,
                 start_s=left.last_s + BETWEEN_S if left else 0.0,
                 coming=[trial.scene for trial in script.planned if trial.scene],
+                folder=store.folder,
             ) as devices,
         ):
             refuse_other_cameras(rig.calibration.record, devices.cameras.identity)

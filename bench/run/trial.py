@@ -20,7 +20,7 @@ from bench.results.answers import Answer, Examiner
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
-from bench.rig.urls import CONSOLE
+from bench.rig.urls import PEOPLE
 from bench.run.context import RunContext
 from bench.run.events import RunState
 from bench.run.recordings import Recorder
@@ -274,6 +274,7 @@ class TrialRun:
         """
         ctx, there = self._ctx, shown(trial, self._axes)
         ctx.store.refuse_gone()
+        ctx.live.expect(trial.name, there.ends)
         started_s = ctx.clock.now()
         self._truth.before(there)
         self._settle()
@@ -285,6 +286,7 @@ class TrialRun:
         ctx.wait(self._rig.cameras.settle_s)
         frames = self._capture_settled(trial.id)
         captured_s = ctx.clock.now()
+        ctx.live.frames(frames)
         bath, bath_state = ctx.watch.last, ctx.watch.state
         ctx.events.state("taking the truth")
         truth = self._truth.of_trial(there)
@@ -335,7 +337,7 @@ class TrialRun:
         """With a picture for a person; the one before where nothing is to be changed by hand. One
         that can't be made costs no trial.
         """
-        if self._rig.operator.url != CONSOLE:
+        if self._rig.operator.url not in PEOPLE:
             return asked
         before = self._before
         if before is None or replace(before, unattended=asked.unattended) != asked:

@@ -52,7 +52,11 @@ class TipReader:
 
     def read(self) -> Reading:
         """One reading of a still arm, in the world. Raises as the driver does."""
-        seen = self._arm.read(self._settings.packets, max_spread_mm=self._settings.max_spread_mm)
+        settings = self._settings
+        return self.in_world(self._arm.read(settings.packets, settings.max_spread_mm))
+
+    def in_world(self, seen: Reading) -> Reading:
+        """A reading of the arm's own frame in the world."""
         if self._frame is None:
             return seen
         motion = self._frame.world_from_arm

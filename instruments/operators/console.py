@@ -1,4 +1,5 @@
-"""A person at a terminal: reads instructions, answers with Enter, a word or a pedal.
+"""A person at a terminal: reads instructions, answers with Enter, a word or a pedal. With a
+`Mailbox` a person at a browser may answer as well; whoever is first is taken.
 
 What a prompt's ``check`` raises, as an interlock's trip, ends the prompt at once, so lines are read
 without blocking.
@@ -17,6 +18,7 @@ from typing import TextIO
 
 from instruments.clock import Clock
 from instruments.operators import operator as op
+from instruments.operators.mailbox import BENCH, TERMINAL, Mailbox
 from instruments.operators.prompted import PromptedOperator
 
 CTRL_C, CTRL_Z, BACKSPACE, FUNCTION_KEYS = "\x03", "\x1a", "\b", "\x00\xe0"
@@ -119,8 +121,9 @@ Pedal = Callable[[float], bool]
 
 class Console(PromptedOperator):
     """Prompts on ``out``, answers from ``answers``, whose end is an abort. ``watch`` is called for
-    each touch at a terminal and gives a function that waits for a pedal. ``screen`` is entered
-    around each prompt and clears what else moves there.
+    each touch and gives a function that waits for a pedal, at a terminal or with a ``mailbox``,
+    through which a browser answers too. ``screen`` is entered around each prompt and clears what
+    else moves there.
     """
 
     def __init__(
@@ -132,18 +135,21 @@ class Console(PromptedOperator):
         watch: Callable[[], Pedal] | None = None,
         screen: Callable[[], AbstractContextManager[None]] = nullcontext,
         remind_s: float = REMIND_S,
+        mailbox: Mailbox | None = None,
     ) -> None:
         self._out = out
         self._clock = clock
         self._screen = screen
         self._remind_s = remind_s
-        self._terminal = answers.isatty()
+        self._mailbox = mailbox
+        self._terminal = answers is not None and answers.isatty()
         self._keyboard = keyboard_of(answers, self._write)
-        self._watch = watch if self._terminal else None
+        self._listening = self._terminal or mailbox is None
+        self.watch_pedals(watch)
 
-    def watch_pedals(self, watch: Callable[[], Pedal]) -> None:
+    def watch_pedals(self, watch: Callable[[], Pedal] | None) -> None:
         """From now on a pedal is as good as Enter where a touch is asked for."""
-        self._watch = watch if self._terminal else None
+        self._watch = watch if self._terminal or self._mailbox else None
 
     def say(self, text: str) -> None:
         """Show ``text``. Raises OperatorAbort where the terminal has gone."""
@@ -159,37 +165,64 @@ class Console(PromptedOperator):
                     raise op.OperatorAbort("the operator aborted the run")
             progress = f"[{prompt.progress}] " if prompt.progress else ""
             self._write(f"\n{progress}{prompt.text}\n")
+            if self._mailbox:
+                self._mailbox.open(prompt)
             try:
-                return self._answer(prompt, check)
-            except (Exception, KeyboardInterrupt) as why:
-                if not isinstance(why, WISHES):  # ended without an answer
+                words = self._words(prompt, check)
+            except (Exception, KeyboardInterrupt) as why:  # ended without an answer
+                ended = str(why) or "interrupted"
+                if not isinstance(why, WISHES):
                     with contextlib.suppress(op.OperatorAbort):
-                        ended = str(why) or "interrupted"
                         self._write(f"\nNo answer is needed any more: {ended}\n")
+                if self._mailbox:
+                    self._mailbox.close(ended, BENCH)
                 raise
+            return op.understood(self._settled(words), prompt)
 
-    def _answer(self, prompt: op.Prompt, check: Callable[[], None]) -> frozenset[int]:
+    def _settled(self, words: str) -> str:
+        """The words that hold: a browser's where those came first."""
+        if not self._mailbox:
+            return words
+        given = self._mailbox.close(words.strip(), TERMINAL)
+        if given.by != TERMINAL:
+            self._write(f"Answered by {given.by}: {given.words or 'go'}\n")
+        return given.words
+
+    def _words(self, prompt: op.Prompt, check: Callable[[], None]) -> str:
+        """Words that ``prompt`` understands."""
         while True:
-            line = self._line(prompt.keys(pedal=self._watch is not None), check, pedal=prompt.pedal)
-            if line.strip() == op.EXPLAIN:
+            words = self._line(
+                prompt.keys(pedal=self._watch is not None), check, pedal=prompt.pedal
+            )
+            if words.strip() == op.EXPLAIN:
                 self._write(f"{prompt.explained()}\n")
                 continue
             try:
-                return op.understood(line, prompt)
+                op.understood(words, prompt)
             except op.NotUnderstoodError as error:
                 self._write(f"{error}\n")
+                continue
             except op.OperatorSkip as skip:
                 why = "Why? (a few words for the record; Enter alone: don't skip): "
-                if reason := skip.reason or self._line(why, check).strip():
-                    raise op.OperatorSkip(reason) from None
+                if skip.reason:
+                    return words
+                if reason := self._line(why, check).strip():
+                    given = self._mailbox.answer() if self._mailbox else None
+                    return given.words if given else f"skip {reason}"
+                continue
+            except WISHES:
+                return words
+            return words
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
-        """What is typed, or "\\n" for a pedal; asks again in other words from time to time."""
+        """What is typed or answered elsewhere, or "\\n" for a pedal; asks again in other words from
+        time to time.
+        """
         asked_s = self._clock.now()  # before the question stands there
         self._write(question)
         pressed = self._watch() if pedal and self._watch else None
         remind_s = asked_s + self._remind_s
-        while (line := self._keyboard.line()) is None:
+        while (line := self._typed()) is None:
             check()
             if pressed is None:
                 self._clock.sleep(TURN_S)
@@ -207,9 +240,21 @@ class Console(PromptedOperator):
             raise op.OperatorAbort(GONE)
         return line
 
+    def _typed(self) -> str | None:
+        """A line of the terminal or the words of a browser; None while there is neither."""
+        if self._mailbox and (given := self._mailbox.answer()):
+            return given.words + "\n"
+        line = self._keyboard.line() if self._listening else None
+        if line == "" and self._mailbox:  # the browser's answers are enough
+            self._listening = False
+            return None
+        return line
+
     def _write(self, text: str) -> None:
         try:
             self._out.write(text)
             self._out.flush()
         except (OSError, ValueError) as error:  # ValueError: the stream has been closed
+            if self._mailbox:
+                return
             raise op.OperatorAbort(f"{GONE} ({error})") from error

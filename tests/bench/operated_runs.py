@@ -98,8 +98,13 @@ def files(
 
 def run_of(folder: Path) -> RunRecord:
     """The one run in ``folder``."""
-    (run,) = (folder / "runs").iterdir()
+    (run,) = folder_with_runs(folder)
     return read_run(run)
+
+
+def folder_with_runs(folder: Path) -> list[Path]:
+    """The runs in ``folder``."""
+    return [one for one in (folder / "runs").iterdir() if one.is_dir()]
 
 
 def run(arguments: list[str], folder: Path) -> tuple[int, RunRecord]:

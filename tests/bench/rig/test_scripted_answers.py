@@ -109,7 +109,7 @@ def rig_with(url: str, folder: Path) -> Path:
         ("script:nowhere.toml", "no such file beside the rig file"),
         (
             "person:",
-            'allowed: "console:", "emulator:", "script:ANSWERS.toml", "script:ANSWERS.txt"',
+            'allowed: "console:", "browser:", "emulator:", "script:ANSWERS.toml", "script:ANSWERS.txt"',
         ),
         ("script:wrong.txt", "wrong.txt:1: "),
     ],

@@ -1,0 +1,340 @@
+"""The console's program: the page, and the API under `/api` that it speaks (docs/console.md).
+
+Its state is what the runs' folders say; of its own it has only who may answer prompts (the
+lease). It can be killed at any moment: a run notices nothing, and an answer that was acknowledged
+is a file.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+from collections.abc import AsyncIterator, Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+
+from bench.config import ConfigError
+from bench.console import starting, watching
+from bench.console.guard import Guard
+from bench.run.interruptions import ABORT, leave_wish, read_wish
+from instruments.clock import RealClock, wall_time
+from instruments.operators.mailbox import AlreadyAnsweredError, NotOpenError, give_answer
+from instruments.operators.operator import ABORT as ABORTS
+
+STATIC = Path(__file__).parent / "static"
+POLL_S = 0.05  # between two looks at a run's files
+BEAT_S = 10.0  # a comment, so that a connection that went away is noticed
+LONGEST = 400  # of a name or an answer
+# a report has scripts and styles of its own, and may reach nothing of the console's
+REPORT_POLICY = (
+    "sandbox allow-scripts allow-popups; default-src 'none'; img-src {0} data:; connect-src 'none';"
+    " script-src {0} 'unsafe-inline'; style-src {0} 'unsafe-inline'; font-src {0} data:"
+)
+
+Answer = TypeVar("Answer")
+
+
+@dataclass(slots=True)
+class Lease:
+    """Who answers prompts: one page at a time; another may take over, which both see."""
+
+    client: str = ""
+    name: str = ""
+    since: str = ""
+
+    def held_by(self, client: str, name: str) -> bool:
+        """Whether ``client`` has it; one that nobody has is given."""
+        if not self.client and client:
+            self.take(client, name)
+        return bool(client) and self.client == client
+
+    def take(self, client: str, name: str) -> None:
+        """``client`` has it from now on."""
+        self.client, self.name = client, name or "a browser"
+        self.since = wall_time().isoformat(timespec="seconds")
+
+    def as_seen_by(self, client: str) -> dict[str, Any]:
+        """Who has it; the other's number is nobody's business."""
+        return {"mine": self.client == client, "name": self.name, "since": self.since}
+
+
+@dataclass(slots=True)
+class Console:
+    """The routes. ``runs`` is the folder of runs, ``rigs`` the one with rig files and scripts."""
+
+    runs: Path
+    rigs: Path
+    origin: str
+    lease: Lease = field(default_factory=Lease)
+    tickets: dict[str, Path] = field(default_factory=dict)
+
+    def routes(self) -> list[Route | Mount]:
+        """All of them."""
+        one = "/api/runs/{run}"
+        return [
+            Route("/", partial(_file, STATIC / "index.html")),
+            Mount("/static", StaticFiles(directory=STATIC)),
+            Route("/report/{ticket}/{path:path}", self.report_file),
+            Route("/api/runs", self.listed),
+            Route("/api/choices", self.choices),
+            Route("/api/dry-run", self.dry_run, methods=["POST"]),
+            Route("/api/start", self.start, methods=["POST"]),
+            Route("/api/lease", self.take_lease, methods=["POST"]),
+            Route(one, self.snapshot),
+            Route(f"{one}/stream", self.stream),
+            Route(f"{one}/trials", self.trials),
+            Route(f"{one}/trials/{{trial}}/{{camera}}", self.frame),
+            Route(f"{one}/live/{{camera}}", self.live_frame),
+            Route(f"{one}/set-up", self.set_up),
+            Route(f"{one}/answers/{{number:int}}", self.answer, methods=["POST"]),
+            Route(f"{one}/control", self.control, methods=["POST"]),
+            Route(f"{one}/resume", self.resume, methods=["POST"]),
+            Route(f"{one}/report", self.open_report, methods=["POST"]),
+        ]
+
+    async def listed(self, _: Request) -> Response:
+        return JSONResponse({"runs": await run_in_threadpool(watching.listed, self.runs)})
+
+    async def snapshot(self, request: Request) -> Response:
+        found = await _off(watching.snapshot, self._folder(request))
+        return JSONResponse({**found, "lease": self.lease.as_seen_by(_client(request))})
+
+    async def stream(self, request: Request) -> Response:
+        """Server-sent events: `snapshot` first, then `event` with its number as id, `live`,
+        `prompt` and `lease` where they change.
+        """
+        folder, last = self._folder(request), request.headers.get("last-event-id", "")
+        after = int(last) if last.isdecimal() else None
+        lines = self._watched(folder, _client(request), after)
+        return StreamingResponse(lines, media_type="text/event-stream")
+
+    async def _watched(self, folder: Path, client: str, after: int | None) -> AsyncIterator[bytes]:
+        """Written as fast as it is read: whoever stops reading stops the looking, and goes on from
+        where he was.
+        """
+        first = {**await _off(watching.snapshot, folder), "lease": self.lease.as_seen_by(client)}
+        yield _sse("snapshot", first)
+        events = watching.Events(folder)
+        if after is None:
+            after = max([first["number"], *(one["number"] for one in events.recent())])
+        seen: dict[str, Any] = {name: first[name] for name in ("live", "prompt", "lease")}
+        quiet_s = 0.0
+        while True:
+            came = False
+            for event in await _off(lambda: list(events.new())):
+                if event["number"] > after:
+                    after, came = event["number"], True
+                    yield _sse("event", event, event["number"])
+            now = {
+                "live": watching.live(folder),
+                "prompt": watching.prompt(folder),
+                "lease": self.lease.as_seen_by(client),
+            }
+            for name, value in now.items():
+                if value != seen[name]:
+                    seen[name], came = value, True
+                    yield _sse(name, value)
+            quiet_s = 0.0 if came else quiet_s + POLL_S
+            if quiet_s >= BEAT_S:
+                quiet_s = 0.0
+                yield b": still here\n\n"
+            if not came:
+                await asyncio.sleep(POLL_S)
+
+    async def trials(self, request: Request) -> Response:
+        return JSONResponse({"trials": await _off(watching.trials, self._folder(request))})
+
+    async def frame(self, request: Request) -> Response:
+        at = request.path_params
+        return _picture(
+            await _off(watching.frame, self._folder(request), at["trial"], at["camera"])
+        )
+
+    async def live_frame(self, request: Request) -> Response:
+        folder = self._folder(request)
+        return _picture(watching.live_frame(folder, request.path_params["camera"]))
+
+    async def set_up(self, request: Request) -> Response:
+        """The picture of what the open prompt wants set up."""
+        folder = self._folder(request)
+        return _picture(await _off(watching.set_up_picture, folder))
+
+    async def answer(self, request: Request) -> Response:
+        """``{"words": "go"}`` as at the terminal. 409: not open, or another came first."""
+        folder, given = self._folder(request), await _body(request)
+        words, client, name = _text(given, "words"), _client(request), _text(given, "name")
+        number = request.path_params["number"]
+        if words.strip().lower() not in ABORTS and not self.lease.held_by(client, name):
+            return _refused(403, f"{self.lease.name} answers prompts; take over first")
+        try:
+            taken = await _off(give_answer, folder, number, words, name or "a browser")
+        except AlreadyAnsweredError as error:
+            return JSONResponse({"error": str(error), "by": error.by}, 409)
+        except NotOpenError as error:
+            return _refused(409, str(error))
+        except ValueError as error:
+            return _refused(422, str(error))
+        return JSONResponse({"taken": asdict(taken)})
+
+    async def control(self, request: Request) -> Response:
+        """``{"words": "pause"}``: pause, go on, skip REASON, repeat REASON, abort."""
+        folder, given = self._folder(request), await _body(request)
+        words = _text(given, "words")
+        try:
+            wish, _ = read_wish(words)
+        except ValueError as error:
+            return _refused(422, str(error))
+        if wish != ABORT and not self.lease.held_by(_client(request), _text(given, "name")):
+            return _refused(403, f"{self.lease.name} has the controls; take over first")
+        if not watching.under_way(folder):
+            return _refused(409, "this run is not under way")
+        await _off(leave_wish, folder, words)
+        return JSONResponse({"left": words})
+
+    async def take_lease(self, request: Request) -> Response:
+        given, client = await _body(request), _client(request)
+        if not client:
+            return _refused(422, "a page says its own number in the header X-Client")
+        self.lease.take(client, _text(given, "name"))
+        return JSONResponse(self.lease.as_seen_by(client))
+
+    async def choices(self, _: Request) -> Response:
+        return JSONResponse(_plain(await _off(starting.choices, self.rigs)))
+
+    async def dry_run(self, request: Request) -> Response:
+        arguments = await self._chosen(await _body(request))
+        code, text = await _off(starting.dry_run, arguments, self.runs)
+        return JSONResponse({"exit_code": code, "text": text})
+
+    async def start(self, request: Request) -> Response:
+        given = await _body(request)
+        arguments = [*await self._chosen(given), "--out", str(self.runs)]
+        if given.get("realtime") is True:
+            arguments.append("--realtime")
+        return await self._started(arguments)
+
+    async def resume(self, request: Request) -> Response:
+        folder = self._folder(request)
+        await _body(request)
+        return await self._started(["resume", str(folder)], folder.name)
+
+    async def _chosen(self, given: Mapping[str, Any]) -> list[str]:
+        names = given.get("detectors", [])
+        detectors = [str(name) for name in names] if isinstance(names, list) else []
+        found = await _off(starting.choices, self.rigs)
+        return found.command(_text(given, "rig"), _text(given, "script"), detectors)
+
+    async def _started(self, arguments: list[str], known: str = "") -> Response:
+        name = await _off(starting.start, arguments, self.runs, RealClock(), known)
+        return JSONResponse({"run": name})
+
+    async def open_report(self, request: Request) -> Response:
+        """An address for the run's report, which a tab can open without the token."""
+        folder = self._folder(request)
+        await _body(request)
+        if not (folder / "report" / "index.html").is_file():
+            return _refused(404, "this run has no report")
+        ticket = secrets.token_urlsafe(24)
+        self.tickets[ticket] = (folder / "report").resolve()
+        return JSONResponse({"url": f"/report/{ticket}/index.html"})
+
+    async def report_file(self, request: Request) -> Response:
+        folder = self.tickets.get(request.path_params["ticket"])
+        if folder is None:
+            return _refused(404, "there is no such report")
+        path = (folder / request.path_params["path"]).resolve()
+        if not path.is_relative_to(folder.parent) or not path.is_file():
+            return _refused(404, "there is no such page in the report")
+        policy = REPORT_POLICY.format(self.origin)
+        return FileResponse(path, headers={"content-security-policy": policy})
+
+    def _folder(self, request: Request) -> Path:
+        return watching.run_folder(self.runs, request.path_params["run"])
+
+
+def make_app(console: Console, token: str, hosts: list[str]) -> ASGIApp:
+    """The program that a server serves."""
+    handlers: dict[Any, Any] = {
+        watching.NoRunError: _said(404),
+        starting.NotStartedError: _said(422),
+        BadBodyError: _said(422),
+        ConfigError: _said(422),
+        OSError: _said(500),
+    }
+    return Guard(Starlette(routes=console.routes(), exception_handlers=handlers), token, hosts)
+
+
+class BadBodyError(ValueError):
+    """The body of a request is not what the route takes."""
+
+
+def _said(code: int) -> Callable[[Request, Exception], Response]:
+    def say(_: Request, error: Exception) -> Response:
+        return _refused(code, str(error))
+
+    return say
+
+
+def _refused(code: int, why: str) -> JSONResponse:
+    return JSONResponse({"error": why}, code)
+
+
+async def _off(work: Callable[..., Answer], *given: Any) -> Answer:
+    """Reading and writing files, beside what else the program does."""
+    return await run_in_threadpool(work, *given)
+
+
+async def _file(path: Path, _: Request) -> Response:
+    return FileResponse(path)
+
+
+def _picture(path: Path | None) -> Response:
+    return FileResponse(path) if path else _refused(404, "there is no such picture")
+
+
+def _client(request: Request) -> str:
+    return request.headers.get("x-client", "")[:LONGEST]
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    """Raises BadBodyError."""
+    try:
+        found = json.loads(await request.body())
+    except (ValueError, RecursionError) as error:
+        raise BadBodyError(f"the body is not JSON: {error}") from error
+    if not isinstance(found, dict):
+        raise BadBodyError("the body is not a JSON object")
+    return found
+
+
+def _text(given: Mapping[str, Any], name: str) -> str:
+    """Raises BadBodyError."""
+    found = given.get(name, "")
+    if not isinstance(found, str) or len(found) > LONGEST:
+        raise BadBodyError(f'"{name}" is a text of at most {LONGEST} characters')
+    return " ".join(found.split())
+
+
+def _plain(found: starting.Choices) -> dict[str, list[str]]:
+    return {
+        "rigs": list(found.rigs),
+        "scripts": list(found.scripts),
+        "detectors": list(found.detectors),
+    }
+
+
+def _sse(kind: str, value: Any, number: int | None = None) -> bytes:
+    text = json.dumps(value, ensure_ascii=False)
+    head = f"id: {number}\n" if number is not None else ""
+    return f"{head}event: {kind}\ndata: {text}\n\n".encode()

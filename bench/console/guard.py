@@ -1,0 +1,79 @@
+"""Who may ask the console anything: each request is looked at before any route.
+
+The token goes in the header ``Authorization: Bearer TOKEN``, which no form, link, picture or other
+site can send; cookies are never read. Host has to be the console's own (else a foreign name that
+resolves to it could read answers), Origin too where there is one, and what changes something has to
+come as JSON.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Collection
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import JSONResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:;"
+    " connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "content-security-policy": POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cache-control": "no-store",
+    "cross-origin-resource-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+}
+MOST_BYTES = 1 << 16  # of a request's body
+
+
+class Guard:
+    """``app`` behind the checks. ``hosts``: allowed values of Host, as ``127.0.0.1:8421``."""
+
+    def __init__(self, app: ASGIApp, token: str, hosts: Collection[str]) -> None:
+        self._app = app
+        self._token = token.encode()
+        self._hosts = frozenset(hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":  # the program's own start and end; no web sockets
+            if scope["type"] == "lifespan":
+                await self._app(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        if refused := self._refused(scope):
+            code, why = refused
+            await JSONResponse({"error": why}, code)(scope, receive, with_headers)
+        else:
+            await self._app(scope, receive, with_headers)
+
+    def _refused(self, scope: Scope) -> tuple[int, str] | None:
+        headers = Headers(scope=scope)
+        if headers.get("host", "").lower() not in self._hosts:
+            return 421, "another Host than this console's"
+        origin = headers.get("origin")
+        if origin is not None and origin.lower() not in {f"http://{host}" for host in self._hosts}:
+            return 403, "another Origin than this console's"
+        if not scope["path"].startswith("/api"):
+            return None if scope["method"] in ("GET", "HEAD") else (405, "only to be read")
+        kind, _, token = headers.get("authorization", "").partition(" ")
+        if kind.lower() != "bearer" or not hmac.compare_digest(token.encode(), self._token):
+            return 401, "no token, or a wrong one: open the address that the console printed"
+        if scope["method"] in ("GET", "HEAD"):
+            return None
+        if headers.get("content-type", "").split(";")[0].strip() != "application/json":
+            return 415, "a request that changes something has to be JSON"
+        length = headers.get("content-length", "")
+        if not length.isdecimal() or int(length) > MOST_BYTES:
+            return 413, f"a request's body has a stated length of at most {MOST_BYTES} bytes"
+        return None

@@ -1,0 +1,116 @@
+"""Starts runs for the page, each a process of its own that outlives the console. The page names a
+rig, a script and detectors from the lists made here; it never gives a path or a command.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bench.rig.loading import NO_RIGS, RIGS, shipped
+from bench.script.detectors import declared
+from bench.script.model import TRIALS
+from detector.registry import available
+from instruments.clock import Clock, wall_time
+
+LOGS = ".console"  # in the folder of runs
+BEGIN_S, POLL_S = 60.0, 0.2
+NOT_RUNNABLE = ("thesis-test-2",)  # pixel offsets: no instrument takes part
+BEGUN = re.compile(r"Run folder: (.+)$", re.MULTILINE)
+TAIL = 4000  # characters of what a run that didn't begin said
+
+
+class NotStartedError(Exception):
+    """The run didn't begin; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What the page may choose from: names, each with the path or name that a command takes."""
+
+    rigs: Mapping[str, str]
+    scripts: Mapping[str, str]
+    detectors: Sequence[str]
+
+    def command(self, rig: str, script: str, detectors: Sequence[str]) -> list[str]:
+        """The arguments of `teatbench` that run it. Raises NotStartedError for other names."""
+        for what, name, known in (
+            ("rig", rig, self.rigs),
+            ("script", script, self.scripts),
+            *(("detector", name, self.detectors) for name in detectors),
+        ):
+            if name not in known:
+                raise NotStartedError(
+                    f"there is no {what} {name!r} (there are: {', '.join(known)})"
+                )
+        under_test = [word for name in detectors for word in ("--detector", name)]
+        return ["run", self.scripts[script], "--rig", self.rigs[rig], *under_test]
+
+
+def choices(folder: Path) -> Choices:
+    """What ships, and the rig files and scripts in ``folder``."""
+    rigs = {name: name for name in shipped(RIGS) if name not in NO_RIGS}
+    scripts = {name: name for name in shipped(TRIALS) if name not in NOT_RUNNABLE}
+    for path in sorted(folder.glob("*.toml")):
+        if _has(path, "arm") and _has(path, "bath"):
+            rigs[path.name] = str(path.resolve())
+        elif _has(path, "trials"):
+            scripts[path.name] = str(path.resolve())
+    return Choices(rigs, scripts, sorted({*available(), *declared()}))
+
+
+def _has(path: Path, table: str) -> bool:
+    try:
+        return table in tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+
+
+def dry_run(arguments: Sequence[str], runs: Path) -> tuple[int, str]:
+    """Exit code and text of the dry run of these arguments. Raises NotStartedError."""
+    done = subprocess.run(
+        [*_bench(), *arguments, "--out", str(runs), "--dry-run"],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        errors="replace",
+        check=False,
+    )
+    return done.returncode, done.stdout
+
+
+def start(arguments: Sequence[str], runs: Path, clock: Clock, known: str = "") -> str:
+    """Start a run; gives back its folder's name once it has one, which is ``known`` where it goes
+    on. Raises NotStartedError.
+    """
+    logs = runs / LOGS
+    logs.mkdir(parents=True, exist_ok=True)
+    log = logs / f"{wall_time().strftime('%Y%m%d-%H%M%S')}-{os.urandom(3).hex()}.log"
+    with log.open("wb") as out:
+        process = subprocess.Popen(
+            [*_bench(), *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+        )
+    end_s = clock.now() + BEGIN_S
+    while True:
+        text = log.read_text(encoding="utf-8", errors="replace")
+        if begun := BEGUN.search(text):
+            return known or Path(begun[1].strip()).name
+        if process.poll() is not None or clock.now() >= end_s:
+            raise NotStartedError(text[-TAIL:].strip() or "the run said nothing and ended")
+        clock.sleep(POLL_S)
+
+
+def _bench() -> list[str]:
+    return [sys.executable, "-m", "bench.cli"]

@@ -1,0 +1,229 @@
+"""What the folder of a run says to whoever watches, read and never written: snapshot, new events,
+frames, and trials with their scores.
+
+A detection comes from the record alone, and the record has a trial whole, with its truth, or not at
+all: no one can touch what a detector says.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.config import ConfigError, read_calibration
+from bench.record.reader import TrialRecord, opened, read_run
+from bench.record.schema import DATABASE
+from bench.report.trials import project_all
+from bench.run.events import EVENTS_FILE
+from bench.run.live import CAMERAS, LIVE
+from bench.run.lock import holder_of
+from bench.run.set_up_picture import FOLDER as SET_UP
+from instruments.operators.mailbox import FOLDER, read_prompt
+
+TAIL_BYTES = 1 << 16  # of the events, for who has seen none
+PIECE_BYTES = 1 << 16  # read at a time
+CURVE = 600  # points of the bath's curve
+RUN_JSON = "report/run.json"
+
+
+class NoRunError(LookupError):
+    """There is no run of this name."""
+
+
+def run_folder(runs: Path, name: str) -> Path:
+    """The run's folder: one of those in ``runs``, by its name alone. Raises NoRunError."""
+    with suppress(OSError):
+        for folder in runs.iterdir():
+            if folder.name == name and (folder / DATABASE).is_file():
+                return folder
+    raise NoRunError(f"there is no run {name!r} here")
+
+
+def listed(runs: Path) -> list[dict[str, Any]]:
+    """All runs, newest first: name, title, how it ended, verdict by detector."""
+    found = []
+    with suppress(OSError):
+        for folder in sorted(runs.iterdir(), key=lambda one: one.name, reverse=True):
+            if (folder / DATABASE).is_file():
+                with suppress(ConfigError, OSError):
+                    found.append(_card(folder))
+    return found
+
+
+def _card(folder: Path) -> dict[str, Any]:
+    with opened(folder) as db:
+        stored = db.execute("SELECT key, value FROM facts").fetchall()
+        (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
+    facts = {key: json.loads(value) for key, value in stored}
+    verdicts: dict[str, str] = {}
+    with suppress(OSError, ValueError, KeyError):
+        written = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
+        verdicts = {one["detector"]: one["verdict"] for one in written["judgements"]}
+    return {
+        "name": folder.name,
+        "title": facts["title"],
+        "script": facts.get("script", ""),
+        "rig": facts.get("rig", ""),
+        "kind": facts["kind"],
+        "planned": facts.get("planned"),
+        "done": done,
+        "detectors": facts["detectors"],
+        "set_point_c": facts.get("set_point_c"),
+        "started": facts["wall_started"],
+        "ending": "under way" if under_way(folder) else facts.get("ending", "interrupted"),
+        "verdicts": verdicts,
+        "report": (folder / RUN_JSON).is_file(),
+    }
+
+
+def snapshot(folder: Path) -> dict[str, Any]:
+    """Everything that a page has to know of a run before it follows its events."""
+    events = Events(folder)
+    last = list(events.recent())
+    return {
+        "run": _card(folder),
+        "live": live(folder),
+        "prompt": prompt(folder),
+        "curve": curve(folder),
+        "events": last,
+        "number": last[-1]["number"] if last else 0,
+    }
+
+
+def live(folder: Path) -> dict[str, Any] | None:
+    """The run as it is now; None where no run is under way."""
+    try:
+        found = json.loads((folder / FOLDER / LIVE).read_bytes())
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def prompt(folder: Path) -> dict[str, Any] | None:
+    """The prompt that waits for an answer; None while none does."""
+    asked = read_prompt(folder)
+    if not asked or not asked["open"]:
+        return None
+    return {**asked, "picture": asked["kind"] == "set up" and (folder / SET_UP).is_dir()}
+
+
+def set_up_picture(folder: Path) -> Path | None:
+    """The newest picture of a set-up; None where none was made."""
+    made = list((folder / SET_UP).glob("*.png"))
+    return max(made, key=lambda path: path.stat().st_mtime_ns, default=None)
+
+
+def under_way(folder: Path) -> bool:
+    """Whether a bench works on the run."""
+    return bool(holder_of(folder))
+
+
+def curve(folder: Path) -> list[list[float]]:
+    """Time and temperature of the bath, thinned: [[t_s, ...], [degC, ...]]."""
+    with opened(folder) as db:
+        rows = db.execute("SELECT t_s, temp_c FROM bath ORDER BY t_s").fetchall()
+    rows = rows[:: max(1, len(rows) // CURVE)]
+    return [[float(t) for t, _ in rows], [float(c) for _, c in rows]]
+
+
+def trials(folder: Path) -> list[dict[str, Any]]:
+    """The trials that have their truth: scores by detector, and where truth and answers lie in each
+    camera's picture.
+    """
+    run = read_run(folder)
+    calibration = read_calibration(folder / "calibration.toml")
+    found = []
+    for trial in run.trials:
+        points = _points(trial)
+        seen = {
+            camera: None if px is None else np.round(px, 1).tolist()
+            for camera, px in project_all(calibration, points).items()
+        }
+        found.append(
+            {
+                "id": trial.id,
+                "name": trial.pose,
+                "situation": trial.head["situation"],
+                "invalid": trial.invalid,
+                "cameras": [row["camera"] for row in trial.frames if row["camera"] in CAMERAS],
+                "marks": [
+                    *({"of": "truth", "text": str(row["teat"])} for row in trial.truth),
+                    *({"of": str(row["detector"]), "text": ""} for row in trial.found),
+                ],
+                "px": seen,
+                "mirrored": ["thermal"] if calibration.thermal.mirrored else [],
+                "scores": {
+                    name: {
+                        "visible": score.counts.visible,
+                        "found": score.counts.matched,
+                        "false": score.counts.false,
+                        "max_error_mm": max(
+                            (float(np.linalg.norm(e)) for e in score.errors_mm), default=None
+                        ),
+                    }
+                    for name, score in trial.scores.items()
+                },
+            }
+        )
+    return found
+
+
+def _points(trial: TrialRecord) -> NDArray[np.float64]:
+    rows = [*trial.truth, *trial.found]
+    return np.array([[row["x_mm"], row["y_mm"], row["z_mm"]] for row in rows]).reshape(-1, 3)
+
+
+def frame(folder: Path, trial: str, camera: str) -> Path | None:
+    """The picture of a stored trial; None where there is none."""
+    with opened(folder) as db:
+        row = db.execute(
+            "SELECT path FROM frames WHERE trial = ? AND camera = ?", (trial, camera)
+        ).fetchone()
+    return folder / row[0] if row and (folder / row[0]).is_file() else None
+
+
+def live_frame(folder: Path, camera: str) -> Path | None:
+    """The last picture of a run under way; None where there is none."""
+    path = folder / FOLDER / f"{camera}.jpg"
+    return path if camera in CAMERAS and path.is_file() else None
+
+
+@dataclass(slots=True)
+class Events:
+    """Reads on in the events of a run, a piece at a time; ``offset`` is how far it has read."""
+
+    folder: Path
+    offset: int = 0
+
+    def recent(self) -> Iterator[dict[str, Any]]:
+        """The last ones, and on from there."""
+        path = self.folder / EVENTS_FILE
+        with suppress(OSError):
+            size = path.stat().st_size
+            self.offset = max(0, size - TAIL_BYTES)
+            if self.offset:
+                with path.open("rb") as file:
+                    file.seek(self.offset)
+                    self.offset += len(file.readline())
+        return self.new()
+
+    def new(self) -> Iterator[dict[str, Any]]:
+        """Those that came since, at most a piece of them; half a line waits for its end."""
+        try:
+            with (self.folder / EVENTS_FILE).open("rb") as file:
+                file.seek(self.offset)
+                data = file.read(PIECE_BYTES)
+        except OSError:
+            return
+        whole = data[: data.rfind(b"\n") + 1]
+        self.offset += len(whole)
+        for line in whole.splitlines():
+            with suppress(ValueError):
+                yield json.loads(line)

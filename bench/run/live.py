@@ -1,0 +1,137 @@
+"""What a run looks like at this moment, as files in its folder for whoever watches from another
+process: `console/live.json` and small pictures of the last frames.
+
+Written at most ten times a second of real time, each file replaced as a whole, and gone when the
+run has ended. Nothing here is evidence (the record is), so that a file that can't be written stops
+nothing. No answer of a detector is in it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.safety.bath_monitor import BathMonitor
+from bench.safety.interlocks import RULES
+from bench.truth.touching import Ends
+from instruments.camera.frame import FrameSet
+from instruments.clock import stopwatch_s, wall_time
+from instruments.operators.mailbox import FOLDER
+
+LIVE = "live.json"
+EVERY_S = 0.1
+WIDE_PX = 480  # of the pictures
+QUALITY = 80
+CAMERAS = ("left", "right", "thermal")
+
+
+class Live:
+    """The files of the run in ``folder``."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / FOLDER
+        self._written_s = -EVERY_S
+        self._frames = 0
+        self._names: tuple[str, ...] = ()
+        self._ends_mm: NDArray[np.float64] = np.zeros((0, 3))
+        self._trial = ""
+
+    @property
+    def due(self) -> bool:
+        """Whether enough time has passed since the last time that it was written."""
+        return stopwatch_s() - self._written_s >= EVERY_S
+
+    def expect(self, trial: str, ends: Ends) -> None:
+        """Where the teats of this trial end by its script."""
+        self._trial = trial
+        self._ends_mm = ends.expected_mm
+        self._names = tuple(map(ends.called, range(1, len(ends.expected_mm) + 1)))
+
+    def frames(self, frames: FrameSet) -> None:
+        """Pictures of a frame set."""
+        with suppress(OSError, cv2.error):
+            for name in CAMERAS:
+                if (image := getattr(frames, name)) is not None:
+                    tall = round(image.shape[0] * WIDE_PX / image.shape[1])
+                    small = cv2.resize(image, (WIDE_PX, tall), interpolation=cv2.INTER_AREA)
+                    _, data = cv2.imencode(".jpg", small, (cv2.IMWRITE_JPEG_QUALITY, QUALITY))
+                    self._replace(f"{name}.jpg", bytes(data))
+            self._frames += 1
+
+    def write(self, state: Mapping[str, Any], tip_mm: NDArray[np.float64] | None) -> None:
+        """``state`` with the time, the tip (3,) in the world where it is known, and the teats."""
+        self._written_s = stopwatch_s()
+        whole = {
+            "wall_time": wall_time().isoformat(timespec="milliseconds"),
+            **state,
+            "tip": None if tip_mm is None else self._near(tip_mm),
+            "ends": [
+                {"name": name, "mm": end}
+                for name, end in zip(self._names, self._ends_mm.tolist(), strict=True)
+            ],
+            "pose": self._trial,
+            "frames": self._frames,
+        }
+        with suppress(OSError):
+            self._replace(LIVE, json.dumps(whole, ensure_ascii=False).encode())
+
+    def end(self) -> None:
+        """The run has ended: its record says all."""
+        for name in (LIVE, *(f"{camera}.jpg" for camera in CAMERAS)):
+            with suppress(OSError):
+                (self._folder / name).unlink(missing_ok=True)
+        with suppress(OSError):
+            self._folder.rmdir()  # where no prompt was answered
+
+    def _near(self, tip_mm: NDArray[np.float64]) -> dict[str, Any]:
+        away = np.linalg.norm(self._ends_mm - tip_mm, axis=1)
+        found: dict[str, Any] = {"mm": [round(float(x), 2) for x in tip_mm]}
+        if len(away):
+            at = int(away.argmin())
+            found |= {"nearest": self._names[at], "away_mm": round(float(away[at]), 1)}
+        return found
+
+    def _replace(self, name: str, data: bytes) -> None:
+        self._folder.mkdir(exist_ok=True)
+        part = self._folder / f"{name}.part"
+        part.write_bytes(data)
+        part.replace(self._folder / name)
+
+
+def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:
+    """The bath as last read, with its gate; units in the keys."""
+    last, gate = watch.last, watch.gate
+    return {
+        "t_s": last.t_s if last else None,
+        "temp_c": last.temp_c if last else None,
+        "external_c": last.external_c if last else None,
+        "power_percent": last.power_percent if last else None,
+        "set_point_c": gate.set_point_c,
+        "band_k": gate.leave_k,
+        "state": watch.state.value,
+        "why_not_stable": watch.why_not_stable,
+        "stable_in_s": watch.stable_in_s(expected_s),
+    }
+
+
+def interlock_states(watch: BathMonitor) -> list[dict[str, Any]]:
+    """Each interlock: "armed", "asleep" (the bath doesn't tell what it needs) or "tripped"."""
+    tripped, asleep = getattr(watch.tripped, "rule", ""), watch.interlocks.inactive
+    return [
+        {
+            "name": rule.name,
+            "state": "tripped"
+            if rule.name == tripped
+            else "asleep"
+            if rule.name in asleep
+            else "armed",
+        }
+        for rule in RULES
+    ]

@@ -1,0 +1,154 @@
+"""Prompts and answers as files between a run and a console in another process.
+
+In the run's folder `console/prompt.json` is the last prompt, replaced as a whole, and
+`console/answers/7.json` the answer to prompt 7. An answer is created, never replaced: of two that
+come together one exists, whoever gave it (a browser, the terminal, or the bench, where it needs
+none any more). Neither process waits for the other.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from instruments.clock import wall_time
+from instruments.operators import operator as op
+
+FOLDER, PROMPT, ANSWERS = "console", "prompt.json", "answers"
+TERMINAL, BENCH = "the terminal", "the bench"  # who answered, beside names of browsers
+
+
+class NotOpenError(Exception):
+    """No prompt of this number is open; the text says so to whoever answered."""
+
+
+class AlreadyAnsweredError(NotOpenError):
+    """Another answer came first; ``by`` gave it."""
+
+    def __init__(self, number: int, by: str) -> None:
+        self.by = by
+        super().__init__(f"prompt {number} was already answered by {by}")
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """``words`` as they would be typed, from ``by``."""
+
+    number: int
+    words: str
+    by: str
+    wall_time: str
+
+
+class Mailbox:
+    """The run's end. ``folder`` is the run's; numbers go on from those of an earlier session."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / FOLDER
+        (self._folder / ANSWERS).mkdir(parents=True, exist_ok=True)
+        said = [int(path.stem) for path in (self._folder / ANSWERS).glob("*.json")]
+        last = read_prompt(folder)
+        self._number = max([0, *said, int(last["number"]) if last else 0])
+        self._prompt: dict[str, Any] = {}
+
+    def open(self, prompt: op.Prompt) -> None:
+        """Show ``prompt`` to whoever looks. Raises OSError."""
+        self._number += 1
+        self._prompt = {
+            **asdict(prompt),
+            "number": self._number,
+            "in_trial": prompt.in_trial,
+            "explained": prompt.explained(),
+            "wall_time": wall_time().isoformat(timespec="milliseconds"),
+        }
+        self._show({**self._prompt, "open": True, "by": ""})
+
+    def answer(self) -> Given | None:
+        """The answer to the open prompt, None while there is none."""
+        return read_answer(self._folder.parent, self._number)
+
+    def close(self, words: str, by: str) -> Given:
+        """The prompt needs no answer any more: ``by`` said ``words``. Gives back the answer that
+        holds, which may be another's that came first. Raises OSError.
+        """
+        try:
+            given = _create(self._folder.parent, self._number, words, by)
+        except AlreadyAnsweredError:
+            given = self.answer() or Given(self._number, words, by, "")
+        self._show({**self._prompt, "open": False, "by": given.by})
+        return given
+
+    def _show(self, prompt: Mapping[str, Any]) -> None:
+        part = self._folder / f"{PROMPT}.part"
+        part.write_text(json.dumps(prompt, ensure_ascii=False), encoding="utf-8")
+        part.replace(self._folder / PROMPT)
+
+
+def read_prompt(folder: Path) -> dict[str, Any] | None:
+    """The last prompt of the run in ``folder``; ``open`` says whether it waits for an answer."""
+    try:
+        prompt = json.loads((folder / FOLDER / PROMPT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return prompt if isinstance(prompt, dict) else None
+
+
+def read_answer(folder: Path, number: int) -> Given | None:
+    """The answer to prompt ``number``, None where there is none."""
+    try:
+        text = (folder / FOLDER / ANSWERS / f"{number}.json").read_text(encoding="utf-8")
+        return Given(**json.loads(text))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def give_answer(folder: Path, number: int, words: str, by: str) -> Given:
+    """Answer prompt ``number`` of the run in ``folder`` with ``words``, as they would be typed;
+    on the disk once this returns. Raises AlreadyAnsweredError, NotOpenError, ValueError for words
+    that the prompt doesn't understand, OSError.
+    """
+    if earlier := read_answer(folder, number):
+        raise AlreadyAnsweredError(number, earlier.by)
+    prompt = read_prompt(folder)
+    if prompt is None or prompt["number"] != number or not prompt["open"]:
+        raise NotOpenError(f"prompt {number} is not open")
+    fields = ("kind", "text", "progress", "hidden_to", "pedal", "enough")
+    check_words(op.Prompt(**{name: prompt[name] for name in fields}), words)
+    return _create(folder, number, words, by)
+
+
+def check_words(prompt: op.Prompt, words: str) -> None:
+    """Raises ValueError for words that ``prompt`` doesn't understand."""
+    try:
+        op.understood(words, prompt)
+    except op.OperatorSkip as skip:
+        if not skip.reason:
+            raise ValueError("a skipped trial needs a reason, for the record") from skip
+    except (op.OperatorAbort, op.OperatorRepeat, op.OperatorEnough):
+        return
+
+
+def _create(folder: Path, number: int, words: str, by: str) -> Given:
+    """Written whole under another name, then linked to its own, which fails where it exists."""
+    given = Given(number, words, by, wall_time().isoformat(timespec="milliseconds"))
+    place = folder / FOLDER / ANSWERS / f"{number}.json"
+    part = place.with_name(f"{number}.{os.getpid()}-{os.urandom(4).hex()}.part")
+    data = json.dumps(asdict(given), ensure_ascii=False).encode()
+    try:
+        with part.open("xb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.link(part, place)
+    except FileExistsError:
+        there = read_answer(folder, number)
+        raise AlreadyAnsweredError(number, there.by if there else "somebody else") from None
+    finally:
+        with suppress(OSError):
+            part.unlink()
+    return given

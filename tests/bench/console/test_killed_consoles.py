@@ -1,0 +1,108 @@
+"""A console may die at any moment: the run goes on, and what it acknowledged is an answer. And no
+detection is shown before the trial's truth is stored.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import socket
+import time
+from pathlib import Path
+
+import pytest
+
+from bench.record.reader import read_run
+from bench.run.events import EVENTS_FILE
+from instruments.operators.mailbox import read_answer
+from tests.bench.console import served
+from tests.bench.operated_runs import SCRIPT
+from tests.bench.small_run import write_small_run
+
+KILLS = int(os.environ.get("TEATBENCH_KILLS", "3"))  # 50 by hand
+# ends that a detector gave, in any answer: only those of trials that have their truth
+SEEN = ("found", "detections", "covariance")
+
+
+@pytest.mark.slow
+def test_killed_consoles_change_nothing_and_lose_no_answer(tmp_path: Path) -> None:
+    script = SCRIPT.replace('["thesis"]', '["fused"]')
+    chance = random.Random(20261123)
+    acknowledged: dict[int, str] = {}
+    kills = 0
+    with served.operated_run(tmp_path, script=script) as (process, folder):
+        one = served.serve(tmp_path / "runs", tmp_path)
+        try:
+            at = f"/runs/{folder.name}"
+            while process.poll() is None:
+                try:
+                    snapshot = one.ask(at).body
+                    nothing_before_its_truth(one, at, folder)
+                    prompt = snapshot["prompt"]
+                    if prompt and prompt["number"] not in acknowledged:
+                        if kills < KILLS and chance.random() < 0.8:
+                            kills += 1
+                            one.process.kill()  # while it may be answering
+                        words = {"words": "go", "name": "the test"}
+                        reply = one.ask(f"{at}/answers/{prompt['number']}", words)
+                        assert reply.status in (200, 409), reply
+                        if reply.status == 200:
+                            acknowledged[prompt["number"]] = reply.body["taken"]["by"]
+                except OSError:
+                    served.end(one)
+                    one = served.serve(tmp_path / "runs", tmp_path)
+                time.sleep(0.02)
+        finally:
+            served.end(one)
+    record = read_run(folder)
+    assert (process.returncode, record.ending, kills) == (0, "finished", KILLS)
+    assert [trial.id for trial in record.trials] == [f"00{n}-place-{n}-1" for n in (1, 2, 3)]
+    # each end touched once, none twice, none left out
+    assert [[row["teat"] for row in trial.touches] for trial in record.trials] == [list("1234")] * 3
+    given = {number: read_answer(folder, number) for number in acknowledged}
+    assert {number: one.by for number, one in given.items() if one} == acknowledged
+    # homing, three set-ups, twelve touches; those that were not acknowledged were answered too
+    assert max(acknowledged) == 16
+
+
+def nothing_before_its_truth(one: served.Served, at: str, folder: Path) -> None:
+    """What is shown of trials has a truth for each teat; a snapshot has no detection at all."""
+    for trial in one.ask(f"{at}/trials").body["trials"]:
+        of = [mark["of"] for mark in trial["marks"]]
+        assert of.count("truth") == 4
+    snapshot = one.ask(at).body
+    snapshot.pop("run")
+    text = json.dumps(snapshot)
+    assert not [word for word in SEEN if f'"{word}"' in text]
+
+
+@pytest.mark.slow
+def test_a_watcher_that_stops_reading_costs_bounded_memory_and_delays_no_one(
+    tmp_path: Path,
+) -> None:
+    folder = write_small_run(tmp_path)
+    with served.console(tmp_path / "runs", tmp_path) as one:
+        path, port = f"/api/runs/{folder.name}/stream", one.port
+        request = f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"
+        request += f"Authorization: Bearer {one.token}\r\nLast-Event-ID: 0\r\n\r\n"
+        with socket.create_connection(("127.0.0.1", port)) as stuck:
+            stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            stuck.sendall(request.encode())
+            assert stuck.recv(100)
+            before = resident_kb(one.process.pid)
+            line = {"what": "event", "kind": "note", "text": "x" * 900, "wall_time": "", "t_s": 0.0}
+            with (folder / EVENTS_FILE).open("ab") as file:
+                for number in range(1_000_000, 1_060_000):  # 60 MB
+                    file.write(json.dumps({"number": number, **line}).encode() + b"\n")
+            assert one.ask(f"/runs/{folder.name}", client="two").body["number"] == 1_059_999
+            time.sleep(2.0)  # what it could take in meanwhile
+            assert resident_kb(one.process.pid) - before < 20_000
+
+
+def resident_kb(pid: int) -> int:
+    path = Path(f"/proc/{pid}/status")
+    if not path.is_file():
+        pytest.skip("resident memory is read from /proc")
+    line = next(line for line in path.read_text().splitlines() if line.startswith("VmRSS"))
+    return int(line.split()[1])

@@ -1,0 +1,170 @@
+"""No route does anything for a request that may not ask: property tests over all of them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from hashlib import sha256
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from starlette.routing import Mount, Route
+
+from bench.console.app import Console, make_app
+from instruments.operators import operator as op
+from instruments.operators.mailbox import Mailbox
+from tests.bench.small_run import write_small_run
+
+TOKEN, HOST, TICKET = "right-token", "127.0.0.1:8421", "ticket"
+GOOD = {"host": HOST, "authorization": f"Bearer {TOKEN}", "content-type": "application/json"}
+NAMES = ("..", "%2e%2e", "run/../run", "/etc", "C:\\", "", "<script>", "\x00", "a" * 300)
+
+
+@pytest.fixture(scope="module")
+def console(tmp_path_factory: pytest.TempPathFactory) -> Console:
+    here = tmp_path_factory.mktemp("here")
+    folder = write_small_run(here)
+    Mailbox(folder).open(op.Prompt("touch", "Touch it."))
+    for path in (here / "runs").iterdir():  # beside runs: a folder of settings learnt
+        if path != folder:
+            path.unlink()
+    return Console(here / "runs", here, f"http://{HOST}")
+
+
+def call(console: Console, method: str, path: str, headers: dict[str, str], body: bytes) -> Any:
+    """Status, headers and body of one request to the program itself."""
+    sent: list[dict[str, Any]] = []
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    scope = {
+        "type": "http",
+        "asgi": {"version": "3.0", "spec_version": "2.4"},
+        "method": method,
+        "path": path,
+        "raw_path": path.encode(errors="replace"),
+        "query_string": b"",
+        "root_path": "",
+        "scheme": "http",
+        "server": ("127.0.0.1", 8421),
+        "http_version": "1.1",
+        "headers": [(k.encode(), v.encode()) for k, v in headers.items()],
+    }
+    app: Any = make_app(console, TOKEN, [HOST])
+    asyncio.run(app(scope, receive, send))
+    text = b"".join(message.get("body", b"") for message in sent[1:])
+    return sent[0]["status"], dict(sent[0]["headers"]), text
+
+
+def routes(console: Console) -> list[tuple[str, str]]:
+    """Method and path with names in place."""
+    (run,) = (one.name for one in console.runs.iterdir())
+    found = []
+    for route in console.routes():
+        if isinstance(route, Mount):
+            continue
+        assert isinstance(route, Route)
+        path = route.path.replace("{run}", run).replace("{number:int}", "1")
+        path = path.replace("{trial}", "001").replace("{camera}", "left")
+        path = path.replace("{ticket}", TICKET).replace("{path:path}", "index.html")
+        found += [(method, path) for method in (route.methods or set()) - {"HEAD"}]
+    return found
+
+
+def digest(console: Console) -> str:
+    """Of all that is on the disk."""
+    files = sorted(path for path in console.runs.rglob("*") if path.is_file())
+    return sha256(b"".join(f"{path}".encode() + path.read_bytes() for path in files)).hexdigest()
+
+
+FAULTS: tuple[tuple[dict[str, str | None], int], ...] = (
+    ({"authorization": None}, 401),
+    ({"authorization": "Bearer wrong"}, 401),
+    ({"authorization": TOKEN}, 401),
+    ({"authorization": None, "cookie": f"token={TOKEN}"}, 401),
+    ({"host": "evil.example:8421"}, 421),
+    ({"host": "127.0.0.1"}, 421),
+    ({"origin": "http://evil.example"}, 403),
+    ({"origin": "null"}, 403),
+    ({"content-type": "application/x-www-form-urlencoded"}, 415),
+    ({"content-type": "text/plain"}, 415),
+    ({"content-length": None}, 413),
+    ({"content-length": "99999999"}, 413),
+)
+
+
+@given(data=st.data())
+def test_a_request_with_a_fault_does_nothing(console: Console, data: st.DataObject) -> None:
+    method, path = data.draw(st.sampled_from(routes(console)))
+    fault, code = data.draw(st.sampled_from(FAULTS))
+    if code in (413, 415) and method == "GET":
+        return
+    body = json.dumps({"words": data.draw(st.sampled_from(("abort", "go", "pause")))}).encode()
+    headers = {**GOOD, "content-length": str(len(body)), "x-client": "one"}
+    wrong = {name: value for name, value in {**headers, **fault}.items() if value is not None}
+    before = digest(console)
+    status, answered, text = call(console, method, path, wrong, body)
+    assert digest(console) == before
+    if path.startswith("/api") or code in (421, 403):
+        assert status == code
+        assert set(json.loads(text)) == {"error"}
+    assert b"script-src 'self'" in answered[b"content-security-policy"]
+
+
+@given(name=st.sampled_from(NAMES) | st.text(max_size=20), data=st.data())
+def test_a_path_for_a_name_reaches_nothing(
+    console: Console, name: str, data: st.DataObject
+) -> None:
+    (run,) = (one.name for one in console.runs.iterdir())
+    method, path = data.draw(st.sampled_from([one for one in routes(console) if run in one[1]]))
+    words = json.dumps({"words": "abort", "rig": name, "script": name}).encode()
+    headers = {**GOOD, "content-length": str(len(words)), "x-client": "one"}
+    before = digest(console)
+    if name == run:
+        return
+    status, _, _ = call(console, method, path.replace(run, name), headers, words)
+    assert status in (404, 405, 307)
+    for place in ("/api/start", "/api/dry-run"):
+        if name not in ("emulated", "emulated-browser"):
+            assert call(console, "POST", place, headers, words)[0] == 422
+    status, _, _ = call(console, "GET", f"/report/{TICKET}/{name}", GOOD, b"")
+    assert status in (404, 405, 307)
+    assert digest(console) == before
+
+
+def test_a_report_is_served_by_its_ticket_alone_and_can_reach_nothing(console: Console) -> None:
+    (folder,) = console.runs.iterdir()
+    (folder / "report").mkdir(exist_ok=True)
+    (folder / "report" / "index.html").write_text("<p>all good", encoding="utf-8")
+    headers = {**GOOD, "content-length": "2"}
+    _, _, text = call(console, "POST", f"/api/runs/{folder.name}/report", headers, b"{}")
+    url = json.loads(text)["url"]
+    status, answered, text = call(console, "GET", url, {"host": HOST}, b"")
+    assert (status, text) == (200, b"<p>all good")
+    assert answered[b"content-security-policy"].startswith(b"sandbox allow-scripts")
+    outside = url.replace("index.html", "../../../etc/passwd")
+    assert call(console, "GET", outside, {"host": HOST}, b"")[0] == 404
+
+
+def test_one_operator_at_a_time_and_whoever_has_the_token_may_abort(console: Console) -> None:
+    (run,) = (one.name for one in console.runs.iterdir())
+
+    def post(path: str, client: str, **body: str) -> tuple[int, Any]:
+        data = json.dumps(body).encode()
+        headers = {**GOOD, "content-length": str(len(data)), "x-client": client}
+        status, _, text = call(console, "POST", path, headers, data)
+        return status, json.loads(text)
+
+    answers = f"/api/runs/{run}/answers/1"
+    assert post("/api/lease", "one", name="the desk")[1]["mine"]
+    status, said = post(answers, "two", words="go")
+    assert (status, said["error"]) == (403, "the desk answers prompts; take over first")
+    assert post(answers, "two", words="abort")[0] == 200
+    status, said = post(answers, "one", words="go", name="the desk")
+    assert (status, said["by"]) == (409, "a browser")
