@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from bench.campaign.sensitivity import QUANTITIES
 from bench.cli.main import main
 from bench.report.sensitivity import PAGE, POINTS, numbers_page
 from bench.report.tables import ALL
-from bench.results.sensitivity import QUANTITIES
 from tests.conftest import ROOT
 from tests.doc_figures import (
     OWN,

@@ -30,6 +30,7 @@ from instruments.world.situations import Situation, situation
 
 LIMIT_MM = 5.0  # of the error of each teat; thesis, section 1.4.3
 ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
+WRONG = ("false", "missed", "error")  # failures of an answer, the gravest first
 DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance of 3e-8
 
 
@@ -94,6 +95,11 @@ class SceneRow:
     mean_mm: float | None
     failure: str
     frames: str
+
+    @property
+    def no_answer(self) -> bool:
+        """The detector failed to answer, or was too late."""
+        return self.failure not in ("", ASIDE, *WRONG)
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +185,7 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
     answers = [
         examine(detector, frames, stated, timeout_s=math.inf) for detector in bench.detectors
     ]
-    digest = _digest(frames)
+    digest = digest_of_frames(frames)
     scores = [
         score_answer(answer, drawn.truth, limit_mm=bench.limit_mm, time_limit_s=math.inf)
         for answer in answers
@@ -198,7 +204,8 @@ def set_aside(scene: Scene, detectors: Iterable[str], why: str) -> Rows:
     return Rows(rows, (), tuple(Taken(0.0, None, why) for _ in rows))
 
 
-def _digest(frames: FrameSet) -> str:
+def digest_of_frames(frames: FrameSet) -> str:
+    """The start of the SHA-256 of all pictures' pixels, in hex."""
     whole = hashlib.sha256()
     for picture in (frames.left, frames.right, frames.thermal, frames.thermal_ck):
         if picture is not None:

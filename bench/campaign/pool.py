@@ -29,9 +29,11 @@ from instruments.clock import stopwatch_s
 
 AHEAD = 2  # chunks in flight a worker, so that none waits for its next
 DEATHS = 3  # on one scene, until it is set aside
-START_DEATHS = 3  # of workers one after the other that never began
+START_DEATHS = 3  # of workers one after the other that never began, where none ever did
+MORE_START_DEATHS = 30  # where one did: a machine that is short of memory for a while
 USUAL_TIMES = 10  # a worker may take so many usual chunk times without a word
 LEAST_LIMIT_S, FIRST_LIMIT_S = 60.0, 600.0  # of silence: at least, and while nothing is known
+START_LIMIT_S = 120.0  # until a worker is ready, which takes 2 s on an idle machine
 REMEMBERED = 400  # scenes whose times are kept
 CLOSING_S = 5.0
 LOOK_S = 0.5  # between two looks whether one is silent for too long
@@ -143,6 +145,7 @@ class LocalPool:
         self._deaths: Counter[Scene] = Counter()
         self._scene_s: deque[float] = deque(maxlen=REMEMBERED)
         self._starts_failed = self._started = 0
+        self._began = False
 
     def __enter__(self) -> LocalPool:
         return self
@@ -199,7 +202,8 @@ class LocalPool:
             elif isinstance(value, Rows):
                 part = self._take(worker, value)
             else:
-                worker.ready, self._starts_failed, part = True, 0, None
+                worker.ready = self._began = True
+                self._starts_failed, part = 0, None
                 worker.heard_s = stopwatch_s()
             if part and not part.left:
                 yield part.chunk, part.rows
@@ -250,11 +254,11 @@ class LocalPool:
             self._again.extendleft(reversed(parts))
             self._starts_failed += 1
             self._say(f"worker {worker.number} {how} before it was ready")
-            if self._starts_failed >= START_DEATHS:
+            if self._starts_failed >= (MORE_START_DEATHS if self._began else START_DEATHS):
                 raise PoolError(
-                    f"{START_DEATHS} workers one after the other {how} before they were ready. Is"
-                    " there memory for them? 'python -m bench.campaign.worker' shows an error of"
-                    " the installation."
+                    f"{self._starts_failed} workers one after the other {how} before they were"
+                    " ready. Is there memory for them? 'python -m bench.campaign.worker' shows an"
+                    " error of the installation."
                 )
             return None
         if not parts:
@@ -278,9 +282,11 @@ class LocalPool:
 
     def _silent_s(self, worker: _Worker) -> float:
         """How long it may say nothing; to begin takes its time on a busy machine."""
-        return self.limit_s if worker.ready else max(FIRST_LIMIT_S, self.limit_s)
+        return self.limit_s if worker.ready else START_LIMIT_S
 
     def _kill_silent(self) -> None:
+        if not self._heard.empty():  # who said something while the rows were written is heard first
+            return
         now_s = stopwatch_s()
         for worker in self._workers:
             limit_s = self._silent_s(worker)

@@ -6,6 +6,7 @@ stopped goes on where it was: what is done is what the folder holds.
 
 from __future__ import annotations
 
+import uuid
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -66,6 +67,11 @@ class Campaign:
         path = folder / PLAN
         if path.exists():
             kept = read_plan(path)
+            if not kept.made_by:
+                raise ConfigError.plain(
+                    f"{path} was written by a person, not by a campaign: give the campaign a folder"
+                    " of its own by --out"
+                )
             if lines := differences(kept, kept.made_by, plan, self.made_by):
                 raise ConfigError.plain(
                     f"{folder} holds a campaign of another kind, whose rows don't go with these:\n"
@@ -80,7 +86,10 @@ class Campaign:
             (self.folder / SHARDS).mkdir(parents=True, exist_ok=True)
             if not (self.folder / PLAN).exists():
                 text = plan_text(self.plan, self.made_by)
-                write_synced(self.folder / PLAN, text.encode("utf-8"))
+                # a job array's first jobs may all be here at once, with the same text
+                new = self.folder / f"plan-{uuid.uuid4().hex}"
+                write_synced(new, text.encode("utf-8"))
+                new.replace(self.folder / PLAN)
         except OSError as error:
             raise ConfigError.plain(f"{self.folder}: can't be written: {error}") from error
 

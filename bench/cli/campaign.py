@@ -1,4 +1,4 @@
-"""`campaign run`, `chunk` and `query`: many simulated scenes scored without instruments."""
+"""The commands of campaigns: many simulated scenes, scored or searched without instruments."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,6 +103,51 @@ def query(given: argparse.Namespace) -> int:
     return CODES.met
 
 
+def search(given: argparse.Namespace) -> int:
+    from bench.campaign.failures import SEARCH, Searching
+    from bench.cli.terminal import working
+
+    searching = Searching(_plan(given), given.out, given.members)
+    try:
+        with working("search", pace="scenes") as shown:
+            found = searching.run(given.rate_scenes, shown)
+    except KeyboardInterrupt:
+        return complain(
+            f"interrupted; {given.out / SEARCH} has the members that were done", CODES.fault
+        )
+    if given.json:
+        rates = [{"family": family, **asdict(rate)} for family, rate in found.rates.items()]
+        hits = [asdict(one) for one in found.hits]
+        failures = [asdict(one) for one in found.failures]
+        print(json.dumps({"hits": hits, "failures": failures, "rates": rates}, ensure_ascii=False))
+        return CODES.met
+    counts = ["scenes", "failures", "distinct"]
+    rows = [[one.family, *map(str, astuple(one)[1:])] for one in found.hits]
+    print("Hits of the search (no rate):")
+    print(plain_table(["family", "member", *counts], rows))
+    rows = [
+        [str(one.number), f"{one.family} {one.member}", one.failure, f"{one.grade_mm:.1f}"]
+        for one in found.failures
+    ]
+    if rows:
+        print(plain_table(["failure", "member", "kind", "grade (mm)"], rows))
+    for family, rate in found.rates.items():
+        print(
+            f"Rate of {family}, from {rate.scenes} weighted scenes: {rate.value:.2%} (95 % interval"
+            f" {rate.low:.2%} to {rate.high:.2%}, standard error {rate.standard_error:.2%})"
+        )
+    print(f"Written: {given.out / SEARCH}")
+    return CODES.met
+
+
+def keep(given: argparse.Namespace) -> int:
+    from bench.campaign.failures import keep as kept
+
+    frame = kept(given.folder, given.number, given.into, given.name)
+    print(f"{frame} in {given.into}")
+    return CODES.met
+
+
 def plain_table(names: list[str], rows: list[list[str]]) -> str:
     """Columns with two blanks between them."""
     widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
@@ -122,10 +167,10 @@ def _plan(given: argparse.Namespace) -> Plan:
     flags = {
         key: value
         for flag, key in FLAGS.items()
-        if (value := getattr(given, flag)) not in (None, [])
+        if (value := getattr(given, flag, None)) not in (None, [])
     }
-    if given.perturb:
-        flags["perturbations"] = [asdict(one) for one in given.perturb]
+    if perturbed := getattr(given, "perturb", None):
+        flags["perturbations"] = [asdict(one) for one in perturbed]
     if given.plan is not None:
         if flags:
             raise ConfigError.plain(

@@ -20,7 +20,7 @@ from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_
 from instruments.clock import Clock, RealClock
 
 if TYPE_CHECKING:
-    from bench.results.sensitivity import Measured
+    from bench.campaign.sensitivity import Measured
     from instruments.captures.replay import Replay
 
 
@@ -241,9 +241,9 @@ def _shown(frames: Iterator[str], out: Path, total: int) -> int:
 
 
 def sensitivity(given: argparse.Namespace) -> int:
+    from bench.campaign.sensitivity import Bench, chosen, measure
     from bench.report.sensitivity import check_curves, no_answers, write_figure, write_numbers
     from bench.results.answers import close_detectors
-    from bench.results.sensitivity import Bench, chosen, measure
     from bench.script.detectors import make_detectors
 
     quantities = chosen(given.quantity)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from bench.campaign.sensitivity import DISPARITY_PX, Measured, Quantity
 from bench.config import ConfigError
 from bench.report.wording import NOT_MEASURED
-from bench.results.sensitivity import DISPARITY_PX, Measured, Quantity
 from bench.scoring.errors import summarise_radial
 from reports.figures.drawing import COLOURS
 from reports.figures.sensitivity import MOST_CURVES, Bound, Curve, sensitivity

@@ -7,7 +7,7 @@ cameras) and fits its name. The cameras are a box of the thesis rig's bearings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache, partial
 from itertools import combinations
@@ -152,15 +152,37 @@ CLOSE = ("overlapping", "anywhere")  # families with a rule of their own for it
 PLACES = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
 
 
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """What a family draws evenly between ``low`` and ``high``; ``value`` is the member's."""
+
+    low: float
+    high: float
+    value: float
+
+
 class Draw:
-    """Chance, with the few ways in which families use it."""
+    """Chance, with the few ways in which families use it. ``point`` gives parameters by name, in
+    shares of their ranges, instead of chance.
+    """
 
-    def __init__(self, name: str, seed: int, attempt: int) -> None:
+    def __init__(
+        self, name: str, seed: int, attempt: int, point: Mapping[str, float] | None = None
+    ) -> None:
         self._rng = np.random.Generator(np.random.PCG64([seed, attempt, *name.encode()]))
+        self._point = point or {}
+        self.parameters: dict[str, Parameter] = {}
 
-    def between(self, low: float, high: float) -> float:
-        """Evenly."""
-        return float(self._rng.uniform(low, high))
+    def between(self, name: str, low: float, high: float) -> float:
+        """Evenly. A name that was drawn before gets a number, as ``teat_x_mm_2``."""
+        value, again, key = float(self._rng.uniform(low, high)), 1, name
+        while key in self.parameters:
+            again += 1
+            key = f"{name}_{again}"
+        if key in self._point:
+            value = low + self._point[key] * (high - low)
+        self.parameters[key] = Parameter(low, high, value)
+        return value
 
     def either(self) -> float:
         """-1 or 1."""
@@ -183,22 +205,34 @@ def udder(
     draw: Draw, *, lean_deg: tuple[float, float] = (0.0, 2.0), spread: float = 1.0
 ) -> Phantom:
     """Four teats as seen from behind, the near ones closer together; ``lean_deg`` (least, most)."""
-    middle = draw.between(-165.0, -95.0), draw.between(215.0, 265.0)
-    wide, deep = (draw.between(26.0, 42.0), draw.between(52.0, 78.0)), draw.between(30.0, 50.0)
+    middle = draw.between("udder_x_mm", -165.0, -95.0), draw.between("udder_y_mm", 215.0, 265.0)
+    wide, deep = (
+        (
+            draw.between("near_half_width_mm", 26.0, 42.0),
+            draw.between("far_half_width_mm", 52.0, 78.0),
+        ),
+        draw.between("half_depth_mm", 30.0, 50.0),
+    )
     teats = []
     for x, y in PLACES:
         base = (
-            middle[0] + spread * x * wide[int(y > 0.0)] + draw.between(-7.0, 7.0),
-            middle[1] + spread * y * deep + draw.between(-8.0, 8.0),
+            middle[0] + spread * x * wide[int(y > 0.0)] + draw.between("teat_x_mm", -7.0, 7.0),
+            middle[1] + spread * y * deep + draw.between("teat_y_mm", -8.0, 8.0),
         )
-        shape = TeatShape(draw.between(118.0, 150.0), draw.between(9.5, 12.5))
-        lean, way = np.radians(draw.between(*lean_deg)), draw.between(0.0, 2.0 * np.pi)
+        shape = TeatShape(
+            draw.between("teat_length_mm", 118.0, 150.0), draw.between("teat_radius_mm", 9.5, 12.5)
+        )
+        lean, way = (
+            np.radians(draw.between("lean_deg", *lean_deg)),
+            draw.between("lean_way_rad", 0.0, 2.0 * np.pi),
+        )
         x_tilt, y_tilt = np.arctan(np.tan(lean) * np.array([np.cos(way), np.sin(way)])).tolist()
         teats.append(Teat(base, shape, (x_tilt, y_tilt)))
     return Phantom(tuple(teats))
 
 
 # albedo, gloss and emissivity: matt dark, as the thesis's phantom; light with some gloss, as skin
+PAINTED = ("teat_albedo", "teat_gloss", "teat_emissivity")
 PAINTS = (
     ((0.04, 0.10), (0.01, 0.07), (0.94, 0.97)),
     ((0.32, 0.60), (0.02, 0.20), (0.94, 0.98)),
@@ -216,9 +250,16 @@ def lighting(draw: Draw, brightness: tuple[float, float] = (0.95, 1.35)) -> Ligh
     lamps = []
     for number, (usual_mm, off_mm, power) in enumerate(LAMPS):
         if number < 2 or draw.chance(0.3):
-            x, y, z = (at + draw.between(*off) for at, off in zip(usual_mm, off_mm, strict=True))
-            lamps.append(Lamp((x, y, z), draw.between(*power)))
-    return Lighting(draw.between(*brightness), tuple(lamps), draw.between(0.40, 0.60))
+            x, y, z = (
+                at + draw.between(f"lamp_{axis}_mm", *off)
+                for axis, at, off in zip("xyz", usual_mm, off_mm, strict=True)
+            )
+            lamps.append(Lamp((x, y, z), draw.between("lamp_power", *power)))
+    return Lighting(
+        draw.between("brightness", *brightness),
+        tuple(lamps),
+        draw.between("room_light", 0.40, 0.60),
+    )
 
 
 def backdrop(
@@ -230,24 +271,32 @@ def backdrop(
 ) -> Backdrop:
     """A board of that albedo and texture behind a light table."""
     return Backdrop(
-        board_albedo=draw.between(*board_albedo),
-        board_texture=draw.between(*texture),
+        board_albedo=draw.between("board_albedo", *board_albedo),
+        board_texture=draw.between("board_texture", *texture),
         board_weave=weave,
-        table_albedo=draw.between(0.25, 0.5),
-        table_texture=draw.between(0.05, 0.18),
+        table_albedo=draw.between("table_albedo", 0.25, 0.5),
+        table_texture=draw.between("table_texture", 0.05, 0.18),
         table_weave=draw.weave("cloud", "planks", "grain"),
-        front_albedo=draw.between(0.12, 0.30),
-        room_albedo=draw.between(0.04, 0.2),
+        front_albedo=draw.between("front_albedo", 0.12, 0.30),
+        room_albedo=draw.between("room_albedo", 0.04, 0.2),
         texture_seed=draw.count(0, 2**31),
-        board_k=draw.between(-0.4, 0.6),
-        table_k=draw.between(-0.6, 0.3),
+        board_k=draw.between("board_k", -0.4, 0.6),
+        table_k=draw.between("table_k", -0.6, 0.3),
     )
 
 
 def posters(draw: Draw, count: int) -> tuple[Poster, ...]:
     """Rectangles of any grey, all over the board."""
-    ranges = ((-900.0, 850.0), (60.0, 640.0), (20.0, 180.0), (10.0, 110.0), (0.03, 0.9))
-    return tuple(Poster(*(draw.between(*each) for each in ranges)) for _ in range(count))
+    ranges = {
+        "poster_x_mm": (-900.0, 850.0),
+        "poster_z_mm": (60.0, 640.0),
+        "poster_width_mm": (20.0, 180.0),
+        "poster_height_mm": (10.0, 110.0),
+        "poster_albedo": (0.03, 0.9),
+    }
+    return tuple(
+        Poster(*(draw.between(name, *each) for name, each in ranges.items())) for _ in range(count)
+    )
 
 
 def cooler_bodies(draw: Draw, count: int) -> tuple[SceneObject, ...]:
@@ -255,17 +304,23 @@ def cooler_bodies(draw: Draw, count: int) -> tuple[SceneObject, ...]:
     things = []
     for _ in range(count):
         look = {
-            "offset_k": -draw.between(2.5, 7.0),
-            "albedo": draw.between(0.1, 0.5),
-            "gloss": draw.between(0.0, 0.06),
+            "offset_k": -draw.between("body_offset_k", 2.5, 7.0),
+            "albedo": draw.between("body_albedo", 0.1, 0.5),
+            "gloss": draw.between("body_gloss", 0.0, 0.06),
         }
-        x, y = draw.between(-420.0, 160.0), draw.between(390.0, 640.0)
+        x, y = draw.between("body_x_mm", -420.0, 160.0), draw.between("body_y_mm", 390.0, 640.0)
         if draw.chance(0.3):
-            look |= {"z_mm": draw.between(140.0, 260.0), "radius_mm": draw.between(45.0, 95.0)}
+            look |= {
+                "z_mm": draw.between("body_z_mm", 140.0, 260.0),
+                "radius_mm": draw.between("body_radius_mm", 45.0, 95.0),
+            }
         else:
-            radius = draw.between(35.0, 80.0)
-            top = {"radius_mm": radius, "top_radius_mm": radius * draw.between(0.6, 0.95)}
-            look |= top | {"height_mm": draw.between(150.0, 330.0)}
+            radius = draw.between("body_radius_mm", 35.0, 80.0)
+            top = {
+                "radius_mm": radius,
+                "top_radius_mm": radius * draw.between("body_top_share", 0.6, 0.95),
+            }
+            look |= top | {"height_mm": draw.between("body_height_mm", 150.0, 330.0)}
         kind = "cooler_body" if "height_mm" in look else "ball"
         things.append(make_object(kind, x_mm=x, y_mm=y, **look))
     return tuple(things)
@@ -295,18 +350,47 @@ def situation(name: str, seed: int) -> Situation:
     check_known("situation", name, SITUATIONS)
     if seed < 0:
         raise ValueError(f"a situation's seed must be 0 or more, is {seed}")
-    about, family = SITUATIONS[name]
     for attempt in range(ATTEMPTS):
-        drawn = family(Draw(name, seed, attempt))
-        if drawn is None or (name not in CLOSE and apart(drawn.phantom, EYES_MM) < CLEAR_MM):
-            continue
-        found = replace(drawn, name=name, seed=seed, about=about)
-        if not faults(found):
+        if found := drawn(name, seed, attempt)[0]:
             return found
     raise RuntimeError(
         f"nothing that can be set up was found for {name} {seed} in {ATTEMPTS} draws: the family's"
         " limits contradict each other"
     )
+
+
+def drawn(
+    name: str, seed: int, attempt: int, point: Mapping[str, float] | None = None
+) -> tuple[Situation | None, Mapping[str, Parameter]]:
+    """One attempt at a member, None where it can't be set up or doesn't fit its family's name, and
+    its parameters by name. Those in ``point`` are there, in shares from 0 to 1 of their ranges.
+    """
+    draw, (about, family) = Draw(name, seed, attempt, point), SITUATIONS[name]
+    found = family(draw)
+    if found is None or (name not in CLOSE and apart(found.phantom, EYES_MM) < CLEAR_MM):
+        return None, draw.parameters
+    found = replace(found, name=name, seed=seed, about=about)
+    return None if faults(found) else found, draw.parameters
+
+
+class Around:
+    """A member and all that it could be with the same counts and choices: its parameters by name,
+    and the situation at any point of them. Raises ValueError as `situation` does.
+    """
+
+    def __init__(self, name: str, seed: int) -> None:
+        situation(name, seed)
+        self.name, self.seed = name, seed
+        self._attempt = next(i for i in range(ATTEMPTS) if drawn(name, seed, i)[0])
+        self.parameters = drawn(name, seed, self._attempt)[1]
+
+    def at(self, point: Mapping[str, float]) -> tuple[Situation | None, Mapping[str, Parameter]]:
+        """As `drawn`. Raises ValueError for a parameter or share that can't be."""
+        if unknown := set(point) - set(self.parameters):
+            raise ValueError(f"{self.name} {self.seed} has no parameter {min(unknown)!r}")
+        if wrong := [name for name, share in point.items() if not 0.0 <= share <= 1.0]:
+            raise ValueError(f"{min(wrong)}: a share of a range is from 0 to 1")
+        return drawn(self.name, self.seed, self._attempt, point)
 
 
 def _plain(draw: Draw, phantom: Phantom, *objects: SceneObject) -> Situation:
@@ -315,7 +399,12 @@ def _plain(draw: Draw, phantom: Phantom, *objects: SceneObject) -> Situation:
     return Situation(
         "", 0, "", phantom, objects,
         lighting=lighting(draw),
-        teat_paint=Paint(*(draw.between(*each) for each in PAINTS[light])),
+        teat_paint=Paint(
+            *(
+                draw.between(name, *each)
+                for name, each in zip(PAINTED, PAINTS[light], strict=True)
+            )
+        ),
         backdrop=backdrop(draw, (0.05, 0.12) if light else (0.40, 0.68)),
     )  # fmt: skip
 
@@ -326,21 +415,33 @@ def _ideal(draw: Draw, lean_deg: tuple[float, float] = (0.0, 2.0)) -> Situation 
 
 def _overlapping(draw: Draw) -> Situation | None:
     """Two teats touch side by side; of the two others the near one covers part of the far one."""
-    middle, across = draw.between(-185.0, -105.0), draw.either()
-    y = draw.between(200.0, 270.0)
-    shapes = [TeatShape(draw.between(118.0, 148.0), draw.between(9.5, 12.5)) for _ in range(4)]
-    gap = draw.between(0.0, 1.5)
-    turn = draw.between(-0.35, 0.35)
+    middle, across = draw.between("middle_x_mm", -185.0, -105.0), draw.either()
+    y = draw.between("touching_y_mm", 200.0, 270.0)
+    shapes = [
+        TeatShape(
+            draw.between("teat_length_mm", 118.0, 148.0), draw.between("teat_radius_mm", 9.5, 12.5)
+        )
+        for _ in range(4)
+    ]
+    gap = draw.between("gap_mm", 0.0, 1.5)
+    turn = draw.between("turn_rad", -0.35, 0.35)
     step = shapes[0].radius_mm + shapes[1].radius_mm + gap
-    first = middle + across * draw.between(30.0, 60.0)
+    first = middle + across * draw.between("touching_x_mm", 30.0, 60.0)
     touching = [
         (first, y),
         (first + across * step * float(np.cos(turn)), y + step * float(np.sin(turn))),
     ]
-    near = (middle - across * draw.between(15.0, 45.0), y - draw.between(15.0, 50.0))
+    near = (
+        middle - across * draw.between("near_x_mm", 15.0, 45.0),
+        y - draw.between("near_y_mm", 15.0, 50.0),
+    )
     eye = EYES_MM[2]
-    far_y = near[1] + draw.between(35.0, 95.0)
-    hidden = draw.between(0.25, 0.75) * (shapes[2].radius_mm + shapes[3].radius_mm) * draw.either()
+    far_y = near[1] + draw.between("far_y_mm", 35.0, 95.0)
+    hidden = (
+        draw.between("covered_share", 0.25, 0.75)
+        * (shapes[2].radius_mm + shapes[3].radius_mm)
+        * draw.either()
+    )
     far = (eye[0] + (near[0] - eye[0]) * (far_y - eye[1]) / (near[1] - eye[1]) + hidden, far_y)
     teats = tuple(
         Teat((float(x), float(at)), shape)
@@ -354,8 +455,14 @@ def _spurious_teat(draw: Draw) -> Situation | None:
     phantom = udder(draw)
     decoys = []
     for _ in range(draw.count(1, 2)):
-        size = {"length_mm": draw.between(115.0, 150.0), "radius_mm": draw.between(9.5, 12.5)}
-        place = {"x_mm": draw.between(-290.0, 60.0), "y_mm": draw.between(150.0, 380.0)}
+        size = {
+            "length_mm": draw.between("decoy_length_mm", 115.0, 150.0),
+            "radius_mm": draw.between("decoy_radius_mm", 9.5, 12.5),
+        }
+        place = {
+            "x_mm": draw.between("decoy_x_mm", -290.0, 60.0),
+            "y_mm": draw.between("decoy_y_mm", 150.0, 380.0),
+        }
         decoys.append(make_object("cold_teat", **place, **size))
     found = _plain(draw, phantom, *decoys)
     painted = tuple(replace(decoy, paint=found.teat_paint) for decoy in decoys)
@@ -369,18 +476,18 @@ def _spurious_teat(draw: Draw) -> Situation | None:
 
 def _hot_body_at_base(draw: Draw) -> Situation:
     """A cup amid the teats, as the udder: it hides some bases and no end."""
-    phantom = udder(draw, spread=draw.between(1.0, 1.2))
+    phantom = udder(draw, spread=draw.between("spread", 1.0, 1.2))
     x, y = phantom.bases_mm[:, :2].mean(axis=0)
     lowest = float(phantom.ends_mm[:, 2].min())
     cup = make_object(
         "hot_cup",
-        x_mm=float(x) + draw.between(-15.0, 15.0),
-        y_mm=float(y) + draw.between(-12.0, 25.0),
-        height_mm=lowest - draw.between(25.0, 60.0),
-        radius_mm=draw.between(20.0, 32.0),
-        offset_k=draw.between(-0.5, 4.0),
-        albedo=draw.between(0.2, 0.8),
-        gloss=draw.between(0.0, 0.15),
+        x_mm=float(x) + draw.between("cup_x_mm", -15.0, 15.0),
+        y_mm=float(y) + draw.between("cup_y_mm", -12.0, 25.0),
+        height_mm=lowest - draw.between("cup_below_mm", 25.0, 60.0),
+        radius_mm=draw.between("cup_radius_mm", 20.0, 32.0),
+        offset_k=draw.between("cup_offset_k", -0.5, 4.0),
+        albedo=draw.between("cup_albedo", 0.2, 0.8),
+        gloss=draw.between("cup_gloss", 0.0, 0.15),
     )
     return _plain(draw, phantom, cup)
 
@@ -391,17 +498,17 @@ def _hot_body_at_ends(draw: Draw) -> Situation:
     ends = phantom.ends_mm
     arm = make_object(
         "warm_arm",
-        x_mm=draw.between(-230.0, -60.0),
-        y_mm=float(ends[:, 1].max()) + draw.between(110.0, 300.0),
-        z_mm=float(ends[:, 2].mean()) + draw.between(-5.0, 40.0),
-        length_mm=draw.between(760.0, 940.0),
-        elbow_radius_mm=draw.between(42.0, 56.0),
-        wrist_radius_mm=draw.between(27.0, 36.0),
-        rise_deg=draw.between(-9.0, 9.0),
-        turn_deg=draw.between(-12.0, 12.0) + (180.0 if draw.chance(0.5) else 0.0),
-        offset_k=draw.between(-1.0, 2.0),
-        albedo=draw.between(0.2, 0.5),
-        gloss=draw.between(0.0, 0.05),
+        x_mm=draw.between("arm_x_mm", -230.0, -60.0),
+        y_mm=float(ends[:, 1].max()) + draw.between("arm_y_mm", 110.0, 300.0),
+        z_mm=float(ends[:, 2].mean()) + draw.between("arm_z_mm", -5.0, 40.0),
+        length_mm=draw.between("arm_length_mm", 760.0, 940.0),
+        elbow_radius_mm=draw.between("arm_elbow_radius_mm", 42.0, 56.0),
+        wrist_radius_mm=draw.between("arm_wrist_radius_mm", 27.0, 36.0),
+        rise_deg=draw.between("arm_rise_deg", -9.0, 9.0),
+        turn_deg=draw.between("arm_turn_deg", -12.0, 12.0) + (180.0 if draw.chance(0.5) else 0.0),
+        offset_k=draw.between("arm_offset_k", -1.0, 2.0),
+        albedo=draw.between("arm_albedo", 0.2, 0.5),
+        gloss=draw.between("arm_gloss", 0.0, 0.05),
     )
     return _plain(draw, phantom, arm)
 
@@ -413,7 +520,7 @@ def _cooler_bodies(draw: Draw) -> Situation | None:
 
 def _low_contrast(draw: Draw) -> Situation | None:
     """Teats and board of nearly one grey, dark or middling, the board perhaps textured."""
-    phantom, grey = udder(draw), draw.between(0.05, 0.35)
+    phantom, grey = udder(draw), draw.between("grey", 0.05, 0.35)
     found = _plain(draw, phantom)
     board = backdrop(
         draw,
@@ -421,13 +528,15 @@ def _low_contrast(draw: Draw) -> Situation | None:
         texture=(0.02, 0.2),
         weave=draw.weave("cloud", "grain", "waves"),
     )
-    return replace(found, teat_paint=Paint(grey, draw.between(0.0, 0.05)), backdrop=board)
+    return replace(
+        found, teat_paint=Paint(grey, draw.between("teat_gloss", 0.0, 0.05)), backdrop=board
+    )
 
 
 def _dim_light(draw: Draw) -> Situation | None:
     found = _plain(draw, udder(draw, lean_deg=(0.0, 5.0)))
     light = lighting(draw, (0.06, 0.28))
-    return replace(found, lighting=light, exposure=Exposure(gain=draw.between(1.0, 2.5)))
+    return replace(found, lighting=light, exposure=Exposure(gain=draw.between("gain", 1.0, 2.5)))
 
 
 def _missing_or_hidden(draw: Draw) -> Situation | None:
@@ -448,27 +557,27 @@ def _screened(
 ) -> Situation:
     """With something upright between an end and the cameras."""
     eye = np.asarray(EYES_MM[draw.count(0, 2)])
-    y = float(end_mm[1]) - draw.between(28.0, 130.0)
+    y = float(end_mm[1]) - draw.between("screen_y_mm", 28.0, 130.0)
     x = float(eye[0] + (end_mm[0] - eye[0]) * (y - eye[1]) / (end_mm[1] - eye[1])) + draw.between(
-        -6.0, 6.0
+        "screen_x_mm", -6.0, 6.0
     )
-    tall = float(end_mm[2]) + draw.between(8.0, 40.0)
+    tall = float(end_mm[2]) + draw.between("screen_height_mm", 8.0, 40.0)
     if draw.chance(0.4):
         post = make_object(
             "rod",
             x_mm=x,
             y_mm=y,
             height_mm=tall,
-            radius_mm=draw.between(8.0, 16.0),
-            albedo=draw.between(0.1, 0.7),
+            radius_mm=draw.between("screen_radius_mm", 8.0, 16.0),
+            albedo=draw.between("screen_albedo", 0.1, 0.7),
         )
         return replace(found, objects=(post,))
-    wide = draw.between(26.0, 50.0)
-    turn = draw.between(-0.4, 0.4)
+    wide = draw.between("screen_width_mm", 26.0, 50.0)
+    turn = draw.between("screen_turn_rad", -0.4, 0.4)
     pattern = Pattern("plain", round(wide), round(tall), 1.0, 0.0)
     across = (float(np.cos(turn)), float(np.sin(turn)), 0.0)
     corner = (x - 0.5 * wide * across[0], y - 0.5 * wide * across[1], float(pattern.rows))
-    albedo = draw.between(0.1, 0.8)
+    albedo = draw.between("screen_albedo", 0.1, 0.8)
     panel = Board(corner, across, pattern=pattern, name="panel", light_albedo=albedo)
     return replace(found, boards=(panel,))
 
@@ -477,9 +586,13 @@ def _anywhere(draw: Draw) -> Situation | None:
     """Teats anywhere in view at any lean, before any background, among things that are no teats."""
     teats = []
     for _ in range(4):
-        shape = TeatShape(draw.between(105.0, 155.0), draw.between(8.5, 13.0))
-        x_tilt, y_tilt = (float(np.radians(draw.between(-16.0, 16.0))) for _ in range(2))
-        base = draw.between(-265.0, 20.0), draw.between(125.0, 375.0)
+        shape = TeatShape(
+            draw.between("teat_length_mm", 105.0, 155.0), draw.between("teat_radius_mm", 8.5, 13.0)
+        )
+        x_tilt, y_tilt = (
+            float(np.radians(draw.between("tilt_deg", -16.0, 16.0))) for _ in range(2)
+        )
+        base = draw.between("teat_x_mm", -265.0, 20.0), draw.between("teat_y_mm", 125.0, 375.0)
         teats.append(Teat(base, shape, (x_tilt, y_tilt)))
     phantom = Phantom(tuple(teats))
     clutter = tuple(_clutter(draw) for _ in range(draw.count(0, 3)))
@@ -488,7 +601,7 @@ def _anywhere(draw: Draw) -> Situation | None:
         found.backdrop,
         posters=posters(draw, draw.count(0, 9)),
         board_weave=draw.weave("cloud", "grain", "waves"),
-        board_texture=draw.between(0.02, 0.3),
+        board_texture=draw.between("board_texture", 0.02, 0.3),
     )
     light: Lighting = lighting(draw, (0.5, 1.15))
     return (
@@ -499,7 +612,7 @@ def _anywhere(draw: Draw) -> Situation | None:
 
 
 def _clutter(draw: Draw) -> SceneObject:
-    x_mm = draw.between(-450.0, 250.0)
+    x_mm = draw.between("thing_x_mm", -450.0, 250.0)
     kind = draw.count(0, 3)
     if kind == 3:
         return cooler_bodies(draw, 1)[0]
@@ -512,7 +625,7 @@ def _clutter(draw: Draw) -> SceneObject:
         ("cold_teat", {"y_mm": (150.0, 700.0), "length_mm": (100.0, 160.0), "albedo": (0.05, 0.5)}),
         ("hot_cup", {"y_mm": (400.0, 700.0), "height_mm": (50.0, 120.0), "offset_k": (-8.0, 3.0)}),
     )[kind]
-    drawn = {key: draw.between(*each) for key, each in ranges.items()}
+    drawn = {key: draw.between(f"thing_{key}", *each) for key, each in ranges.items()}
     return make_object(name, x_mm=x_mm, **drawn)
 
 

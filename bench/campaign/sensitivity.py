@@ -15,20 +15,20 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import hypot
 
 import cv2
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from bench.campaign import chunk
+from bench.campaign.chunk import Rows, Scene, run_scene
 from bench.config import ConfigError, did_you_mean, read_text
-from bench.results.answers import examine, points_of
 from bench.rig.loading import LoadedRig
 from bench.rig.scenes import warm
-from bench.scoring.matching import gate_mm, match
 from detector.calibration import Calibration
 from detector.geometry import Array
-from detector.protocol import Detector, Outcome
-from instruments.camera.frame import FrameSet
+from detector.protocol import Detector
 from instruments.world.objects import make_object
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import FLANGE_HEIGHT_MM, Phantom, PlatePose, Teat
@@ -161,24 +161,21 @@ def _at(bench: Bench, quantity: Quantity, value: float, renderer: Renderer) -> M
     bounds: list[tuple[Array, Array, Array]] = []
     shares: list[tuple[int, float]] = []
     for member in bench.members:
-        noise = np.random.default_rng([bench.seed, member, *quantity.name.encode()])
         try:
-            state = warm(quantity.set_up(value, member, renderer))
-            taken = renderer.render(state, noise)
+            found = quantity.set_up(value, member, renderer)
+            stated = quantity.stated(value, member, truth)
+            one = chunk.Bench(renderer, stated, bench.detectors, bench.seed)
+            rows = run_scene(one, Scene(quantity.name, member), found)
         except ValueError as error:
             raise ConfigError.plain(
                 f"{quantity.name} {value:g} can't be set up for member {member}: {error}; choose"
                 " others by --first"
             ) from error
-        frames = FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
-        stated = quantity.stated(value, member, truth)
+        for name, tally in _tallies(rows):
+            tallies[name] += tally
+        state = warm(found)
         seen = renderer.visible_ends(state).all(axis=1)
         teats, ends = np.flatnonzero(seen).tolist(), state.phantom.ends_mm
-        for detector in bench.detectors:
-            answer = examine(detector, frames, stated)
-            found = match(points_of(answer.detection), ends, seen, gate_mm(ends))
-            failed = int(answer.outcome is not Outcome.ANSWERED)
-            tallies[detector.name] += Tally(found.distances_mm, len(found.false), failed)
         if teats:
             depths = truth.depth_per_disparity_px_mm(ends[teats])
             covariances = end_covariances(renderer, state, teats)
@@ -192,6 +189,17 @@ def _at(bench: Bench, quantity: Quantity, value: float, renderer: Renderer) -> M
     disparity = MEDIAN_OF_NORMAL * DISPARITY_PX * float(np.median(depths))
     share = sum(n * one for n, one in shares) / len(shifts) if shares else None
     return Measured(value, len(shifts), tallies, Limit(median, p95, disparity, share))
+
+
+def _tallies(rows: Rows) -> Iterator[tuple[str, Tally]]:
+    """What each detector did in one scene."""
+    for row in rows.scenes:
+        distances = tuple(
+            hypot(teat.x_mm or 0.0, teat.y_mm or 0.0, teat.z_mm or 0.0)
+            for teat in rows.teats
+            if teat.detector == row.detector and teat.status == "found"
+        )
+        yield row.detector, Tally(distances, row.false_teats, int(row.no_answer))
 
 
 def shifts_mm(calibration: Calibration, stated: Calibration, ends_mm: Array) -> Array:

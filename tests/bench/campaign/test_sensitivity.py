@@ -18,11 +18,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from bench.cli.main import parser
-from bench.config import ConfigError
-from bench.report.sensitivity import COLUMNS, PAGE, POINTS, figure_of, write_figure, write_numbers
-from bench.results import sensitivity
-from bench.results.sensitivity import (
+from bench.campaign import sensitivity
+from bench.campaign.sensitivity import (
     QUANTITIES,
     Bench,
     Limit,
@@ -35,6 +32,9 @@ from bench.results.sensitivity import (
     outline_of,
     shifts_mm,
 )
+from bench.cli.main import parser
+from bench.config import ConfigError
+from bench.report.sensitivity import COLUMNS, PAGE, POINTS, figure_of, write_figure, write_numbers
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.rig.scenes import warm
 from detector.calibration import Calibration, ParameterCovariance, load_calibration
