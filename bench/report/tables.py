@@ -14,7 +14,7 @@ from bench.record.schema import Row
 from bench.report.wording import NOT_MEASURED, limit, listed, margin, measured, table
 from bench.results.attribution import Cause, What, attributed, counted
 from bench.results.verdicts import LATENCY_RULE, Judgement, failures_text, latency_of, scored
-from bench.scoring.decisions import Verdict
+from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import Rules
