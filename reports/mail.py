@@ -25,7 +25,7 @@ def write_single_file(page: Page, folder: Path, target: Path, most_bytes: int = 
     """
     by_id = {trial.id: trial for trial in page.trials}
     trials = [by_id[name] for name in dict.fromkeys((*page.worst, *by_id))][:MOST_TRIALS]
-    images = (image for trial in trials for image in trial.images)
+    images = (image for one in (*page.looks(), *trials) for image in one.images)
     refuse_missing((replace(image, original="") for image in images), folder)
     room = most_bytes - len(_html(page, (), folder).encode("utf-8"))
     if room < 0:
@@ -57,9 +57,8 @@ def _html(page: Page, kept: Sequence[TrialPart], folder: Path) -> str:
             f"{len(shown)} of {len(page.trials)} trials are in this file, those to look at first;"
             f" the whole report has all. {note}"
         )
-    embedded = {
-        image.src: _data_uri(folder / image.src) for trial in shown for image in trial.images
-    }
+    images = (image for one in (*page.looks(), *shown) for image in one.images)
+    embedded = {src: _data_uri(folder / src) for src in {image.src for image in images}}
     travelling = replace(page, trials_note=note.strip())
     return Press(travelling).page(Place(shown, embedded=embedded))
 

@@ -7,6 +7,7 @@ is in `templates/`; `render.py` joins the two.
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import ClassVar, Literal, get_args
 
 from reports.frames import LAYER_TONES, ImageView, LayerTone, layers
@@ -64,6 +65,36 @@ class Requirements:
     caption: str
     rows: tuple[Requirement, ...]
     note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """A requirement's result of one detector: value, and in a few words what it shows."""
+
+    verdict: Verdict
+    value: str
+    shows: str
+
+    def __post_init__(self) -> None:
+        one_of(self.verdict, VERDICTS, f"score {self.value!r}, verdict")
+
+
+@dataclass(frozen=True, slots=True)
+class Scoreboard:
+    """Requirement by detector: a row is name, limit and a score of each of `detectors`."""
+
+    kind: ClassVar[str] = "scoreboard"
+    caption: str
+    detectors: tuple[str, ...]
+    rows: tuple[tuple[str, str, tuple[Score | None, ...]], ...]
+
+    def __post_init__(self) -> None:
+        for name, _, scores in self.rows:
+            if len(scores) != len(self.detectors):
+                raise PageError(
+                    f"scoreboard {self.caption!r}, requirement {name!r}: {len(scores)} scores for"
+                    f" {len(self.detectors)} detectors"
+                )
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,12 +209,45 @@ class Code:
     text: str
 
 
-Part = Requirements | Table | Figure | KeyValues | Paragraph | Notes | Code
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A trial to look at: why it was chosen, what came out, its views cut to what matters."""
+
+    trial: str
+    heading: str
+    why: str
+    results: tuple[Cell, ...]
+    images: tuple[ImageView, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """A strip of pictures; a click on one opens its trial."""
+
+    kind: ClassVar[str] = "looks"
+    looks: tuple[Look, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """Parts behind their title, which opens them; on paper they are open."""
+
+    kind: ClassVar[str] = "fold"
+    title: str
+    parts: tuple["Part", ...]
+
+
+Part = (
+    Requirements | Scoreboard | Looks | Fold | Table | Figure | KeyValues | Paragraph | Notes | Code
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """The first screen: what was tested, the verdict, why, how sure it is, what to do next."""
+    """The first screen: what was tested, the verdict, why, how sure it is, what to do next.
+
+    `each`: several detectors' own verdicts by name; they stand in place of the run's one.
+    """
 
     kind: Kind
     verdict: Verdict
@@ -191,10 +255,28 @@ class Banner:
     sentence: str
     confidence: str
     next_action: str
+    each: tuple[tuple[str, Verdict], ...] = ()
 
     def __post_init__(self) -> None:
         one_of(self.kind, KINDS, "banner, kind")
-        one_of(self.verdict, VERDICTS, "banner, verdict")
+        for verdict in (self.verdict, *(one for _, one in self.each)):
+            one_of(verdict, VERDICTS, "banner, verdict")
+
+    @property
+    def verdicts(self) -> tuple[tuple[str, Verdict], ...]:
+        """Detector and verdict; without a name where there is one verdict."""
+        return self.each or (("", self.verdict),)
+
+    @property
+    def verdict_text(self) -> str:
+        """The verdicts in a line: ``fused met, thesis not met``."""
+        return ", ".join(f"{name} {verdict}".strip() for name, verdict in self.verdicts)
+
+    @property
+    def tone(self) -> Verdict:
+        """The verdict whose colour the banner has; none where the detectors' verdicts differ."""
+        found = {verdict for _, verdict in self.verdicts}
+        return found.pop() if len(found) == 1 else "no verdict"
 
     @property
     def kind_text(self) -> str:
@@ -204,11 +286,12 @@ class Banner:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A chapter of the page; `id` is its anchor."""
+    """A chapter of the page; `id` is its anchor; `folded`: closed at first."""
 
     id: str
     title: str
     parts: tuple[Part, ...]
+    folded: bool = False
 
     def __post_init__(self) -> None:
         checked_slug(self.id, f"section {self.title!r}")
@@ -265,7 +348,8 @@ class Page:
                 f"{what}: the ids {twice} stand for two things; give each part, and each figure's"
                 " name, its own"
             )
-        unknown = sorted(set(self.worst) - {trial.id for trial in self.trials})
+        looked = {look.trial for look in self.looks()}
+        unknown = sorted((looked | set(self.worst)) - {trial.id for trial in self.trials})
         if unknown:
             raise PageError(f"{what}: {unknown} in 'worst' are no trials of it")
         links = [link for figure in figures for link in figure.facts.links]
@@ -276,6 +360,13 @@ class Page:
                 )
         rows = (row for part in self.parts() if isinstance(part, Requirements) for row in part.rows)
         failed = [row.name for row in rows if row.verdict in {"not met", "aborted"}]
+        boards = (part for part in self.parts() if isinstance(part, Scoreboard))
+        failed += [
+            name
+            for board in boards
+            for name, _, scores in board.rows
+            if any(score and score.verdict == "not met" for score in scores)
+        ]
         if self.banner.verdict == "met" and failed:
             raise PageError(
                 f"{what}: the banner says 'met', but {failed} is not; it must not claim more than"
@@ -289,17 +380,28 @@ class Page:
         by_id = {trial.id: trial for trial in self.trials}
         return tuple(by_id[name] for name in self.worst[:3])
 
+    @property
+    def folds(self) -> bool:
+        """Whether there are folded chapters: then the trials are one too."""
+        return any(section.folded for section in self.sections)
+
     def parts(self) -> Iterator[Part]:
-        """Every part of every section, in order."""
-        return (part for section in self.sections for part in section.parts)
+        """Every part of every section, in order; a fold, then what it holds."""
+        return (part for section in self.sections for part in _unfolded(section.parts))
+
+    def looks(self) -> Iterator[Look]:
+        """Every trial of the strips of pictures."""
+        strips = (part for part in self.parts() if isinstance(part, Looks))
+        return (look for strip in strips for look in strip.looks)
 
     def images(self) -> Iterator[ImageView]:
         """Every image, in order."""
-        return (image for trial in self.trials for image in trial.images)
+        shown: Iterator[Look | TrialPart] = chain(self.looks(), self.trials)
+        return (image for one in shown for image in one.images)
 
     def layers(self) -> dict[LayerTone, str]:
         """Tone and name of the layers that can be switched."""
-        return layers(self.images())
+        return layers(image for trial in self.trials for image in trial.images)
 
     def _cells(self) -> Iterator[Cell]:
         for part in (*self.parts(), *(table for trial in self.trials for table in trial.tables)):
@@ -309,3 +411,10 @@ class Page:
                 yield from (value for _, value in part.entries if isinstance(value, Cell))
         for trial in self.trials:
             yield from (value for _, value in trial.summary if isinstance(value, Cell))
+
+
+def _unfolded(parts: tuple[Part, ...]) -> Iterator[Part]:
+    for part in parts:
+        yield part
+        if isinstance(part, Fold):
+            yield from _unfolded(part.parts)

@@ -95,6 +95,8 @@ class Press:
 
     def _fill(self, template: str, place: Place, **values: Any) -> str:
         shown = [image for trial in place.trials for image in trial.images]
+        looks = self._page.looks() if template == "page.html.j2" else ()
+        cut = [image for look in looks for image in look.images]
         away = {trial.id for trial in self._page.trials} - {trial.id for trial in place.trials}
         named: set[str] = set()
 
@@ -106,7 +108,7 @@ class Press:
             named.add(name)
             return name
 
-        different = dict.fromkeys(map(_view, shown))
+        different = dict.fromkeys(map(_view, (*cut, *shown)))
         views = {view: f"v{number}" for number, view in enumerate(different)}
         style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
         by_style, by_script = map(policy_hash, (style, self._script))
@@ -114,6 +116,7 @@ class Press:
             page=self._page,
             place=place,
             layers=layers(shown),
+            marks=layers(cut),
             view_name=lambda image: views[_view(image)],
             row_id=row_id,
             lone=_lone,

@@ -13,11 +13,24 @@ from bench.report.wording import NOT_MEASURED, guardian_text, key_values, number
 from bench.results.teat_temperature import Figures, Surface, surface
 from bench.safety.interlocks import RULES
 from bench.script.model import Rules, Script
-from reports.figures import bath_curve
-from reports.page import Figure, Paragraph, Part, Table
+from reports.figures import bath_curve, bath_sparkline
+from reports.page import Figure, Fold, Paragraph, Part, Table
 
 MOST_ROWS = 40  # of a table that has a row a capture
 AROUND_S = 5.0  # readings so near to a capture are those of the capture
+
+
+def sparkline(run: RunRecord, rules: Rules) -> Iterator[Part]:
+    """The bath's course in a line for the first page; nothing for recorded frames."""
+    set_point = run.facts.get("set_point_c")
+    if set_point is None or not len(run.bath):
+        return
+    band_k = rules.bath.leave_k if isinstance(rules, Script) else 0.15
+    svg = bath_sparkline(run.bath[:, 0], run.bath[:, 1], set_point, band_k)
+    captured = [trial for trial in run.trials if trial.head["captured_s"] is not None]
+    stable = sum(trial.head["bath_state"] == "stable" for trial in captured)
+    caption = f"The bath; stable at {stable} of {len(captured)} captures"
+    yield Figure(svg, caption, f"{len(run.bath)} readings about {set_point:g} °C")
 
 
 def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
@@ -50,9 +63,14 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         entries["at the captures"] = spanned(temps, unit="°C")
     yield key_values("Bath", entries)
     if captured:
-        yield from _capture_parts(run, *_farthest(run, captured))
+        each = [*_capture_parts(run, *_farthest(run, captured))]
         if isinstance(rules, Script):
-            yield _stability_table(run, set_point, rules.bath.window_s, *_farthest(run, captured))
+            window_s = rules.bath.window_s
+            each.append(_stability_table(run, set_point, window_s, *_farthest(run, captured)))
+        states = [str(trial.head["bath_state"]) for trial in captured]
+        states_text = ", ".join(f"{states.count(one)} {one}" for one in dict.fromkeys(states))
+        yield Paragraph(f"The bath at the {len(captured)} captures: {states_text}.")
+        yield Fold("Each capture: temperatures, stability and uncertainty", tuple(each))
     yield from _care_parts(run)
 
 
@@ -187,7 +205,10 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     rows = [(r.name, r.trips, r.resets, states.get(r.name, "did not trip")) for r in RULES]
     heads = "interlock | trips | resets, once acknowledged | in this run"
     note = "None of this is a safety function; the bath's independent cut-out is."
-    yield table("Interlocks", heads, rows, note)
+    resting = sum(state == "did not trip" for *_, state in rows)
+    yield Paragraph(f"{resting} of {len(rows)} interlocks were awake and did not trip.")
+    listed = table("Interlocks", heads, rows, note)
+    yield listed if trip else Fold("Interlocks, when they trip and how they reset", (listed,))
     if trip:
         yield _trip_table(trip)
 

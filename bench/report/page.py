@@ -5,6 +5,7 @@ bench, run, calibration, checksums, faults, command.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +17,20 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.schema import RULES, SCRIPT
 from bench.report import tables
 from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
-from bench.report.bath import bath_parts
+from bench.report.bath import bath_parts, sparkline
 from bench.report.comparison import detectors_section
 from bench.report.spread import pose_parts, spread_parts
 from bench.report.thesis import published_counts, thesis_chapter
-from bench.report.trials import first_looks, trial_id, trial_parts, trial_table, worst_trials
+from bench.report.trials import (
+    first_looks,
+    looks_of,
+    trial_id,
+    trial_parts,
+    trial_table,
+    worst_trials,
+)
 from bench.report.truth import arm_parts, deviation_parts, truth_parts
-from bench.report.wording import headline, id_of, key_values, table
+from bench.report.wording import headline, headlines, id_of, key_values, table
 from bench.results.exports import write_exports
 from bench.results.verdicts import (
     LATENCY_RULE,
@@ -46,7 +54,9 @@ from reports.page import (
     Cell,
     Code,
     Figure,
+    Fold,
     KeyValues,
+    Looks,
     Notes,
     Page,
     Paragraph,
@@ -105,6 +115,9 @@ def build_page(
     """The page; writes the trials' pictures into ``folder``/images. ``chapters`` come later."""
     trials = trial_parts(run, calibration, folder)
     verdict, why, then = headline(run, judgements)
+    each = run.ending == "finished" and not run.damage and len(judgements) > 1
+    if each:
+        why, then = headlines(run, judgements)
     facts, limit_mm, looks = run.facts, rules.visible_within_mm, first_looks(run)
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
     left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
@@ -118,8 +131,15 @@ def build_page(
         sentence=why,
         confidence=_confidence(run, rules, poses),
         next_action=then,
+        each=tuple((j.detector, j.verdict.value) for j in judgements) if each else (),
     )
-    requirements: tuple[Part, ...] = tuple(tables.requirements(j, rules) for j in judgements)
+    requirements: tuple[Part, ...] = (
+        tables.scoreboard(judgements),
+        Fold(
+            "Rules, counts, margins and reasons",
+            tuple(tables.requirements(j, rules) for j in judgements),
+        ),
+    )
     if not judgements:
         nothing = "Nothing was scored, so no requirement was decided."
         requirements = (Paragraph(nothing, tone="warn"),)
@@ -128,8 +148,7 @@ def build_page(
     deviations = (*deviation_parts(run), *fault_parts(run))
     listed: tuple[Part, ...] = (*([looks] if looks else []), trial_table(run))
     results = (*_result_parts(run, rules), *tables.attribution_parts(run))
-    sections = (
-        Section("requirements", "Requirements", requirements),
+    behind = (
         Section("results", "Results by situation", results),
         *thesis_chapter(run, rules, calibration),
         *chapters,
@@ -143,13 +162,21 @@ def build_page(
         Section("provenance", "Provenance", tuple(provenance_parts(run))),
         Section("trial-list", "Trials", listed),
     )
+    drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
+    made = tuple(trials)
+    looked = looks_of(run, made, calibration)
+    sections = (
+        Section("requirements", "Requirements", requirements),
+        *([Section("looks", "Where to look first", (Looks(looked),))] if looked else []),
+        *([Section("figures", "Figures", drawn)] if looked else []),
+    )
     alarm = f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
     return Page(
         title=str(facts["title"]),
         subtitle=str(facts.get("about", "")),
         banner=banner,
-        sections=sections,
-        trials=tuple(trials),
+        sections=(*sections, *(replace(section, folded=True) for section in behind)),
+        trials=made,
         worst=tuple(map(trial_id, worst_trials(run))),
         alarm=alarm if run.damage else "",
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
@@ -209,6 +236,67 @@ def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
             yield tables.rates_by_situation(run, detector)
 
 
+def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
+    """The first page's figures: errors, outcomes, depth against lateral error, and the bath."""
+    limit_mm = rules.visible_within_mm
+    names = tables.situations(run)
+    called = [*map(spoken, names)]
+    errors = {
+        detector: [np.linalg.norm(scored(run, detector, one).errors_mm, axis=1) for one in names]
+        for detector in run.detectors
+    }
+    links = {
+        detector: [_links(run, detector, situation) for situation in names]
+        for detector in run.detectors
+    }
+    within = sum(int((one <= limit_mm).sum()) for each in errors.values() for one in each)
+    of = sum(len(one) for each in errors.values() for one in each)
+    yield Figure(
+        figures.error_strips(called, errors, limit_mm, links=links),
+        "Error of each teat end found; each point opens its trial",
+        f"{within} of {of} teat ends within {limit_mm:g} mm",
+    )
+    counted = {
+        detector: [scored(run, detector, one).counts for one in names] for detector in run.detectors
+    }
+    outcomes = {
+        detector: [(c.matched, c.missed, c.false) for c in each]
+        for detector, each in counted.items()
+    }
+    yield Figure(
+        figures.outcome_bars(called, outcomes),
+        "Teats found · missed · false answers",
+        "; ".join(
+            f"{detector}: {' · '.join(str(sum(column)) for column in zip(*each, strict=True))}"
+            for detector, each in outcomes.items()
+        ),
+    )
+    camera_from_world = calibration.world_from_right.inverse().R
+    for detector in run.detectors:
+        errors_mm = scored(run, detector).errors_mm
+        camera = errors_mm @ camera_from_world.T
+        lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
+        cloud = (lateral, camera[:, 2], limit_mm)
+        accept_mm, name = _accepted_mm(run, rules, detector), id_of(detector)
+        every = _links(run, detector)
+        yield Figure(
+            figures.error_scatter(*cloud, accept_mm=accept_mm, links=every, name=f"scatter-{name}"),
+            f"Depth error against lateral error, {detector}; each point opens its trial",
+            f"{len(errors_mm)} points",
+        )
+    yield from sparkline(run, rules)
+
+
+def _links(run: RunRecord, detector: str, situation: str | None = None) -> list[str]:
+    """The trial of each error, in the order of `scored`."""
+    return [
+        f"#{trial_id(trial)}"
+        for trial in run.counted
+        if detector in trial.scores and situation in (None, trial.head["situation"])
+        for _ in trial.scores[detector].errors_mm
+    ]
+
+
 def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
     limit_mm = rules.visible_within_mm
     names = tables.situations(run)
@@ -216,22 +304,8 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
     for detector in run.detectors:
         pool, name = scored(run, detector), id_of(detector)
         yield from accuracy_tables(run, detector, limit_mm, camera_from_world)
-        camera = pool.errors_mm @ camera_from_world.T
         radial = np.linalg.norm(pool.errors_mm, axis=1)
         accept_mm = _accepted_mm(run, rules, detector)
-        links = [
-            f"#{trial_id(t)}"
-            for t in run.counted
-            if detector in t.scores
-            for _ in t.scores[detector].errors_mm
-        ]
-        lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
-        cloud = (lateral, camera[:, 2], limit_mm)
-        yield Figure(
-            figures.error_scatter(*cloud, accept_mm=accept_mm, links=links, name=f"scatter-{name}"),
-            f"Depth error against lateral error, {detector}; each point opens its trial",
-            f"{len(radial)} points",
-        )
         yield Figure(
             figures.error_histogram(
                 radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{name}"

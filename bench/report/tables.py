@@ -5,7 +5,7 @@ and what each missed or wrong teat is attributed to.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -14,12 +14,22 @@ from bench.record.schema import Row
 from bench.report.wording import NOT_MEASURED, limit, listed, margin, measured, table
 from bench.results.attribution import Cause, What, attributed, counted
 from bench.results.verdicts import LATENCY_RULE, Judgement, failures_text, latency_of, scored
+from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import Rules
 from detector.protocol import Outcome
 from instruments.world.situations import spoken
-from reports.page import Cell, Notes, Part, Requirement, Requirements, Table
+from reports.page import (
+    Cell,
+    Notes,
+    Part,
+    Requirement,
+    Requirements,
+    Score,
+    Scoreboard,
+    Table,
+)
 
 CONFIDENCE = 0.95
 NARROW = "k of n with its exact 95 % interval, which for few poses is wide: so little do they show."
@@ -36,6 +46,38 @@ def requirements(judgement: Judgement, rules: Rules) -> Requirements:
     return Requirements(
         f"Requirements, detector {judgement.detector}: {judgement.verdict.value}", tuple(rows), note
     )
+
+
+SHOWS = {
+    Verdict.MET: "met",
+    Verdict.NOT_MET: "not met",
+    Verdict.INCONCLUSIVE: "not decided yet",
+    Verdict.NOT_MEASURED: "nothing to decide it by",
+}
+
+
+def _shows(decision: Decision, usual: int) -> str:
+    """In words, with the number that it is from where that isn't the ``usual`` one."""
+    of = f", from {decision.n}" if decision.n not in (usual, 0) else ""
+    return f"{SHOWS[decision.verdict]}{of}"
+
+
+def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
+    """Each requirement and what each detector shows of it."""
+    counts = [d.n for judgement in judgements for d in judgement.decisions]
+    usual = max(sorted(set(counts)), key=counts.count, default=0)
+    by_name = [{d.name: d for d in judgement.decisions} for judgement in judgements]
+    rows = []
+    for name in dict.fromkeys(name for each in by_name for name in each):
+        decisions = [each.get(name) for each in by_name]
+        limits = dict.fromkeys(limit(d) for d in decisions if d)
+        scores = [
+            Score(d.verdict.value, measured(d), _shows(d, usual)) if d else None for d in decisions
+        ]
+        rows.append((name[0].upper() + name[1:], ", ".join(limits), tuple(scores)))
+    names = tuple(judgement.detector for judgement in judgements)
+    caption = f"What each detector shows, from {usual} where nothing else is said"
+    return Scoreboard(caption, names, tuple(rows))
 
 
 def situations(run: RunRecord) -> list[str]:

@@ -9,8 +9,9 @@ made again at any time, so nothing is synced to the disk.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +43,13 @@ from reports.frames import (
     Rect,
     Shape,
 )
-from reports.page import Cell, KeyValues, Table, Tone, TrialPart
+from reports.page import Cell, KeyValues, Look, Table, Tone, TrialPart
 
 AT_ONCE = 4  # trials: decoding and encoding pictures lets others work
 MOST_WORST = 60
+MOST_LOOKS = 3  # and a typical one
+ANSWERS: tuple[LayerTone, ...] = ("point", "nomination", "region", "spread")  # a detector's each
+CUT_WIDTH_PX, CUT_MARGIN_PX = 640, 22  # what is shown round the teats on the first page
 FIRST_LOOKS = 9
 
 
@@ -77,6 +81,90 @@ def worst_trials(run: RunRecord) -> tuple[TrialRecord, ...]:
         trial for trial in run.counted if any(not score.success for score in trial.scores.values())
     ]
     return tuple(sorted(failed, key=fault, reverse=True)[:MOST_WORST])
+
+
+def looks_of(
+    run: RunRecord, parts: Sequence[TrialPart], calibration: Calibration
+) -> tuple[Look, ...]:
+    """The worst trials, each detector's in turn, and a typical one; views cut to the teats."""
+    scored = [trial for trial in run.counted if trial.scores and trial.truth]
+    names = [name for name in run.detectors if any(name in trial.scores for trial in scored)]
+    if not scored or not names:
+        return ()
+
+    def fault(trial: TrialRecord, name: str) -> tuple[int, float]:
+        score = trial.scores.get(name)
+        if score is None:
+            return -1, 0.0
+        return score.counts.missed + score.counts.false, max(score.radial_mm, default=0.0)
+
+    ranks = {name: sorted(scored, key=lambda t: fault(t, name), reverse=True) for name in names}
+    chosen: dict[str, tuple[TrialRecord, str]] = {}
+    for turn in range(max(MOST_LOOKS, len(names))):
+        name = names[turn % len(names)]
+        free = [trial for trial in ranks[name] if trial.id not in chosen]
+        if free:
+            nth = ("Worst", "Second worst", "Third worst")[turn // len(names)]
+            chosen[free[0].id] = free[0], f"{nth} of {name}" if len(names) > 1 else nth
+    middle = ranks[names[0]][len(scored) // 2 :]
+    for trial in middle:
+        if trial.id not in chosen:
+            chosen[trial.id] = trial, f"Typical of {names[0]}" if len(names) > 1 else "Typical"
+            break
+    by_id = {part.id: part for part in parts}
+    return tuple(
+        _look(trial, why, by_id[trial_id(trial)], calibration) for trial, why in chosen.values()
+    )
+
+
+def _look(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Look:
+    ends = np.array([[r["x_mm"], r["y_mm"], r["z_mm"]] for r in trial.truth]).reshape(-1, 3)
+    images = []
+    for camera, truth_px in project_all(calibration, ends).items():
+        src = f"{IMAGES}/{trial.id}-{camera}.jpg"
+        image = next((image for image in part.images if image.src == src), None)
+        if image is None:
+            continue
+        size = max(1.0, image.width / CUT_WIDTH_PX)
+        box = round_teats(truth_px, image.width, image.height, round(CUT_MARGIN_PX * size))
+        drawn = [layer for layer in image.overlays if layer.tone == "truth"]
+        for place, detection in enumerate(trial.detections):
+            name = str(detection["detector"])
+            rows = [row for row in trial.found if row["detector"] == name]
+            at = [json.loads(row[f"{camera}_px"]) for row in rows if row.get(f"{camera}_px")]
+            if camera == "thermal" and rows:
+                # a detector states no thermal pixels of its ends: they are where its ends are
+                points = np.array([[r["x_mm"], r["y_mm"], r["z_mm"]] for r in rows])
+                seen = project_all(calibration, points)[camera]
+                at = [] if seen is None else seen.tolist()
+            tone = ANSWERS[place % len(ANSWERS)]
+            shapes = tuple(
+                _answer(tone, x, y, 5 * size) for x, y in at if np.isfinite([x, y]).all()
+            )
+            if shapes:
+                drawn.append(Overlay(tone, name, shapes))
+        cut = replace(image, overlays=tuple(drawn), view_box=box, alt=f"{image.alt}, at the teats")
+        images.append(cut)
+    images.sort(key=lambda image: "-left." not in image.src)
+    results = []
+    for detection in trial.detections:
+        name = str(detection["detector"])
+        score = trial.scores.get(name)
+        outcome, judged = _status(trial, score)
+        worst = max(score.radial_mm, default=None) if score else None
+        farthest = "" if worst is None else f", farthest {worst:.1f} mm"
+        results.append(Cell(f"{name}: {outcome}{farthest}", judged))
+    heading = f"{trial.id} ({part.situation})" if part.situation not in trial.id else trial.id
+    return Look(part.id, heading, why, tuple(results), tuple(images))
+
+
+def _answer(tone: LayerTone, x: float, y: float, arm: float) -> Shape:
+    """A detector's mark, as the key has it for the tone."""
+    if tone == "region":
+        return Rect(x - arm, y - arm, 2 * arm, 2 * arm)
+    if tone == "spread":
+        return Ellipse(x, y, 1.5 * arm, 0.75 * arm, -30.0)
+    return Cross(x, y, arm, turned=tone == "point")
 
 
 def trial_table(run: RunRecord) -> Table:
@@ -276,7 +364,9 @@ def pictures(
         yield ImageView(label, name, width, height, alt, layers, original=f"../{path}")
 
 
-def round_teats(points: Points | None, width: int, height: int) -> tuple[int, int, int, int] | None:
+def round_teats(
+    points: Points | None, width: int, height: int, margin_px: int = MARGIN_PX
+) -> tuple[int, int, int, int] | None:
     """A 4:3 part of the frame around the teat ends; the whole frame where it has none."""
     if (
         points is None
@@ -284,7 +374,7 @@ def round_teats(points: Points | None, width: int, height: int) -> tuple[int, in
         or not ((points >= 0) & (points < (width, height))).all(axis=1).any()
     ):
         return None
-    low, high = points.min(axis=0) - MARGIN_PX, points.max(axis=0) + MARGIN_PX
+    low, high = points.min(axis=0) - margin_px, points.max(axis=0) + margin_px
     view_width = int(min(width, max(high[0] - low[0], (high[1] - low[1]) * 4 / 3)))
     view_height = int(min(height, view_width * 3 / 4))
     if min(view_width, view_height) < 1:  # a frame of a few pixels has no part

@@ -163,6 +163,21 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
     return verdict, "\n".join([*silent, why]), f"{first} {then}"
 
 
+def headlines(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str]:
+    """Why and what next where several detectors are judged, a line for each."""
+    why: list[str] = []
+    then: dict[str, list[str]] = {}
+    for one in judgements:
+        verdict, _, action = _finished(run, (one,))
+        names = [d.name for d in one.decisions if d.verdict.value == verdict]
+        if verdict == "inconclusive":
+            names += [d.name for d in one.decisions if d.verdict is Verdict.NOT_MEASURED]
+        which = "all requirements" if verdict == "met" else ", ".join(names)
+        why += [*_silence(run, one.detector), f"{one.detector}: {verdict}: {which}."]
+        then.setdefault(action, []).append(one.detector)
+    return "\n".join(why), "\n".join(f"{', '.join(who)}: {what}" for what, who in then.items())
+
+
 def _silence(run: RunRecord, detector: str) -> Iterator[str]:
     """How often it gave no answer, with the last reason and the last line that it wrote."""
     rows = [row for trial in run.counted for row in trial.detections if row["detector"] == detector]

@@ -4,7 +4,14 @@ Without data a figure says "not measured"; numbers that are not finite are refus
 loads matplotlib (some tenths of a second), so importers do it late.
 """
 
-from reports.figures.course import Slope, bath_curve, found_bars, latency_strip, slope_intervals
+from reports.figures.course import (
+    Slope,
+    bath_curve,
+    bath_sparkline,
+    found_bars,
+    latency_strip,
+    slope_intervals,
+)
 from reports.figures.errors import (
     change_scatter,
     error_drift,
@@ -22,6 +29,7 @@ from reports.figures.plane import (
     error_regions,
 )
 from reports.figures.sensitivity import precision_by_distance, residual_field
+from reports.figures.situations import error_strips, outcome_bars
 
 __all__ = [
     "MOST_GROUPS",
@@ -29,6 +37,7 @@ __all__ = [
     "Slope",
     "TeatPlaces",
     "bath_curve",
+    "bath_sparkline",
     "change_scatter",
     "error_drift",
     "error_histogram",
@@ -36,8 +45,10 @@ __all__ = [
     "error_maps",
     "error_regions",
     "error_scatter",
+    "error_strips",
     "found_bars",
     "latency_strip",
+    "outcome_bars",
     "per_axis_errors",
     "precision_by_distance",
     "residual_field",

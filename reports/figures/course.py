@@ -101,6 +101,35 @@ def bath_curve(
     return draw(name, inches, plot)
 
 
+def bath_sparkline(
+    times_s: ArrayLike,
+    temps_c: ArrayLike,
+    setpoint_c: float,
+    band_k: float,
+    *,
+    name: str = "bath-sparkline",
+) -> str:
+    """Bath temperature (n,) over time (n,) as a line on its band, ± band_k."""
+    times, temps = together("bath_sparkline", times_s=times_s, temps_c=temps_c)
+    inches = (HALF_INCHES, 1.1)
+    if not times.size:
+        return not_measured(name, inches, "the bath gave no reading")
+    shown = envelope(temps)
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        axes.axhspan(-band_k, band_k, facecolor=COLOURS["band"], linewidth=0)
+        single = "o" if shown.size == 1 else ""
+        off_k = temps[shown] - setpoint_c
+        axes.plot(times[shown] / 60, off_k, color=COLOURS["ours"], marker=single, linewidth=1.1)
+        axes.set(ylim=(-3 * band_k, 3 * band_k), yticks=[-band_k, 0, band_k])
+        axes.set_yticklabels([f"−{band_k:g} K", f"{setpoint_c:g} °C", f"+{band_k:g} K"])
+        axes.set(xlabel="time (min)")
+        axes.grid(visible=False)
+
+    return draw(name, inches, plot)
+
+
 def latency_strip(
     times_s: ArrayLike, limits_s: Sequence[float], *, name: str = "latency-strip"
 ) -> str:

@@ -67,7 +67,7 @@ def page_of(run: RunRecord, pictures: Path) -> str:
 # by chapter; the numbers are those of the points
 POINTS = {
     # 1 verdict, reason, next action
-    "verdict": "Not met | thesis: Error below 5 mm | What to do next | How sure that is",
+    "verdict": "Not met | thesis: not met: error below 5 mm | What to do next | How sure that is",
     # 2 item and bench; 11 raw data and command
     "provenance": (
         "Item under test: thesis | Item under test: fused | configuration SHA-256 | version, machine"
@@ -146,7 +146,7 @@ def test_frames_are_jpeg_of_quality_80_and_link_their_originals(
     shown = [element.attributes["src"] for element in document.all("img")]
     assert [src for src in shown if not (folder / "report" / src).is_file()] == []
     frames = [src for src in shown if src.endswith(".jpg")]
-    assert len(frames) == 6 * 3
+    assert len(set(frames)) == 6 * 3  # those of four trials on the first page too
     for src in frames:
         picture = (folder / "report" / src).read_bytes()
         assert picture[:2] == b"\xff\xd8"
@@ -237,7 +237,10 @@ def test_a_pdf_is_printed_where_a_browser_is(
     verdict = main(["report", str(copy)])
     assert verdict in DECIDED
     assert f"PDF: {printed}" in capsys.readouterr().out
-    assert b"/Title (Six situations: not met)" in printed.read_bytes()
+    # of fused it is the time on this machine that decides
+    assert re.search(
+        rb"/Title \(Six situations: thesis not met, fused [a-z ]+\)", printed.read_bytes()
+    )
     assert main(["report", str(copy), "--no-pdf"]) == verdict
     assert not printed.exists()  # an older one doesn't stand beside a newer page
 
@@ -286,12 +289,13 @@ def test_a_browser_shows_all_of_it_without_a_network(folder: Path, scheme: Schem
     with browser_page(width=390, height=800, scheme=scheme) as seen:
         page = seen.open(folder / "report" / "index.html", "trial-004")
         widths = seen.image_widths()
-        assert len(widths) == 6 * 4
+        assert len(widths) == 6 * 4  # by address: those of the first page are trials' too
         assert sorted(set(widths.values())) == [640, 1360], widths
         part = page.locator("#trial-004")
         expect(part).to_be_in_viewport()
         assert "hot-body-at-base" in part.inner_text()
         assert (part.locator("img").count(), part.locator("svg").count() >= 3) == (4, True)
+        page.locator("#trial-list > details > summary").click()
         first = page.locator("#trial-list .entries a").first
         anchor = str(first.get_attribute("href"))
         first.click()
