@@ -4,6 +4,7 @@ a failure kept as a case of a recording.
 
 from __future__ import annotations
 
+import shutil
 import tomllib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -209,12 +210,15 @@ def keep(folder: Path, number: int, recording: Path, name: str | None = None) ->
             f"{folder}: this version of the program draws failure {number} differently: search"
             " again"
         )
+    new = not recording.exists()
     try:
         writer = RecordingWriter(recording)
         writer.add(frame, shot.frames)
         writer.add_calibration(told)
         writer.add_truth(frame, shot.truth)
     except RecordingError as error:
+        if new:
+            shutil.rmtree(recording)
         raise ConfigError.plain(f"{error}; give another --name") from error
     except OSError as error:
         raise ConfigError.plain(f"{recording}: can't be written: {error}") from error

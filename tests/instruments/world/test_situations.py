@@ -14,6 +14,7 @@ from instruments.world.optics import CameraModel
 from instruments.world.phantom import Phantom, Teat
 from instruments.world.situations import (
     SITUATIONS,
+    Around,
     Situation,
     faults,
     hidden_ways,
@@ -224,3 +225,27 @@ def test_unknown_names_and_seeds_are_refused() -> None:
         situation("overlaping", 0)
     with pytest.raises(ValueError, match="0 or more"):
         situation("ideal", -1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_any_point_of_a_members_parameters_can_be_asked_for(name: str) -> None:
+    around = Around(name, 3)
+    own = {
+        key: (one.value - one.low) / (one.high - one.low) for key, one in around.parameters.items()
+    }
+    here, parameters = around.at(own)
+    assert here is not None
+    assert np.allclose(here.phantom.ends_mm, members(name)[3].phantom.ends_mm, atol=1e-6)
+    assert list(parameters) == list(around.parameters)
+    assert around.at({})[0] == members(name)[3]
+    lit = around.at({"room_light": 1.0})[1]["room_light"]
+    assert (lit.value, lit.high) == (0.6, 0.6)
+
+
+def test_a_parameter_that_a_member_has_not_and_a_share_beyond_are_refused() -> None:
+    with pytest.raises(ValueError, match="ideal 0 has no parameter 'arm_y_mm'"):
+        Around("ideal", 0).at({"arm_y_mm": 0.5})
+    with pytest.raises(ValueError, match="room_light: a share of a range is from 0 to 1"):
+        Around("ideal", 0).at({"room_light": 1.5})
+    behind = Around("hot_body_at_ends", 0).parameters["arm_y_mm"]  # of the furthest end
+    assert (behind.low, behind.high) == (110.0, 300.0)
