@@ -36,7 +36,6 @@ from instruments.operators.mailbox import Mailbox
 from instruments.operators.prompted import PromptedOperator
 from instruments.operators.remote import RemoteOperator
 from instruments.stage.driver import Stage
-from instruments.world.situations import Situation
 from reports.sanitize import sanitized
 
 ALL = ("arm", "bath", "stage", "operator", "cameras")
@@ -67,15 +66,13 @@ def open_instruments(
     screen: Screen = nullcontext,
     start_s: float = 0.0,
     identify: bool = True,
-    coming: Sequence[Situation] = (),
     folder: Path | None = None,
 ) -> Iterator[Devices]:
     """The instruments ``names`` of ``rig``; others are None. Closed at the end. Without ``clock``
     time is virtual where all is emulated and no person takes part. ``twin``: emulators already up;
     ``capture`` taps links; ``screen`` is entered around a question; ``identify`` False puts the
-    check of the bath off; scenes that are ``coming`` are drawn ahead; in the run's ``folder`` a
-    browser's operator is asked. Raises BringUpError, or a single instrument's fault, and
-    ConfigError.
+    check of the bath off; in the run's ``folder`` a browser's operator is asked. Raises
+    BringUpError, or a single instrument's fault, and ConfigError.
     """
     emulated = twin is not None or any(rig.rig.urls.get(name) == EMULATED for name in names)
     with ExitStack() as stack:
@@ -91,7 +88,6 @@ def open_instruments(
             twin = stack.enter_context(
                 EmulatedRig(rig, clock, rig.rig.seed if seed is None else seed)
             )
-            twin.world.renderer.draw_ahead([(one.backdrop, one.lighting) for one in coming])
         openers = _openers(rig, clock, twin, capture, identify=identify)
         opened: dict[str, Any] = {}
         faults: dict[str, InstrumentError] = {}

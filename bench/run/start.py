@@ -207,7 +207,6 @@ def _run(
                 capture=how.capture,
                 screen=events.aside,
                 start_s=left.last_s + BETWEEN_S if left else 0.0,
-                coming=[trial.scene for trial in script.planned if trial.scene],
                 folder=store.folder,
             ) as devices,
         ):

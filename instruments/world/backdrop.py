@@ -7,7 +7,8 @@ grid on the table and looked up by each pixel; only the table receives them, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import cv2
@@ -22,9 +23,8 @@ from instruments.world.shading import Lamp, Lighting, Rows, irradiance
 from instruments.world.solids import Ints, Point, Solids, dot
 
 TEXEL_MM = 2.0
-# what is worked out on the way stays in the processor's cache; OpenCV's remap takes at most 32767
-# rows
-PIXELS_AT_ONCE = 16384
+COARSE_PX = 16  # between pixels at which the light of a plane is worked out
+LASTING_KEPT = 12  # places in pictures of patches that stay: three by camera
 KEPT = 2  # drawn backdrops: those of a rig's two cameras, for a rig that is opened again
 FAR_MM = 2400.0  # the room's walls
 
@@ -88,7 +88,7 @@ class Backdrop:
             )
 
 
-Corners = tuple[Point, Point, Point, Point]  # the first fields of a patch
+Place = tuple[Point, Point, Point, Point]  # the first fields of a patch
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +104,12 @@ class Patch:
     weave: Weave = "cloud"
     seed: int = 0
     warmer_k: float = 0.0
+    lasts: bool = True  # the same in most scenes: how it is seen is kept
+
+    @property
+    def place(self) -> Place:
+        """Where it is."""
+        return self.corner_mm, self.across_mm, self.along_mm, self.normal
 
 
 def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
@@ -114,15 +120,20 @@ def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
     edge = (-b.table_reach_mm - 190.0, b.table_front_y_mm, 0.0)
     back = (0.0, -1.0, 0.0)
 
-    def upright(x: float, z: float, width: float, height: float) -> Corners:
+    def upright(x: float, z: float, width: float, height: float) -> Place:
         return (x, b.board_y_mm, z), (width, 0.0, 0.0), (0.0, 0.0, height), back
 
     board = upright(b.board_x_mm[0], 0.0, wide, b.board_top_mm)
-    table: Corners = (edge, reach, (0.0, deep, 0.0), (0.0, 0.0, 1.0))
+    table: Place = (edge, reach, (0.0, deep, 0.0), (0.0, 0.0, 1.0))
     return (
         Patch(*board, b.board_albedo, b.board_texture, b.board_weave, seed, b.board_k),
         *(
-            Patch(*upright(p.x_mm, p.z_mm, p.width_mm, p.height_mm), p.albedo, warmer_k=b.board_k)
+            Patch(
+                *upright(p.x_mm, p.z_mm, p.width_mm, p.height_mm),
+                p.albedo,
+                warmer_k=b.board_k,
+                lasts=False,
+            )
             for p in b.posters
         ),
         Patch(*table, b.table_albedo, b.table_texture, b.table_weave, seed + 1, b.table_k),
@@ -135,74 +146,164 @@ def draw(backdrop: Backdrop, lighting: Lighting, camera: CameraModel) -> tuple[I
     """Light of the backdrop before lens and sensor, and depth in mm, (height, width) each; both
     read-only, for the latest answers are kept.
     """
-    rays = camera.rays()
     room = backdrop.room_albedo * lighting.ambient * lighting.brightness
-    image = np.full(camera.height_px * camera.width_px, room, dtype=np.float32)
-    depth = np.full_like(image, FAR_MM)
+    image = np.full((camera.height_px, camera.width_px), room, dtype=np.float32)
+    for patch, seen in _patches_seen(backdrop, camera):
+        light = seen.light(lighting, patch.albedo)
+        if patch.texture > 0.0:
+            light *= 1.0 + np.float32(patch.texture) * seen.texture(patch)
+        part = image[seen.rows, seen.columns]
+        light -= part
+        light *= seen.share
+        part += light
+    image.flags.writeable = False
+    # a poster on the board is as far and as warm as the board
+    off = tuple(poster for poster in backdrop.posters if not _within(poster, backdrop))
+    return image, _depths(tuple(p.place for p in patches(replace(backdrop, posters=off))), camera)
+
+
+@lru_cache(LASTING_KEPT)
+def _depths(places: tuple[Place, ...], camera: CameraModel) -> Image:
+    """Depth in mm, (height, width), of places, far to near."""
+    depth = np.full((camera.height_px, camera.width_px), FAR_MM, dtype=np.float32)
+    for place in places:
+        if seen := _look(place, camera):
+            part = depth[seen.rows, seen.columns]
+            part += seen.share * (seen.depth_mm - part)
+    depth.flags.writeable = False
+    return depth
+
+
+def _patches_seen(backdrop: Backdrop, camera: CameraModel) -> Iterator[tuple[Patch, _Seen]]:
+    """Far to near, those that the camera sees."""
     for patch in patches(backdrop):
-        seen = _outline(patch, camera)
-        pixels, shares = seen.row * camera.width_px + seen.column, seen.share.astype(np.float32)
-        for start in range(0, len(pixels), PIXELS_AT_ONCE):
-            part = slice(start, start + PIXELS_AT_ONCE)
-            pixel, share = pixels[part], shares[part]
-            light, far = _light(patch, lighting, camera, rays, pixel)
-            image[pixel] += share * (light - image[pixel])
-            depth[pixel] += share * (far - depth[pixel])
-    image.flags.writeable = depth.flags.writeable = False
-    shape = (camera.height_px, camera.width_px)
-    return image.reshape(shape), depth.reshape(shape)
+        if seen := (_seen if patch.lasts else _look)(patch.place, camera):
+            yield patch, seen
 
 
 def warmer(backdrop: Backdrop, camera: CameraModel) -> Image:
     """How much warmer than the room the backdrop is at each pixel, K, (height, width)."""
     warmth = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
-    for patch in patches(backdrop):
-        seen = _outline(patch, camera)
-        at = (seen.row, seen.column)
-        warmth[at] += seen.share.astype(np.float32) * (np.float32(patch.warmer_k) - warmth[at])
+    off = tuple(poster for poster in backdrop.posters if not _within(poster, backdrop))
+    for patch, seen in _patches_seen(replace(backdrop, posters=off), camera):
+        part = warmth[seen.rows, seen.columns]
+        part += seen.share * (np.float32(patch.warmer_k) - part)
     return warmth
 
 
-def _outline(patch: Patch, camera: CameraModel) -> Cover:
-    edges = patch.corner_mm, patch.across_mm, patch.along_mm
-    corner, across, along = (np.asarray(edge) for edge in edges)
-    square = np.array([corner, corner + across, corner + across + along, corner + along])
-    return cover_outlines([camera.camera_from_world(square)], camera)
+def _within(poster: Poster, backdrop: Backdrop) -> bool:
+    """Whether it lies on the board, whole."""
+    left, right = backdrop.board_x_mm
+    across = left <= poster.x_mm and poster.x_mm + poster.width_mm <= right
+    return across and 0.0 <= poster.z_mm <= backdrop.board_top_mm - poster.height_mm
 
 
-def _light(
-    patch: Patch, lighting: Lighting, camera: CameraModel, rays: tuple[Floats, Floats], pixel: Ints
-) -> tuple[Image, Image]:
-    """Light from a patch at these pixels (n,), and its depth there."""
-    x, y = (ray.reshape(-1)[pixel].astype(np.float32) for ray in rays)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A patch in a camera's picture: the part (h, w) of it, which share of each pixel, how deep.
+
+    Light is smooth on a plane: it is worked out at ``points`` (3, n), a ``grid`` (rows, columns) of
+    them, and interpolated; relative errors stay below 1e-4 (the lamps
+    are 1 m and more away, a step on the board is 25 mm).
+    """
+
+    rows: slice
+    columns: slice
+    share: Image
+    depth_mm: Image
+    points: NDArray[np.float32]
+    grid: tuple[int, int]
+    normal: NDArray[np.float32]
+    place: Place
+    camera: CameraModel
+
+    def light(self, lighting: Lighting, albedo: float) -> Image:
+        """Light (h, w) from a patch of this albedo."""
+        coarse = irradiance(lighting, self.points, self.normal[:, None]) * np.float32(albedo)
+        return _finer(coarse.astype(np.float32).reshape(self.grid), self.share.shape)
+
+    def texture(self, patch: Patch) -> Image:
+        """The weave fixed to the patch, about -1 to 1, (h, w)."""
+        fixed, part, size = _texels(self)
+        cloth = woven(patch.weave, patch.seed, *size)
+        values = cv2.remap(cloth, fixed, part, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(values, dtype=np.float32)
+
+
+def _finer(coarse: NDArray[np.float32], shape: tuple[int, ...]) -> Image:
+    """Interpolated from the middles of squares of `COARSE_PX`, one beyond each side, to (h, w)."""
+    size = COARSE_PX * coarse.shape[1], COARSE_PX * coarse.shape[0]
+    whole = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
+    part = whole[COARSE_PX : COARSE_PX + shape[0], COARSE_PX : COARSE_PX + shape[1]]
+    return np.asarray(part, dtype=np.float32)
+
+
+@lru_cache(LASTING_KEPT)
+def _seen(place: Place, camera: CameraModel) -> _Seen | None:
+    return _look(place, camera)
+
+
+def _look(place: Place, camera: CameraModel) -> _Seen | None:
+    """None for a patch that the camera doesn't see."""
+    outline = _outline(place, camera)
+    if not len(outline.row):
+        return None
+    top, bottom = int(outline.row.min()), int(outline.row.max()) + 1
+    left, right = int(outline.column.min()), int(outline.column.max()) + 1
+    share = np.zeros((bottom - top, right - left), dtype=np.float32)
+    share[outline.row - top, outline.column - left] = outline.share
+    tall, wide = share.shape
+    grid = -(-tall // COARSE_PX) + 2, -(-wide // COARSE_PX) + 2
+    v, u = np.mgrid[: grid[0], : grid[1]] * COARSE_PX - 0.5 * (COARSE_PX + 1)
+    pixels = np.column_stack([u.ravel() + left, v.ravel() + top]).astype(np.float64)
+    points, _ = _met(place, camera, camera.plane_from_pixels(pixels).T)
+    x, y = (ray[top:bottom, left:right].reshape(-1) for ray in camera.rays())
+    _, depth = _met(place, camera, np.stack([x, y]))
+    normal = np.asarray(place[3], dtype=np.float32)
+    rows, columns = slice(top, bottom), slice(left, right)
+    deep = depth.reshape(share.shape)
+    return _Seen(rows, columns, share, deep, points, grid, normal, place, camera)
+
+
+def _met(
+    place: Place, camera: CameraModel, plane: Floats
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Where rays (2, n) of the ideal plane meet the patch's plane: points (3, n) and depths (n,).
+
+    A pixel on the patch's edge may look past it, and past the horizon: it gets a far point.
+    """
+    x, y = plane.astype(np.float32)
     turn, eye = camera.R.astype(np.float32), camera.centre_mm.astype(np.float32)
     ray = np.stack([turn[0, i] * x + turn[1, i] * y + turn[2, i] for i in range(3)])
-    normal = np.asarray(patch.normal, dtype=np.float32)
-    corner = np.asarray(patch.corner_mm, dtype=np.float32)
+    corner, normal = (np.asarray(place[i], dtype=np.float32) for i in (0, 3))
     towards = normal @ ray
-    # A pixel on the patch's edge may look past it, and past the horizon: its light is that of a far
-    # point.
     ahead = np.where(np.abs(towards) > 1e-6, towards, np.float32(-1e-6))
     depth = np.clip(normal @ (corner - eye) / ahead, 0.0, 1e4).astype(np.float32)
-    points = eye[:, None] + depth * ray
-    light = irradiance(lighting, points, normal[:, None]) * np.float32(patch.albedo)
-    if patch.texture > 0.0:
-        light *= 1.0 + np.float32(patch.texture) * _texture(patch, points)
-    return light.astype(np.float32, copy=False), depth
+    return eye[:, None] + depth * ray, depth
 
 
-def _texture(patch: Patch, points_mm: NDArray[np.float32]) -> Image:
-    """The weave fixed to the patch, about -1 to 1, at surface points (3, n)."""
-    off = points_mm - np.asarray(patch.corner_mm, dtype=np.float32)[:, None]
-    places, sizes = [], []
-    for edge in (patch.across_mm, patch.along_mm):
+@lru_cache(LASTING_KEPT)
+def _texels(seen: _Seen) -> tuple[NDArray[np.int16], NDArray[np.uint16], tuple[int, int]]:
+    """Where each pixel lies on the weave, as OpenCV's maps, and the weave's size in texels."""
+    x, y = (ray[seen.rows, seen.columns].reshape(-1) for ray in seen.camera.rays())
+    points, _ = _met(seen.place, seen.camera, np.stack([x, y]))
+    off = points - np.asarray(seen.place[0], dtype=np.float32)[:, None]
+    places: list[NDArray[np.float32]] = []
+    sizes: list[int] = []
+    for edge in seen.place[1:3]:
         length = float(np.linalg.norm(edge))
         unit = np.asarray(edge, dtype=np.float32) / np.float32(length * TEXEL_MM)
-        places.append((unit @ off)[:, None])
         sizes.append(round(length / TEXEL_MM))
-    (u, v), cloth = places, woven(patch.weave, patch.seed, *sizes)
-    values = cv2.remap(cloth, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(values.reshape(-1), dtype=np.float32)
+        # maps are of 16 bits: what lies that far outside has no share
+        places.append(np.clip(unit @ off, -16.0, sizes[-1] + 16.0).reshape(seen.share.shape))
+    fixed, part = cv2.convertMaps(places[0], places[1], cv2.CV_16SC2)
+    return np.asarray(fixed, np.int16), np.asarray(part, np.uint16), (sizes[0], sizes[1])
+
+
+def _outline(place: Place, camera: CameraModel) -> Cover:
+    corner, across, along = (np.asarray(edge) for edge in place[:3])
+    square = np.array([corner, corner + across, corner + across + along, corner + along])
+    return cover_outlines([camera.camera_from_world(square)], camera)
 
 
 Grey = NDArray[np.float32]

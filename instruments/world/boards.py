@@ -245,9 +245,8 @@ def _lattices(
     cloth = np.zeros((height, width), dtype=np.float32)
     for cell, weight in cells:
         lattice = rng.standard_normal((height // cell + 2, width // cell + 2), dtype=np.float32)
-        cloth += np.float32(weight) * cv2.resize(
-            lattice, (width, height), interpolation=cv2.INTER_CUBIC
-        )
+        smooth = cv2.resize(lattice, (width, height), interpolation=cv2.INTER_CUBIC)
+        cv2.scaleAdd(smooth, weight, cloth, cloth)
     return cloth
 
 

@@ -154,7 +154,6 @@ BACKDROPS_KEPT = 2
 SHARP_PX = 0.15  # less blur than this on top of the lens's own is left out
 MOST_STEPS = 64  # pictures that make one smeared by motion
 Slices = tuple[slice, slice]
-Draw = Callable[[Backdrop, Lighting, CameraModel], tuple[Image, Image]]
 
 
 class OpticalCamera:
@@ -171,7 +170,6 @@ class OpticalCamera:
         ] = {}
         self._layers = KeptLayers()
         self._latest: tuple[object, list[Expected]] = (None, [])
-        self.draw_backdrop: Draw = backdrops.draw
 
     def expose(
         self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator
@@ -264,7 +262,7 @@ class OpticalCamera:
             while len(self._backdrops) >= BACKDROPS_KEPT:
                 self._backdrops.pop(next(iter(self._backdrops)))
             sharp, view = self.readout.sensor.blur_px, self.view
-            empty, depth = self.draw_backdrop(state.backdrop, state.lighting, view.camera)
+            empty, depth = backdrops.draw(state.backdrop, state.lighting, view.camera)
             # blur grows both ways from what is in focus
             ends = self._sigma(np.array([depth.min(), depth.max()]))
             if float(ends.max()) - sharp > SHARP_PX:

@@ -19,8 +19,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.world import backdrop as backdrops
-from instruments.world.ahead import WORTH_IT, DrawnAhead, Scene
 from instruments.world.backdrop import ShadowMap, shadow_map
 from instruments.world.boards import Board
 from instruments.world.optical_camera import OpticalCamera
@@ -61,7 +59,6 @@ class Renderer:
         self.right = OpticalCamera(cameras[1], sensor, seeds[1])
         self.thermal = ThermalCamera(cameras[2], thermal or ThermalSensor(), seeds[2])
         self._shadows: tuple[object, ShadowMap | None] = (None, None)
-        self._ahead: DrawnAhead | None = None
 
     @classmethod
     def from_calibration(
@@ -79,21 +76,6 @@ class Renderer:
             optical,
             thermal or ThermalSensor.from_calibration(table),
         )
-
-    def draw_ahead(self, scenes: Sequence[Scene]) -> None:
-        """Have the backdrops of ``scenes``, which come in this order, drawn by another process. The
-        pictures are the same.
-        """
-        if len(set(scenes)) >= WORTH_IT:
-            self._ahead = DrawnAhead(self.cameras[:2], scenes)
-            self.left.draw_backdrop = self.right.draw_backdrop = self._ahead.draw
-
-    def close(self) -> None:
-        """End what draws ahead."""
-        if self._ahead:
-            self._ahead.close()
-            self.left.draw_backdrop = self.right.draw_backdrop = backdrops.draw
-            self._ahead = None
 
     def render(self, view: SceneState, rng: np.random.Generator) -> RenderedSet:
         """A frame set with noise from ``rng``. Raises ValueError for a thing too near a camera."""
