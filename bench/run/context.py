@@ -21,7 +21,7 @@ from bench.safety.bath_monitor import TripHandler
 from bench.safety.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.script.model import LoadedScript
 from bench.truth.arm_tip import TipReader
-from instruments.clock import stopwatch_s, wall_time
+from instruments.clock import VirtualClock, stopwatch_s, wall_time
 from instruments.microscribe.stream import Sample
 from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
 
@@ -124,11 +124,12 @@ class RunContext:
         }
 
     def _tip_mm(self) -> NDArray[np.float64] | None:
-        """Where the tip is while a touch is asked for, in the world; None at other times. Raises as
-        the arm's driver does.
+        """Where the tip is while a person is asked for a touch, in the world; None at other times:
+        in virtual time a poll more would change what the emulated arm answers. Raises as the arm's
+        driver does.
         """
         arm = self.devices.arm
-        if not self._touching or not arm.homed:
+        if not self._touching or isinstance(self.clock, VirtualClock) or not arm.homed:
             return None
         packet = arm.poll()
         seen = arm.position([Sample(self.clock.now(), packet.counts, packet.buttons)])

@@ -41,13 +41,13 @@ FAULTS = tuple(
 )
 HEAD = """# Faults and what the bench does
 
-Each fault of each emulated instrument, put in at the moment when a short run (three trials, one touch an end, stage and arm check)
-comes into a state, for {for_s:g} s; paused is a pause that somebody asked for before the second trial. Made by
-`python -m tests.bench.fault_catalogue`, which runs all {count} of them; the tests run some, and hold them against this page.
+Each fault of each emulated instrument, put in for {for_s:g} s at the moment when a short run (three trials, one touch an end, stage and arm
+check) comes into a state; paused is a pause that somebody asked for before the second trial. In a state that isn't named, and where
+"-" stands, nothing was noticed and all three trials were done. In all {count} of them the bench ended by itself, the bath was in standby, no
+trial was in the record by halves, and no fault was taken for a mistake of the bench.
 
-In every one of them the bench ended by itself, the bath was in standby, no trial was in the record by halves, and no fault was taken for
-a mistake of the bench. "-" means: nothing noticed, all three trials done. What takes longer than that to do harm (a frozen sensor, a stuck
-or dead heater, a pump that stopped) is over before it does; what then stops it stands in [safety.md](safety.md).
+What takes longer to do harm (a frozen sensor, a stuck or dead heater, a pump that stopped) is over before it does; what then stops it
+stands in [safety](safety.md#interlocks). Made by `python -m tests.bench.fault_catalogue`; the tests run some, and hold them against this page.
 
 """
 
@@ -166,26 +166,50 @@ def row(instrument: str, name: str) -> list[str]:
     return reactions
 
 
-def line(instrument: str, name: str, reactions: list[str]) -> str:
-    return f"| {instrument} | {name} | {' | '.join(reactions)} |"
+Reactions = dict[tuple[str, str], list[str]]  # state by state, by instrument and fault
+
+
+def table(reactions: Reactions) -> str:
+    """Faults of an instrument that the bench answers alike are one row."""
+    alike: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for (instrument, name), cells in reactions.items():
+        alike.setdefault((instrument, tuple(cells)), []).append(name)
+    lines = ["| instrument | faults | what the bench does |", "|---|---|---|"]
+    for (instrument, by_state), names in alike.items():
+        when: dict[str, list[str]] = {}
+        for state, what in zip(STATES, by_state, strict=True):
+            when.setdefault(what, []).append(state)
+        told = "; ".join(f"{', '.join(at)}: {what}" for what, at in when.items() if what != "-")
+        lines.append(f"| {instrument} | {', '.join(names)} | {told or '-'} |")
+    return "\n".join(lines) + "\n"
+
+
+def reactions_of(page: str) -> Reactions:
+    """What the table of a page says."""
+    lines = [line.strip("|").split("|") for line in page.splitlines() if line.startswith("|")]
+    reactions = {}
+    for instrument, names, told in ([cell.strip() for cell in line] for line in lines[2:]):
+        parts = () if told == "-" else (part.partition(": ") for part in told.split("; "))
+        by_state = {state: what for at, _, what in parts for state in at.split(", ")}
+        for name in names.split(", "):
+            reactions[instrument, name] = [by_state.get(state, "-") for state in STATES]
+    return reactions
 
 
 def main() -> int:
-    lines = [f"| instrument | fault | {' | '.join(STATES)} |", "|---|---|" + "---|" * len(STATES)]
+    reactions: Reactions = {}
     wrong = 0
     for instrument, name in FAULTS:
         try:
-            lines.append(line(instrument, name, row(instrument, name)))
-            sys.stdout.write(lines[-1] + "\n")
+            reactions[instrument, name] = row(instrument, name)
+            sys.stdout.write(f"{instrument}, {name}: {reactions[instrument, name]}\n")
         except Exception as error:
             wrong += 1
             sys.stdout.write(f"WRONG {type(error).__name__}: {error}\n")
         sys.stdout.flush()
     if not wrong:
-        PAGE.write_text(
-            HEAD.format(for_s=FOR_S, count=len(FAULTS) * len(STATES)) + "\n".join(lines) + "\n",
-            encoding="utf-8",
-        )
+        head = HEAD.format(for_s=FOR_S, count=len(FAULTS) * len(STATES))
+        PAGE.write_text(head + table(reactions), encoding="utf-8")
     return wrong
 
 

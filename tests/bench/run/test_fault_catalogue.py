@@ -16,8 +16,11 @@ from tests.bench.fault_catalogue import (
     HEAD,
     PAGE,
     STATES,
+    Reactions,
     check_sound,
     reaction,
+    reactions_of,
+    table,
     what_happens,
 )
 
@@ -31,11 +34,9 @@ SOME = (
 )
 
 
-def rows() -> dict[tuple[str, str], list[str]]:
+def rows() -> Reactions:
     """The page's table: reactions by fault."""
-    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
-    return {(one[0], one[1]): one[2:] for one in cells}
+    return reactions_of(PAGE.read_text(encoding="utf-8"))
 
 
 @pytest.mark.slow
@@ -54,4 +55,5 @@ def test_the_page_has_every_fault_in_every_state() -> None:
     assert len(ALL) > 200
     assert set(rows()) == set(FAULTS)
     assert all(len(cells) == len(STATES) and all(cells) for cells in rows().values())
-    assert PAGE.read_text(encoding="utf-8").startswith(HEAD.format(for_s=FOR_S, count=len(ALL)))
+    head = HEAD.format(for_s=FOR_S, count=len(ALL))
+    assert PAGE.read_text(encoding="utf-8") == head + table(rows())
