@@ -5,7 +5,7 @@ is in `templates/`; `render.py` joins the two.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, get_args
 
@@ -64,6 +64,42 @@ class Requirements:
     caption: str
     rows: tuple[Requirement, ...]
     note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """A requirement's result of one detector: value, and in a few words what it shows."""
+
+    verdict: Verdict
+    value: str
+    shows: str
+
+    def __post_init__(self) -> None:
+        one_of(self.verdict, VERDICTS, f"score {self.value!r}, verdict")
+
+
+@dataclass(frozen=True, slots=True)
+class Scoreboard:
+    """Requirement by detector: a row is name, limit and a score of each of `detectors`.
+
+    A score without a verdict has no sign. `heads` stand over names and limits; `hints`, by name,
+    explain a row on hovering.
+    """
+
+    kind: ClassVar[str] = "scoreboard"
+    caption: str
+    detectors: tuple[str, ...]
+    rows: tuple[tuple[str, str, tuple[Score | None, ...]], ...]
+    heads: tuple[str, str] = ("Requirement", "Limit")
+    hints: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, _, scores in self.rows:
+            if len(scores) != len(self.detectors):
+                raise PageError(
+                    f"scoreboard {self.caption!r}, requirement {name!r}: {len(scores)} scores for"
+                    f" {len(self.detectors)} detectors"
+                )
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,12 +214,15 @@ class Code:
     text: str
 
 
-Part = Requirements | Table | Figure | KeyValues | Paragraph | Notes | Code
+Part = Requirements | Scoreboard | Table | Figure | KeyValues | Paragraph | Notes | Code
 
 
 @dataclass(frozen=True, slots=True)
 class Banner:
-    """The first screen: what was tested, the verdict, why, how sure it is, what to do next."""
+    """The first screen: what was tested, the verdict, why, how sure it is, what to do next.
+
+    `each`: several detectors' own verdicts by name; they stand in place of the run's one.
+    """
 
     kind: Kind
     verdict: Verdict
@@ -191,10 +230,28 @@ class Banner:
     sentence: str
     confidence: str
     next_action: str
+    each: tuple[tuple[str, Verdict], ...] = ()
 
     def __post_init__(self) -> None:
         one_of(self.kind, KINDS, "banner, kind")
-        one_of(self.verdict, VERDICTS, "banner, verdict")
+        for verdict in (self.verdict, *(one for _, one in self.each)):
+            one_of(verdict, VERDICTS, "banner, verdict")
+
+    @property
+    def verdicts(self) -> tuple[tuple[str, Verdict], ...]:
+        """Detector and verdict; without a name where there is one verdict."""
+        return self.each or (("", self.verdict),)
+
+    @property
+    def verdict_text(self) -> str:
+        """The verdicts in a line: ``fused met, thesis not met``."""
+        return ", ".join(f"{name} {verdict}".strip() for name, verdict in self.verdicts)
+
+    @property
+    def tone(self) -> Verdict:
+        """The verdict whose colour the banner has; none where the detectors' verdicts differ."""
+        found = {verdict for _, verdict in self.verdicts}
+        return found.pop() if len(found) == 1 else "no verdict"
 
     @property
     def kind_text(self) -> str:
@@ -204,11 +261,12 @@ class Banner:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A chapter of the page; `id` is its anchor."""
+    """A chapter of the page; `id` is its anchor; `folded`: closed at first."""
 
     id: str
     title: str
     parts: tuple[Part, ...]
+    folded: bool = False
 
     def __post_init__(self) -> None:
         checked_slug(self.id, f"section {self.title!r}")
@@ -276,6 +334,13 @@ class Page:
                 )
         rows = (row for part in self.parts() if isinstance(part, Requirements) for row in part.rows)
         failed = [row.name for row in rows if row.verdict in {"not met", "aborted"}]
+        boards = (part for part in self.parts() if isinstance(part, Scoreboard))
+        failed += [
+            name
+            for board in boards
+            for name, _, scores in board.rows
+            if any(score and score.verdict == "not met" for score in scores)
+        ]
         if self.banner.verdict == "met" and failed:
             raise PageError(
                 f"{what}: the banner says 'met', but {failed} is not; it must not claim more than"

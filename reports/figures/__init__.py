@@ -6,6 +6,7 @@ loads matplotlib (some tenths of a second), so importers do it late.
 
 from reports.figures.course import Slope, bath_curve, found_bars, latency_strip, slope_intervals
 from reports.figures.errors import (
+    change_by_situation,
     change_scatter,
     error_drift,
     error_histogram,
@@ -29,6 +30,7 @@ __all__ = [
     "Slope",
     "TeatPlaces",
     "bath_curve",
+    "change_by_situation",
     "change_scatter",
     "error_drift",
     "error_histogram",

@@ -182,6 +182,16 @@
   }, { rootMargin: "-10% 0px -80% 0px" });
   all("section.chapter").forEach((section) => seen.observe(section));
 
+  const unfold = () => {
+    const goal = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (!goal) return;
+    const closed = all("details", goal.matches(".folded") ? goal : undefined).filter((fold) => !fold.open && (fold.contains(goal) || fold.parentElement === goal));
+    closed.forEach((fold) => { fold.open = true; });
+    if (closed.length) goal.scrollIntoView();
+  };
+  document.addEventListener("click", (event) => { if (event.target.closest("a[href^='#']")?.hash === location.hash) unfold(); });
+  window.addEventListener("hashchange", unfold);
   window.addEventListener("hashchange", arrive);
+  unfold();
   if (location.hash) arrive();
 })();
