@@ -44,8 +44,11 @@ CHECK = "Check of a calibration"
 LIMIT_MM = 5.0  # of a teat end's error, where a script names no other
 ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
 FAULTS, SEEN, HALVES, CORNERS = "Faults", "Views", "Two halves of the views", "Corners miss by"
+POINT = "One point is good to"
 VOLUME = "Anywhere in the working volume"
 HINTS = {
+    POINT: "Expanded uncertainty (k = 2) of one triangulated point along its worst direction, with"
+    " corners as noisy as these.",
     FAULTS: "Wrong baseline, shifted columns or rows, swapped cameras, bent board, wrong square"
     " size, outlier view: named where a mark is both significant and large enough to matter.",
     SEEN: "Whether the views show the board in every part of the picture, tilted and at distances.",
@@ -80,11 +83,12 @@ def _page(
     rows = [*scores]
     if findings is not None:
         names = ", ".join(finding.name for finding in findings)
-        rows.append((FAULTS, "none", (Score("not met" if names else "met", names or "none", ""),)))
+        score = Score("not met" if names else "met", names or "none", "")
+        rows.insert(0 if title == CHECK else 1, (FAULTS, "none", (score,)))
     if missing is not None:
         score = Score("met", "enough", "")
         if missing:
-            score = Score("inconclusive", f"{len(missing)} missing", missing[0])
+            score = Score("inconclusive", f"{len(missing)} missing", "see below")
         rows.append((SEEN, "every part, tilt and distance", (score,)))
     heads = ("Looked at", "Good enough is")
     came_out: list[Part] = [Scoreboard("Is it good enough?", columns, tuple(rows), heads, HINTS)]
@@ -144,7 +148,7 @@ def _good(findings: Sequence[Finding], mm: float) -> tuple[PageVerdict, str]:
         "met": "Good enough.",
         "inconclusive": (
             f"Good enough for a coarse look only: it uses up {100 * mm / LIMIT_MM:.0f} % of the"
-            f" {LIMIT_MM:g} mm that a teat end may be off."
+            " error that a detector may make."
         ),
     }
     return verdict, said.get(verdict, f"Not good enough: more than {LIMIT_MM:g} mm off.")
@@ -173,9 +177,7 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
     verdict, good = _good(result.findings, good_mm)
     halves = f"{_rms(np.concatenate(apart)):.2f} mm apart" if apart else NOT_MEASURED
     scores = (
-        _enough(
-            f"A point at {at_mm / 1000:.2f} m", good_mm, f"{good_mm:.2f} mm", "worst direction"
-        ),
+        _enough(POINT, good_mm, f"{good_mm:.2f} mm", f"at {at_mm / 1000:.2f} m, worst direction"),
         _figure_only(HALVES, halves),
         _figure_only(CORNERS, f"{result.joint.fit.rms_px:.2f} px"),
     )
@@ -201,8 +203,8 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
             f" {board.kind}."
         ),
         sentence=(
-            f"{good} Good to {good_mm:.2f} mm at {at_mm / 1000:.2f} m; with"
-            f" {ENOUGH_MM:g} mm, a quarter of the {LIMIT_MM:g} mm limit, it is not what decides."
+            f"{good} Good to {good_mm:.2f} mm at {at_mm / 1000:.2f} m; at most {ENOUGH_MM:g} mm"
+            f" is asked for, a quarter of the {LIMIT_MM:g} mm that a teat end may be off."
         ),
         confidence=confidence,
         next_action=(
@@ -315,7 +317,11 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
         _figure_only("A point left out is missed by", left_out),
     )
     svg = per_axis_errors(
-        ["touched points"], [comparison.rigid.residuals_mm], ENOUGH_MM, name="residuals"
+        ["touched points"],
+        [comparison.rigid.residuals_mm],
+        ENOUGH_MM,
+        point="one touched point",
+        name="residuals",
     )
     alt = f"{len(fit.touched_mm)} points, {comparison.rigid.fre_mm:.3f} mm rms"
     caption = "Where the arm touched, less where the cameras see it, along the world's axes"
@@ -338,8 +344,8 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
             f" left out by {held_out['rigid'] or NOT_MEASURED} mm rms."
         ),
         confidence=(
-            f"Expected target error {touched} at the touched places, up to {there.max():.2f} mm in"
-            " the working volume."
+            f"A point is expected to be {touched} off at the touched places, and up to"
+            f" {worst:.2f} mm in the working volume."
         ),
         next_action=(
             _next(result.findings, (), "teatbench calibrate merge")
@@ -359,15 +365,15 @@ def check_page(
         record,
         command,
         scores=(
-            _figure_only("Lengths against the print", f"{again.scale[0]:.5f}"),
+            _figure_only("Lengths against the print", f"{100 * (again.scale[0] - 1.0):+.2f} %"),
             _figure_only("Distance of neighbours off by", f"{again.spacing_rms_mm:.3f} mm"),
             _figure_only("Board flat to", f"{again.flatness_rms_mm:.3f} mm"),
             _figure_only("Rows off by", f"{again.epipolar_rms_px:.2f} px"),
         ),
         tested=f"An existing calibration on {len(again.views)} views of a board.",
         confidence=(
-            f"Rms: spacing {again.spacing_rms_mm:.3f} mm, flatness {again.flatness_rms_mm:.3f} mm,"
-            f" rows {again.epipolar_rms_px:.2f} px."
+            f"{len(again.views)} views of a board today. A fault is named only where it is"
+            " significant and large enough to matter."
         ),
         cure="Calibrate anew (teatbench calibrate cameras), after looking at what is named below.",
     )
@@ -386,7 +392,9 @@ def check_points_page(
         "Expected: root of the summed variances of calibration, pixels and touch.",
     )
     expected = float(np.sqrt(np.mean(again.expected_mm**2)))
-    svg = per_axis_errors(["touched points"], [again.missed_mm], ENOUGH_MM, name="missed")
+    svg = per_axis_errors(
+        ["touched points"], [again.missed_mm], ENOUGH_MM, point="one touched point", name="missed"
+    )
     caption = "Where the cameras see it, less where the arm touched, along the world's axes"
     shown = Figure(svg, caption, f"{len(rows)} points, {rms:.2f} mm rms", wide=True)
     return _check(
@@ -437,7 +445,7 @@ def _check(
 def _next(findings: Sequence[Finding], missing: Sequence[str], then: str) -> str:
     if findings:
         return "Cure what is named below, and calibrate anew."
-    return f"Better still: {missing[0]}. Then: {then}." if missing else f"{then}."
+    return f"Better still: {missing[0]}. Then: {then}." if missing else f"Go on with: {then}."
 
 
 def still_missing(shown: Mapping[str, Coverage]) -> tuple[str, ...]:

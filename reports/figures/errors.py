@@ -202,6 +202,7 @@ def per_axis_errors(
     errors_mm: Sequence[ArrayLike],
     limit_mm: float,
     *,
+    point: str = "one teat end",
     name: str = "per-axis-errors",
 ) -> str:
     """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis."""
@@ -229,7 +230,7 @@ def per_axis_errors(
         legend(
             figure,
             [
-                ("one teat end" if every else points, "ours", "o"),
+                (point if every else points, "ours", "o"),
                 ("mean", "ink", "-"),
                 (f"limit ± {limit_mm:g} mm", "limit", "-"),
             ],
