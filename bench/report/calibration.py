@@ -271,7 +271,6 @@ def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
         scores=(("Pairs that count", "no limit", counted), ("They miss by", "no limit", missed)),
         columns=("Thermal to left", "Thermal to right"),
         findings=None,
-        first="pairs",
         tested=f"Homographies from {len(left.inliers)} point pairs.",
         sentence=(
             f"{int(left.inliers.sum())} and {int(right.inliers.sum())} pairs count; they miss by"

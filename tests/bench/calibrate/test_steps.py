@@ -100,7 +100,8 @@ def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
     assert text.count("<figure") == 3, "residuals of both cameras, precision by distance"
     first = page.by_id("findings").text
     assert "One point is good to" in first
-    assert ("at most 1.25 mm" in first) and ("enough" in top)
+    assert "at most 1.25 mm" in first
+    assert "enough" in top
     assert text.index('id="worth"') < text.index("<details>") < text.index('id="provenance"')
 
 
