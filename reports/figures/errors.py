@@ -203,9 +203,12 @@ def per_axis_errors(
     limit_mm: float,
     *,
     point: str = "one teat end",
+    bound: str = "limit",
     name: str = "per-axis-errors",
 ) -> str:
-    """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis."""
+    """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis. `point`
+    and `bound` are what the legend calls a point and the limit.
+    """
     arrays = _arrays("per_axis_errors", "situation", situations, errors_mm, (-1, 3))
     inches = (WIDE_INCHES, 0.9 + 0.3 * max(len(situations), 3))
     if not any(array.size for array in arrays):
@@ -232,7 +235,7 @@ def per_axis_errors(
             [
                 (point if every else points, "ours", "o"),
                 ("mean", "ink", "-"),
-                (f"limit ± {limit_mm:g} mm", "limit", "-"),
+                (f"{bound} ± {limit_mm:.3g} mm", "limit", "-"),
             ],
         )
         panels[0].set_yticks(range(len(situations)), [plain(text) for text in situations])
