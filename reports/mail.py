@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from reports.frames import ImageView
 from reports.page import Page, TrialPart
 from reports.render import Place, Press, refuse_missing, write_whole
 from reports.trust import PageError
@@ -25,7 +26,7 @@ def write_single_file(page: Page, folder: Path, target: Path, most_bytes: int = 
     """
     by_id = {trial.id: trial for trial in page.trials}
     trials = [by_id[name] for name in dict.fromkeys((*page.worst, *by_id))][:MOST_TRIALS]
-    images = (image for one in (*page.looks(), *trials) for image in one.images)
+    images = _images(page, trials)
     refuse_missing((replace(image, original="") for image in images), folder)
     room = most_bytes - len(_html(page, (), folder).encode("utf-8"))
     if room < 0:
@@ -57,10 +58,16 @@ def _html(page: Page, kept: Sequence[TrialPart], folder: Path) -> str:
             f"{len(shown)} of {len(page.trials)} trials are in this file, those to look at first;"
             f" the whole report has all. {note}"
         )
-    images = (image for one in (*page.looks(), *shown) for image in one.images)
-    embedded = {src: _data_uri(folder / src) for src in {image.src for image in images}}
+    sources = {image.src for image in _images(page, shown)}
+    embedded = {src: _data_uri(folder / src) for src in sources}
     travelling = replace(page, trials_note=note.strip())
     return Press(travelling).page(Place(shown, embedded=embedded))
+
+
+def _images(page: Page, trials: Sequence[TrialPart]) -> list[ImageView]:
+    """Those of the first page and of these trials."""
+    first = [image for look in page.looks() for image in look.images]
+    return first + [image for trial in trials for image in trial.images]
 
 
 def _data_uri(path: Path) -> str:

@@ -5,7 +5,7 @@ is in `templates/`; `render.py` joins the two.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
 from typing import ClassVar, Literal, get_args
@@ -81,12 +81,18 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Scoreboard:
-    """Requirement by detector: a row is name, limit and a score of each of `detectors`."""
+    """Requirement by detector: a row is name, limit and a score of each of `detectors`.
+
+    A score without a verdict has no sign. `heads` stand over names and limits; `hints`, by name,
+    explain a row on hovering.
+    """
 
     kind: ClassVar[str] = "scoreboard"
     caption: str
     detectors: tuple[str, ...]
     rows: tuple[tuple[str, str, tuple[Score | None, ...]], ...]
+    heads: tuple[str, str] = ("Requirement", "Limit")
+    hints: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, _, scores in self.rows:

@@ -843,7 +843,13 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "completion": (
         "print what makes a shell complete commands, options and names at Tab",
         "completion bash",
-        option("shell SHELL", "bash, zsh, fish or powershell", choices=SHELLS),
+        option(
+            "shell SHELL",
+            "bash or zsh: put 'source <(teatbench completion bash)' (or zsh) into ~/.bashrc or"
+            " ~/.zshrc; fish: write the output to ~/.config/fish/completions/teatbench.fish;"
+            " powershell: append it to $PROFILE. It works in the next shell.",
+            choices=SHELLS,
+        ),
     ),
 }
 # where a command's or a group's functions are, unless in the module of the same name

@@ -127,7 +127,14 @@ def _show(found: Sequence[Comparison]) -> None:
     from rich.table import Table
 
     from bench.cli.terminal import Terminal
-    from bench.report.comparison import distance_table, heading, notes, success_table, verdict_text
+    from bench.report.comparison import (
+        distance_table,
+        gate_reasons,
+        heading,
+        notes,
+        success_table,
+        verdict_text,
+    )
 
     console = Terminal()
     for comparison in found:
@@ -145,7 +152,7 @@ def _show(found: Sequence[Comparison]) -> None:
             console.print(table)
         for line in (*notes(comparison), verdict_text(comparison)):
             console.print(line)
-        for reason in comparison.compared.gate.reasons:
+        for reason in gate_reasons(comparison):
             console.print(f"  {reason}")
 
 

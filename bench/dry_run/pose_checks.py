@@ -26,7 +26,7 @@ from instruments.microscribe.kinematics import OutOfReachError, inverse
 from instruments.microscribe.unit import ArmIdentity, shipped_unit
 from instruments.stage.settings import AxisLimits
 from instruments.world.objects import make_object
-from instruments.world.phantom import Phantom, PlatePose
+from instruments.world.phantom import Phantom, PlatePose, spoken_name
 from instruments.world.solids import clearance_mm
 
 Floats = NDArray[np.float64]
@@ -195,5 +195,4 @@ def way_to(
 
 
 def _name(phantom: Phantom, teat: int) -> str:
-    """``teat RF``, or by number (from 1) where it has no name."""
-    return f"teat {phantom.teats[teat].name or teat + 1}"
+    return spoken_name(teat + 1, phantom.teats[teat].name)

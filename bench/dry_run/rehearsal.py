@@ -58,6 +58,7 @@ from instruments.operators.operator import (
 from instruments.stage.emulator.store import DEFAULTS, ROTARY_DEFAULTS
 from instruments.stage.protocol import AXES
 from instruments.stage.settings import StageSettings
+from instruments.world.phantom import spoken_name
 
 MOST_SETS = 12  # rendered; a second or so each on a busy machine
 DARK, LIGHT = 60, 180  # of a picture that passes for one
@@ -407,8 +408,8 @@ class ReachingHands:
         if isinstance(request, CheckPoint) and (why := self._out_of_reach("the check point")):
             raise OperatorAbort(why)
         if isinstance(request, Touch):
-            name = self._twin.world.phantom().teats[request.teat - 1].name or request.teat
-            if why := self._out_of_reach(f"the end of teat {name}"):
+            name = self._twin.world.phantom().teats[request.teat - 1].name
+            if why := self._out_of_reach(f"the end of {spoken_name(request.teat, name)}"):
                 raise OperatorSkip(why)
         return answer
 

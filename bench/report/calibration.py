@@ -17,7 +17,7 @@ from detector.calibration.bundle import LENS, POSE
 from detector.calibration.cameras import SIDES, Calibrated, Coverage
 from detector.calibration.diagnosis import Finding, Remeasured
 from detector.geometry import Array, Motion
-from reports.figures import precision_by_distance, residual_field
+from reports.figures import per_axis_errors, precision_by_distance, residual_field
 from reports.page import (
     Banner,
     Cell,
@@ -28,9 +28,12 @@ from reports.page import (
     Page,
     Paragraph,
     Part,
+    Score,
+    Scoreboard,
     Section,
     Table,
 )
+from reports.page import Verdict as PageVerdict
 
 NAMED_MM = 1200.0  # about where the thesis's teats stand
 UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "om": "rad", "T": "mm"}
@@ -38,6 +41,24 @@ MARGIN_MM = 100.0  # of the working volume beyond what was touched
 DISTANCES_M = np.linspace(0.7, 1.8, 23)
 HOLDS = "It still holds."
 CHECK = "Check of a calibration"
+LIMIT_MM = 5.0  # of a teat end's error, where a script names no other
+ENOUGH_MM = LIMIT_MM / 4.0  # the test uncertainty ratio 4:1
+FAULTS, SEEN, HALVES, CORNERS = "Faults", "Views", "Two halves of the views", "Corners miss by"
+POINT = "One point is good to"
+VOLUME = "Anywhere in the working volume"
+HINTS = {
+    POINT: "Expanded uncertainty (k = 2) of one triangulated point along its worst direction, with"
+    " corners as noisy as these.",
+    FAULTS: "Wrong baseline, shifted columns or rows, swapped cameras, bent board, wrong square"
+    " size, outlier view: named where a mark is both significant and large enough to matter.",
+    SEEN: "Whether the views show the board in every part of the picture, tilted and at distances.",
+    HALVES: "Two calibrations, each from half of the views, place the board's points so far apart"
+    " (rms).",
+    CORNERS: "Reprojection error, rms. Few views miss less, so it is no measure of quality.",
+    VOLUME: "Expected target error (rms) in the box of the touched places, 100 mm larger on every"
+    " side.",
+}
+Row = tuple[str, str, tuple[Score | None, ...]]
 Chapters = Mapping[str, tuple[str, Iterable[Part]]]  # title and parts by anchor
 
 
@@ -47,24 +68,38 @@ def _page(
     record: Record,
     command: str,
     *,
+    scores: Sequence[Row],
+    columns: tuple[str, ...] = ("Found",),
     findings: Sequence[Finding] | None = (),
-    missing: tuple[str, ...] = (),
+    missing: tuple[str, ...] | None = None,
+    first: str = "",
     **banner: Any,
 ) -> Page:
-    """The page: what is wrong by name, and what the views lack, first; its provenance at the end.
+    """The page: scores and what is wrong by name, then the chapter ``first``; the rest folds.
 
-    ``findings`` None: nothing was looked for. ``banner`` has the fields of a `Banner`.
+    ``findings`` None: nothing was looked for; ``missing`` None: no views. ``banner`` has the fields
+    of a `Banner`.
     """
-    wrong: list[Part] = [
-        Notes("Named", tuple(f"{finding.name}: {finding.sentence}" for finding in findings))
-        if findings
-        else Paragraph(
-            "Nothing: no fault left a mark that is both significant and large enough to matter.",
-            tone="good",
-        )
-    ]
+    rows = [*scores]
+    if findings is not None:
+        names = ", ".join(finding.name for finding in findings)
+        score = Score("not met" if names else "met", names or "none", "")
+        rows.insert(0 if title == CHECK else 1, (FAULTS, "none", (score,)))
+    if missing is not None:
+        score = Score("met", "enough", "")
+        if missing:
+            score = Score("inconclusive", f"{len(missing)} missing", "see below")
+        rows.append((SEEN, "every part, tilt and distance", (score,)))
+    heads = ("Looked at", "Good enough is")
+    came_out: list[Part] = [Scoreboard("Is it good enough?", columns, tuple(rows), heads, HINTS)]
+    if findings:
+        named = tuple(f"{finding.name}: {finding.sentence}" for finding in findings)
+        came_out.append(Notes("What was found wrong", named))
+    elif findings is not None:
+        sound = "Nothing: no fault left a mark that is both significant and large enough to matter."
+        came_out.append(Paragraph(sound, tone="good"))
     if missing:
-        wrong.append(Notes("What the views don't show yet", missing))
+        came_out.append(Notes("What the views don't show yet", missing))
     who = {"day": record.made, "by": record.by or "not told", "with": record.with_what}
     files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
     made = (
@@ -72,17 +107,51 @@ def _page(
         table("Inputs", "file | SHA-256", files),
         Code("The command that repeats it", command),
     )
-    every = {
-        "findings": ("What was found wrong", wrong),
-        **chapters,
+    every: dict[str, tuple[str, Iterable[Part]]] = {
+        "findings": ("What came out", came_out),
+        **({first: chapters[first]} if first else {}),
+        **{anchor: chapter for anchor, chapter in chapters.items() if anchor != first},
         "provenance": ("Provenance", made),
     }
-    if findings is None:
-        del every["findings"]
-    sections = (Section(anchor, head, tuple(parts)) for anchor, (head, parts) in every.items())
+    sections = (
+        Section(anchor, head, tuple(parts), folded=anchor not in ("findings", first))
+        for anchor, (head, parts) in every.items()
+    )
     day = f"{'checked' if title == CHECK else 'made'} {record.made}"
-    banner = {"verdict": "not met" if findings else "no verdict", **banner}
+    failed = any(score and score.verdict == "not met" for *_, found in rows for score in found)
+    banner = {"verdict": "not met" if failed else "no verdict", **banner}
     return Page(title, day, Banner(kind="computed", **banner), tuple(sections))
+
+
+def _held(mm: float) -> PageVerdict:
+    """Against `ENOUGH_MM`; up to `LIMIT_MM` it depends on how good the detector is."""
+    return "met" if mm <= ENOUGH_MM else "inconclusive" if mm <= LIMIT_MM else "not met"
+
+
+def _enough(name: str, mm: float, value: str, shows: str = "") -> Row:
+    """A row whose limit is `ENOUGH_MM`."""
+    return name, f"at most {ENOUGH_MM:g} mm", (Score(_held(mm), value, shows),)
+
+
+def _figure_only(name: str, value: str, shows: str = "") -> Row:
+    """A row without a limit."""
+    measured = value != NOT_MEASURED
+    return name, "no limit", (Score("no verdict" if measured else "not measured", value, shows),)
+
+
+def _good(findings: Sequence[Finding], mm: float) -> tuple[PageVerdict, str]:
+    """Verdict and the sentence's beginning."""
+    if findings:
+        return "not met", f"Not good enough: {', '.join(finding.name for finding in findings)}."
+    verdict = _held(mm)
+    said = {
+        "met": "Good enough.",
+        "inconclusive": (
+            f"Good enough for a coarse look only: it uses up {100 * mm / LIMIT_MM:.0f} % of the"
+            " error that a detector may make."
+        ),
+    }
+    return verdict, said.get(verdict, f"Not good enough: more than {LIMIT_MM:g} mm off.")
 
 
 def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
@@ -102,7 +171,16 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
             "Two calibrations, each from half of the views, place the board's points"
             f" {_rms(np.concatenate(apart)):.2f} mm apart (rms)."
         )
+    else:
+        apart = []
     fits = {"left": result.joint, "right": result.joint}
+    verdict, good = _good(result.findings, good_mm)
+    halves = f"{_rms(np.concatenate(apart)):.2f} mm apart" if apart else NOT_MEASURED
+    scores = (
+        _enough(POINT, good_mm, f"{good_mm:.2f} mm", f"at {at_mm / 1000:.2f} m, worst direction"),
+        _figure_only(HALVES, halves),
+        _figure_only(CORNERS, f"{result.joint.fit.rms_px:.2f} px"),
+    )
     return _page(
         "Calibration of the stereo pair",
         {
@@ -115,18 +193,25 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
         },
         record,
         command,
+        scores=scores,
         findings=result.findings,
         missing=missing,
+        first="worth",
+        verdict=verdict,
         tested=(
             f"Stereo pair from {len(pairs)} pairs of views of a {board.columns} x {board.rows}"
             f" {board.kind}."
         ),
         sentence=(
-            f"Good to {good_mm:.2f} mm at {at_mm / 1000:.2f} m (k = 2, worst direction, one point,"
-            " corners as noisy as these)."
+            f"{good} Good to {good_mm:.2f} mm at {at_mm / 1000:.2f} m; at most {ENOUGH_MM:g} mm"
+            f" is asked for, a quarter of the {LIMIT_MM:g} mm that a teat end may be off."
         ),
         confidence=confidence,
-        next_action=_next(result.findings, missing, "teatbench calibrate world"),
+        next_action=(
+            _next(result.findings, missing, "teatbench calibrate world")
+            if result.findings or good_mm <= ENOUGH_MM
+            else "Take more pairs of views, nearer and more tilted, and calibrate anew."
+        ),
     )
 
 
@@ -146,13 +231,21 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
         },
         record,
         command,
+        scores=(
+            _figure_only(CORNERS, f"{fit.rms_px:.2f} px", "over both cameras"),
+            _figure_only("Its place is known to", f"{place} mm", "x, y, z"),
+        ),
         missing=missing,
+        first="residuals",
         tested=(
             f"Thermal camera from {len(result.joint.view_rms_px('thermal'))} views of a heated"
             f" {views.board.kind}."
         ),
-        sentence=f"Points miss by {fit.rms_px:.2f} px rms over both cameras.",
-        confidence=f"Its place is known to {place} mm (x, y, z; 1 sd).",
+        sentence=(
+            f"No limit is set for it. Points miss by {fit.rms_px:.2f} px on average over both"
+            " cameras; a part of a pixel is what to expect."
+        ),
+        confidence=f"Its place is known to {place} mm (x, y, z; one standard deviation).",
         next_action=_next((), missing, "teatbench calibrate world"),
     )
 
@@ -165,11 +258,18 @@ def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
         counts = ["yes" if kept else Cell("no: outlier", "warn") for kept in mapped.inliers]
         rows = list(zip(count(1), mapped.missed_px, counts, strict=False))
         tables.append(table(f"Pairs, thermal to {side}", heads, rows))
+    counted = tuple(
+        Score("no verdict", f"{mapped.inliers.sum()} of {len(mapped.inliers)}", "")
+        for mapped in (left, right)
+    )
+    missed = tuple(Score("no verdict", f"{m.rms_px:.2f} px", "") for m in (left, right))
     return _page(
         "Homographies from point pairs",
         {"pairs": ("Point pairs", tables)},
         record,
         command,
+        scores=(("Pairs that count", "no limit", counted), ("They miss by", "no limit", missed)),
+        columns=("Thermal to left", "Thermal to right"),
         findings=None,
         tested=f"Homographies from {len(left.inliers)} point pairs.",
         sentence=(
@@ -207,25 +307,51 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
     volume = working_volume_mm(fit.touched_mm)
     there = fit.target_error_mm(volume)
     touched = spanned(fit.target_error_mm(fit.touched_mm), ".2f", "mm")
+    worst = float(there.max())
+    verdict, good = _good(result.findings, worst)
+    left_out = NOT_MEASURED if held_out["rigid"] is None else f"{held_out['rigid']} mm"
+    scores = (
+        _enough(VOLUME, worst, f"up to {worst:.2f} mm", f"{touched} at the touched places"),
+        _figure_only("Points miss the arm's by", f"{comparison.rigid.fre_mm:.3f} mm"),
+        _figure_only("A point left out is missed by", left_out),
+    )
+    svg = per_axis_errors(
+        ["touched points"],
+        [comparison.rigid.residuals_mm],
+        ENOUGH_MM,
+        point="one touched point",
+        bound="good enough",
+        name="residuals",
+    )
+    alt = f"{len(fit.touched_mm)} points, {comparison.rigid.fre_mm:.3f} mm rms"
+    caption = "Where the arm touched, less where the cameras see it, along the world's axes"
     return _page(
         "Calibration of the world",
         {
+            "residuals": ("What touched points miss by", [Figure(svg, caption, alt, wide=True)]),
             "fits": ("Fits", [models, residuals]),
             "volume": ("Over the working volume", [_target_table(volume, there)]),
         },
         record,
         command,
+        scores=scores,
         findings=result.findings,
+        first="residuals",
+        verdict=verdict,
         tested=f"World from {len(fit.touched_mm)} points that the arm touched.",
         sentence=(
-            f"Mapped points miss the arm's by {comparison.rigid.fre_mm:.3f} mm rms, a point left"
-            f" out by {held_out['rigid'] or NOT_MEASURED} mm rms."
+            f"{good} Mapped points miss the arm's by {comparison.rigid.fre_mm:.3f} mm rms, a point"
+            f" left out by {held_out['rigid'] or NOT_MEASURED} mm rms."
         ),
         confidence=(
-            f"Expected target error {touched} at the touched places, up to {there.max():.2f} mm in"
-            " the working volume."
+            f"A point is expected to be {touched} off at the touched places, and up to"
+            f" {worst:.2f} mm in the working volume."
         ),
-        next_action=_next(result.findings, (), "teatbench calibrate merge"),
+        next_action=(
+            _next(result.findings, (), "teatbench calibrate merge")
+            if result.findings or worst <= ENOUGH_MM
+            else "Touch more points, spread wider and at two heights, and make this step anew."
+        ),
     )
 
 
@@ -238,10 +364,16 @@ def check_page(
         findings,
         record,
         command,
+        scores=(
+            _figure_only("Lengths against the print", f"{100 * (again.scale[0] - 1.0):+.2f} %"),
+            _figure_only("Distance of neighbours off by", f"{again.spacing_rms_mm:.3f} mm"),
+            _figure_only("Board flat to", f"{again.flatness_rms_mm:.3f} mm"),
+            _figure_only("Rows off by", f"{again.epipolar_rms_px:.2f} px"),
+        ),
         tested=f"An existing calibration on {len(again.views)} views of a board.",
         confidence=(
-            f"Rms: spacing {again.spacing_rms_mm:.3f} mm, flatness {again.flatness_rms_mm:.3f} mm,"
-            f" rows {again.epipolar_rms_px:.2f} px."
+            f"{len(again.views)} views of a board today. A fault is named only where it is"
+            " significant and large enough to matter."
         ),
         cure="Calibrate anew (teatbench calibrate cameras), after looking at what is named below.",
     )
@@ -259,11 +391,27 @@ def check_points_page(
         [(n, *row) for n, row in enumerate(rows, 1)],
         "Expected: root of the summed variances of calibration, pixels and touch.",
     )
+    expected = float(np.sqrt(np.mean(again.expected_mm**2)))
+    svg = per_axis_errors(
+        ["touched points"],
+        [again.missed_mm],
+        expected,
+        point="one touched point",
+        bound="expected",
+        name="missed",
+    )
+    caption = "Where the cameras see it, less where the arm touched, along the world's axes"
+    shown = Figure(svg, caption, f"{len(rows)} points, {rms:.2f} mm rms", wide=True)
     return _check(
-        {"points": ("The points, measured", [points])},
+        {
+            "points": ("What touched points miss by", [shown]),
+            "measured": ("The points, measured", [points]),
+        },
         findings,
         record,
         command,
+        scores=(_figure_only("Points missed by", f"{rms:.2f} mm", f"{expected:.2f} mm expected"),),
+        first="points",
         tested=f"An existing calibration on {len(again.missed_mm)} points that the arm touched.",
         confidence=(
             f"Points are missed by {rms:.2f} mm rms; on the mean by"
@@ -282,6 +430,8 @@ def _check(
     tested: str,
     confidence: str,
     cure: str,
+    scores: Sequence[Row],
+    first: str = "",
 ) -> Page:
     named = "; ".join(finding.name for finding in findings)
     return _page(
@@ -289,19 +439,21 @@ def _check(
         chapters,
         record,
         command,
+        scores=scores,
+        first=first,
         findings=findings,
         verdict="not met" if findings else "met",
         tested=tested,
         sentence=f"It no longer holds: {named}." if findings else HOLDS,
         confidence=confidence,
-        next_action=cure if findings else "Nothing.",
+        next_action=cure if findings else "Nothing: go on measuring with it.",
     )
 
 
 def _next(findings: Sequence[Finding], missing: Sequence[str], then: str) -> str:
     if findings:
         return "Cure what is named below, and calibrate anew."
-    return f"Better still: {missing[0]}. Then: {then}." if missing else f"{then}."
+    return f"Better still: {missing[0]}. Then: {then}." if missing else f"Go on with: {then}."
 
 
 def still_missing(shown: Mapping[str, Coverage]) -> tuple[str, ...]:

@@ -10,6 +10,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bench.config import ConfigError
 from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN
@@ -17,11 +19,21 @@ from bench.record.reader import RunRecord
 from bench.report.wording import NOT_MEASURED, key_values, listed, table
 from bench.results.comparison import Comparison, Side, compare_folders, compare_sides
 from bench.results.error_rows import truth_gage
-from bench.scoring.comparison import PairedDifference, Row, ScenePair, why_failed
+from bench.scoring.comparison import (
+    ALPHA,
+    PairedDifference,
+    Row,
+    ScenePair,
+    common_errors,
+    poses_needed,
+    why_failed,
+)
 from bench.scoring.decisions import Verdict, overall
+from bench.scoring.errors import Floats, numbered
+from bench.scoring.rates import plural
 from bench.scoring.scene import SceneScore
 from instruments.world.situations import spoken
-from reports.figures import change_scatter
+from reports.figures import change_by_situation, change_scatter
 from reports.page import (
     Banner,
     Cell,
@@ -32,6 +44,8 @@ from reports.page import (
     Page,
     Paragraph,
     Part,
+    Score,
+    Scoreboard,
     Section,
     Table,
     Tone,
@@ -66,8 +80,8 @@ GATE: dict[Verdict, tuple[PageVerdict, str, str, Tone]] = {
         "worse",
         "THE NEW ONE IS WORSE:",
         (
-            "Look at the scenes below that changed, in the report of the new run, before the new"
-            " one is used."
+            "Open 'Scenes that changed' below, and those trials in the new run's report, before"
+            " the new one is used."
         ),
         "bad",
     ),
@@ -77,6 +91,21 @@ GATE: dict[Verdict, tuple[PageVerdict, str, str, Tone]] = {
         "Compare on more poses, as many as the reasons name.",
         "warn",
     ),
+}
+
+
+P_HINT = "how likely chance alone makes so large a difference: below 0.05 it is taken as real"
+MOST_REASONS = 5  # in a sentence
+RIGHT, MISSED, FALSE = "Poses right", "Teats missed", "False teats"
+DISTANCE, ALONG, WORST = "Distance to the teat end", "Error along one axis", "Worst situation"
+HINTS = {
+    RIGHT: "A pose is right when every visible teat end is found within the limit, nothing false is"
+    " reported, and in time, in all of its repeats.",
+    MISSED: "Visible teat ends that were not found.",
+    FALSE: "Answers where there is no teat end.",
+    DISTANCE: "Mean over poses, of teats that both found. A teat's change counts up to the limit.",
+    ALONG: "Change of the mean absolute error along the world's axis on which it grew most.",
+    WORST: "The situation whose mean distance to the teat end grew most.",
 }
 
 
@@ -151,7 +180,15 @@ def success_table(comparison: Comparison) -> Table:
         counts = (row.new.false - row.old.false, row.new.missed - row.old.missed)
         name = spoken(row.situation) if row.situation else "all"
         rows.append((name, row.poses, won.only_old, won.only_new, points, p, *counts))
-    heads = "situation | >poses | >lost | >won | >change [% points] | >p | >false ~+d | >missed ~+d"
+    heads = (
+        "situation | >poses",
+        ">lost # poses that only the old one got right",
+        ">won # poses that only the new one got right",
+        ">change [% points] # of the share of poses that are right, with its interval",
+        f">p # {P_HINT}",
+        ">false ~+d # false teats, new less old",
+        ">missed ~+d # missed teats, new less old",
+    )
     return table("Success of poses, and what was counted", heads, rows, LEGEND)
 
 
@@ -164,7 +201,12 @@ def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
         change, *along = map(_difference, (row.radial, *axes))
         name = spoken(row.situation) if row.situation else "all"
         rows.append((name, row.teats, change, p, *along))
-    heads = "situation | >teats | >change [mm] | >p | >|x| [mm] | >|y| [mm] | >|z| [mm]"
+    heads = (
+        "situation | >teats # that both found",
+        ">change [mm] # of the mean distance to the teat end, with its interval",
+        f">p # {P_HINT}",
+        *(f">|{axis}| [mm] # change of the mean absolute error along {axis}" for axis in "xyz"),
+    )
     return table("Distance to the teat end", heads, rows)
 
 
@@ -173,13 +215,14 @@ def _rows(comparison: Comparison) -> tuple[Row, ...]:
     return (found.pooled, *(found.situations if len(found.situations) > 1 else ()))
 
 
-def _difference(difference: PairedDifference) -> str:
+def _difference(difference: PairedDifference, form: str = ".3f") -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
         return NOT_MEASURED
     if difference.low is None or difference.high is None:
-        return f"{difference.mean:+.3f}"
-    return f"{difference.mean:+.3f} ({difference.low:+.3f} to {difference.high:+.3f})"
+        return f"{difference.mean:+{form}}"
+    low, high = (f"{bound:+{form}}" for bound in (difference.low, difference.high))
+    return f"{difference.mean:+{form}} ({low} to {high})"
 
 
 def _p(value: float | None) -> str:
@@ -233,41 +276,268 @@ def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
 
 
 def comparison_page(found: Sequence[Comparison]) -> Page:
-    """The page: a section a comparison."""
+    """The page: what came out of each comparison on the first screen, then how and why, folded."""
     gate = overall(comparison.compared.gate.verdict for comparison in found)
-    worst = next((one for one in found if one.compared.gate.verdict is gate), found[0])
-    verdict, _, then, _ = GATE[gate]
     runs = [side.run for one in found for side in (one.old, one.new)]
     kinds: set[Kind] = {run.facts["kind"] for run in runs}
     mixed: Kind = "mixed" if kinds & {"emulated", "mixed"} else "recorded"
+    each = tuple((_matter(one), GATE[one.compared.gate.verdict][0]) for one in found)
+    then = dict.fromkeys(map(_next, found))
     banner = Banner(
         kind=kinds.pop() if len(kinds) == 1 else mixed,
-        verdict=verdict,
-        tested=f"{'; '.join(heading(one) for one in found)}.",
-        sentence=_sentence(worst),
-        confidence=" ".join(notes(found[0])),
-        next_action=then,
+        verdict=GATE[gate][0],
+        tested="\n".join(dict.fromkeys(map(_tested, found))),
+        sentence="\n".join(map(_outcome, found)),
+        confidence="\n".join(dict.fromkeys(map(_sure, found))),
+        next_action="\n".join(then),
+        each=each if len(each) > 1 else (),
     )
     sections = tuple(
-        Section(
-            f"comparison-{number}",
-            heading(one) if len(found) > 1 else "Differences",
-            tuple(comparison_parts(one)),
-        )
-        for number, one in enumerate(found, 1)
+        section for number, one in enumerate(found, 1) for section in _chapters(one, number, found)
     )
     damaged = any(run.damage for run in runs)
     return Page(
         "Comparison of detectors",
         "Paired differences on the same scenes",
         banner,
-        sections,
+        # what came out of all comparisons comes before what folds
+        tuple(sorted(sections, key=lambda section: section.folded)),
         alarm=f"{NOT_AS_WRITTEN}: no figure below holds." if damaged else "",
     )
 
 
-def _sentence(comparison: Comparison, most: int = 5) -> str:
-    reasons = comparison.compared.gate.reasons
+def _chapters(one: Comparison, number: int, found: Sequence[Comparison]) -> Iterator[Section]:
+    whose = f": {_matter(one)}" if len(found) > 1 else ""
+    first = (_scoreboard(one), _by_situation(one, number))
+    yield Section(f"comparison-{number}", f"What came out{whose}", first)
+    sentence, success, distance, how, changed, runs = comparison_parts(one)
+    for anchor, title, parts in (
+        ("changed", "Scenes that changed", (changed,)),
+        ("tables", "Each situation in figures", (success, distance)),
+        ("how", "Why this verdict, and how it was compared", (sentence, *_reasons(one), how, runs)),
+    ):
+        yield Section(f"{anchor}-{number}", f"{title}{whose}", parts, folded=True)
+
+
+def gate_reasons(one: Comparison) -> tuple[str, ...]:
+    """The gate's reasons, situations by their spoken names."""
+    called = {row.situation: spoken(row.situation or "") for row in one.compared.situations}
+    reasons = []
+    for reason in one.compared.gate.reasons:
+        head, middle, rest = reason.partition(" the mean distance")
+        name = called.get(head.removeprefix("in "))
+        reasons.append(f"in {name}{middle}{rest}" if name else reason)
+    return tuple(reasons)
+
+
+def _reasons(one: Comparison) -> Iterator[Part]:
+    reasons = gate_reasons(one)
+    if len(reasons) > MOST_REASONS:
+        yield Notes("All reasons", reasons)
+
+
+def _called(one: Comparison) -> tuple[str, str]:
+    """What the first screen calls the old and the new one: by what they differ in."""
+    old, new = one.old, one.new
+    if old.detector != new.detector:
+        return old.detector, new.detector
+    versions = [
+        side.run.facts["items"].get(side.detector, {}).get("version") for side in (old, new)
+    ]
+    if versions[0] != versions[1] and all(versions):
+        return f"{old.detector} {versions[0]}", f"{new.detector} {versions[1]}"
+    return "the old run", "the new run"
+
+
+def _matter(one: Comparison) -> str:
+    """The comparison's name beside others on the page."""
+    old, new = one.old.detector, one.new.detector
+    return new if old == new else f"{new} against {old}"
+
+
+def _outcome(one: Comparison) -> str:
+    """Who is better, by how much, how sure: short sentences."""
+    old, new = _called(one)
+    row, verdict = one.compared.pooled, one.compared.gate.verdict
+    won, change = row.success, row.radial
+    same = f"{one.new.detector}: " if one.old.detector == one.new.detector else ""
+    said = {
+        Verdict.MET: f"{same}{new} is not worse than {old}.",
+        Verdict.NOT_MET: f"{same}{new} is worse than {old}.",
+    }.get(verdict, f"{same}{new} was not worse than {old} here, but too little was compared.")
+    if one.old.run.damage or one.new.run.damage:
+        return f"{same}{NOT_AS_WRITTEN}, so nothing is decided."
+    right = (won.both + won.only_old, won.both + won.only_new)
+    poses = f"Of {plural(row.poses, 'pose')} {old} got {right[0]} right, {new} {right[1]}"
+    if right[0] == right[1]:
+        poses = f"Both got {right[0]} of {plural(row.poses, 'pose')} right"
+    else:
+        poses += ", more than chance explains" if won.p_value < ALPHA else ", which may be chance"
+    if change.mean is None:
+        return f"{said} {poses}. No teat was found by both, so no distance was compared."
+    before, now = (_mean_mm(errors, one) for errors in common_errors(one.pairs)[:2])
+    if abs(change.mean) < 0.0005:
+        return f"{said} {poses}. Their points lie equally far from the teat ends, {now} on average."
+    far = f"{new}'s points lie {now} from the teat ends on average, {old}'s {before}"
+    if change.p_value is not None and change.p_value >= ALPHA:
+        far += ", which may be chance"
+    return f"{said} {poses}. {far[0].upper() if far.startswith('the ') else far[0]}{far[1:]}."
+
+
+def _tested(one: Comparison) -> str:
+    """Which runs, on what, and what was left out."""
+    row, n = one.compared.pooled, len(one.pairs)
+    which = "in the same frames" if one.same_frames == n else "each with frames of its own"
+    if one.same_frames not in (0, n):
+        which = f"{n - one.same_frames} of them in other frames"
+    left = one.only_old + one.only_new
+    missing = f" {plural(left, 'trial')} without a counterpart left out." if left else ""
+    sets = f"{plural(n, 'frame set')} of {plural(row.poses, 'pose')}, {which}"
+    names = heading(one)
+    if one.old.run.folder.resolve() == one.new.run.folder.resolve():
+        within = f" in {one.old.run.folder.resolve().name}"
+        names = f"{names.replace(within, '')}, both{within}"
+    return f"{names}: {sets}.{missing}"
+
+
+def _sure(one: Comparison) -> str:
+    """What the intervals say, and how many poses would say more."""
+    change, confidence = one.compared.pooled.radial, 100 * one.compared.confidence
+    if change.low is None or change.high is None:
+        return "No distance was compared."
+    span = f"{change.low:+.2f} to {change.high:+.2f} mm"
+    return (
+        f"For all such poses, not only these {change.poses}, the mean distance changes by {span},"
+        f" {confidence:g} % sure."
+    )
+
+
+def _next(one: Comparison) -> str:
+    gate, row = one.compared.gate, one.compared.pooled
+    then = GATE[gate.verdict][2]
+    if gate.verdict is not Verdict.INCONCLUSIVE or row.radial.high is None:
+        return then
+    needed = poses_needed(one.pairs, gate.margin_mm, (1.0 + one.compared.confidence) / 2.0)
+    if needed is None or needed <= row.radial.poses:
+        return then
+    return f"Compare on more poses: {needed} with such changes decide it."
+
+
+def _scoreboard(one: Comparison) -> Scoreboard:
+    """What the gate looks at, line by line: both sides, and what the new one may be worse by."""
+    old, new = (name.removeprefix("the ") for name in _called(one))
+    row, margin = one.compared.pooled, one.compared.gate.margin_mm
+    won, poses = row.success, row.poses
+    lost = sum(pair.old.success and not pair.new.success for pair in one.pairs)
+    span = won.interval(one.compared.confidence)
+    change = "" if span is None else f" ({100 * span[0]:+.0f} to {100 * span[1]:+.0f} % points)"
+    rows: list[tuple[str, str, tuple[Score | None, ...]]] = [
+        (
+            RIGHT,
+            "none lost",
+            (
+                Score("no verdict", f"{won.both + won.only_old} of {poses}", ""),
+                Score(
+                    "worse" if lost else "not worse",
+                    f"{won.both + won.only_new} of {poses}",
+                    f"{won.only_old or 'none'} lost, {won.only_new or 'none'} won{change}",
+                ),
+            ),
+        )
+    ]
+    for name, what in ((MISSED, "missed"), (FALSE, "false")):
+        before, now = getattr(row.old, what), getattr(row.new, what)
+        word = "more" if now > before else "fewer"
+        shows = f"{abs(now - before)} {word}" if now != before else "as many"
+        score = Score("worse" if now > before else "not worse", str(now), shows)
+        rows.append((name, "none more", (Score("no verdict", str(before), ""), score)))
+    distances = [_mean_mm(errors, one) for errors in common_errors(one.pairs)[:2]]
+    before_mm, now_mm = (Score("no verdict", mm, "") for mm in distances)
+    verdict = _change_verdict(row.radial, margin)
+    shows = f"change {_difference(row.radial, '.2f')} mm" if row.radial.mean is not None else ""
+    limit = f"{margin:g} mm farther"
+    rows.append((DISTANCE, limit, (before_mm, Score(verdict, now_mm.value, shows))))
+    along = [(axis.mean, name) for axis, name in zip(row.axes, "xyz", strict=True)]
+    grown = max(((mm, name) for mm, name in along if mm is not None), default=None)
+    if grown is not None:
+        score = Score("worse" if grown[0] > margin else "not worse", f"{grown[0]:+.2f} mm", "")
+        score = replace(score, shows=f"along {grown[1]}")
+        rows.append((ALONG, f"{margin:g} mm larger", (None, score)))
+    there = [r for r in one.compared.situations if r.radial.mean is not None]
+    if len(there) > 1:
+        worst = max(there, key=lambda r: r.radial.mean or 0.0)
+        by, p = worst.radial.mean or 0.0, worst.radial_holm
+        sure: PageVerdict = "worse" if p is not None and p < ALPHA else "inconclusive"
+        score = Score(sure if by > margin else "not worse", f"{by:+.2f} mm", "")
+        note = ", which may be chance" if by > margin and sure == "inconclusive" else ""
+        score = replace(score, shows=f"{spoken(worst.situation or '')}{note}")
+        rows.append((WORST, limit, (None, score)))
+    return Scoreboard(
+        f"{old} and {new}",
+        (old, new),
+        tuple(rows),
+        ("Compared", "May be worse by"),
+        HINTS,
+    )
+
+
+def _change_verdict(change: PairedDifference, margin_mm: float) -> PageVerdict:
+    if change.mean is None or change.high is None:
+        return "not measured"
+    if change.mean > margin_mm:
+        return "worse"
+    return "inconclusive" if change.high > margin_mm else "not worse"
+
+
+def _mean_mm(errors_mm: Floats, one: Comparison) -> str:
+    """The mean distance over poses, of teats that both found."""
+    if not len(errors_mm):
+        return NOT_MEASURED
+    codes = numbered(common_errors(one.pairs)[2])
+    means = np.bincount(codes, np.linalg.norm(errors_mm, axis=1)) / np.bincount(codes)
+    return f"{means.mean():.2f} mm"
+
+
+def _by_situation(one: Comparison, number: int) -> Figure:
+    rows = _rows(one)
+    old, new = _called(one)
+    called = (old.removeprefix("the "), new.removeprefix("the "))
+    names = [spoken(row.situation) if row.situation else "all" for row in rows]
+    right = [
+        (
+            row.success.both + row.success.only_old,
+            row.success.both + row.success.only_new,
+            row.poses,
+        )
+        for row in rows
+    ]
+    spans = [(row.radial.mean, row.radial.low, row.radial.high) for row in rows]
+    change = [
+        None if mean is None or low is None or high is None else (mean, low, high)
+        for mean, low, high in spans
+    ]
+    svg = change_by_situation(
+        names,
+        right,
+        change,
+        one.compared.gate.margin_mm,
+        called=called,
+        name=f"situations-{number}",
+    )
+    alt = "; ".join(
+        f"{name}: {a} and {b} of {plural(n, 'pose')} right, distance {_difference(row.radial)}"
+        for name, (a, b, n), row in zip(names, right, rows, strict=True)
+    )
+    caption = (
+        "Left: share of poses that each got right. Right: how much farther the new one's points lie"
+        f" from the teat ends, with {100 * one.compared.confidence:g} % intervals; one that stays"
+        " left of the margin is not worse."
+    )
+    return Figure(svg, caption, alt, wide=True)
+
+
+def _sentence(comparison: Comparison, most: int = MOST_REASONS) -> str:
+    reasons = gate_reasons(comparison)
     more = f"; and {len(reasons) - most} more" if len(reasons) > most else ""
     return f"{verdict_text(comparison)} {'; '.join(reasons[:most])}{more}."
 

@@ -426,12 +426,18 @@ def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], l
     return shown, perhaps
 
 
-def _needed(pairs: Sequence[ScenePair], margin_mm: float, confidence: float) -> str:
-    """How many poses would show that those that were not run hide nothing."""
+def poses_needed(pairs: Sequence[ScenePair], margin_mm: float, confidence: float) -> int | None:
+    """How many poses would show that those that were not run hide nothing; None where no number
+    does.
+    """
     limit_mm, (old, new, poses) = _limit_mm(pairs), common_errors(pairs)
     distances = np.linalg.norm(old, axis=1), np.linalg.norm(new, axis=1)
     changes = pose_differences(*distances, poses, limit=limit_mm)
-    needed = poses_to_show(changes, limit_mm, margin_mm, confidence)
+    return poses_to_show(changes, limit_mm, margin_mm, confidence) if len(changes) else None
+
+
+def _needed(pairs: Sequence[ScenePair], margin_mm: float, confidence: float) -> str:
+    needed = poses_needed(pairs, margin_mm, confidence)
     poses_show = "no number of poses with such changes shows"
     return f"{poses_show if needed is None else f'{needed} poses with such changes show'} less"
 

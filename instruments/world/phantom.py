@@ -49,6 +49,11 @@ class TeatShape:
 SPOKEN = {"LF": "left front", "RF": "right front", "LR": "left rear", "RR": "right rear"}
 
 
+def spoken_name(number: int, name: str = "") -> str:
+    """A teat within a sentence: ``right front (RF)``; by another name or its number ``teat 4``."""
+    return f"{SPOKEN[name]} ({name})" if name in SPOKEN else f"teat {name or number}"
+
+
 def called(number: int, name: str = "") -> str:
     """How prompts and messages call a teat: ``teat 4, left front (LF)``; ``teat 4`` without a
     name.

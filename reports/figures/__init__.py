@@ -13,6 +13,7 @@ from reports.figures.course import (
     slope_intervals,
 )
 from reports.figures.errors import (
+    change_by_situation,
     change_scatter,
     error_drift,
     error_histogram,
@@ -38,6 +39,7 @@ __all__ = [
     "TeatPlaces",
     "bath_curve",
     "bath_sparkline",
+    "change_by_situation",
     "change_scatter",
     "error_drift",
     "error_histogram",

@@ -21,6 +21,7 @@ from reports.figures.drawing import (
     WIDE_INCHES,
     Floats,
     LegendEntry,
+    Marker,
     circle,
     count_text,
     cross_and_circle,
@@ -39,6 +40,8 @@ from reports.figures.drawing import (
 _SQUARE = (HALF_INCHES, 4.2)
 _FLAT = (HALF_INCHES, 3.6)
 _NOTHING = "no teat end was paired with a truth"
+_SIDES = ("theirs", "ours")  # of the old and the new one
+_FORMS: tuple[Marker, Marker] = ("o", "D")
 _MOST_BEYOND = 60  # points beyond the whiskers of a box
 
 
@@ -66,6 +69,60 @@ def change_scatter(
         )
 
     return draw(name, _SQUARE, plot)
+
+
+def change_by_situation(
+    situations: Sequence[str],
+    right: Sequence[tuple[int, int, int]],
+    change_mm: Sequence[tuple[float, float, float] | None],
+    margin_mm: float,
+    *,
+    called: tuple[str, str],
+    name: str = "change-by-situation",
+) -> str:
+    """Of each situation the poses right (old, new, of) as shares, and beside it the change of the
+    mean distance (mean, low, high) with the margin; None where no teat was found by both.
+    """
+    rows = len(situations)
+    known = finite("change_by_situation", "change_mm", [c for c in change_mm if c is not None])
+    inches = (WIDE_INCHES, 1.1 + 0.28 * max(rows, 2))
+    if not rows:
+        return not_measured(name, inches, "no pose was compared")
+
+    def plot(figure: Figure) -> None:
+        poses, distance = figure.subplots(1, 2, sharey=True)
+        for y, (old, new, of) in enumerate(right):
+            shares = [old / of, new / of] if of else []
+            poses.plot(shares, [y] * len(shares), color=COLOURS["grid"], linewidth=3)
+            for share, role, form, size in zip(shares, _SIDES, _FORMS, (6.5, 4.5), strict=False):
+                marks(poses, [share], [y], role, size, form)
+        poses.set(xlim=(-0.03, 1.03), ylim=(rows - 0.5, -0.5), xlabel="poses right")
+        poses.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+        poses.set_yticks(range(rows), [plain(situation) for situation in situations])
+        distance.axvline(0, color=COLOURS["muted"], linewidth=0.8)
+        distance.axvline(margin_mm, color=COLOURS["limit"], linewidth=1, linestyle="--")
+        for y, change in enumerate(change_mm):
+            if change is None:
+                distance.annotate(
+                    "no teat found by both", (0.02, y), xycoords=("axes fraction", "data"),
+                    va="center", color=COLOURS["muted"],
+                )  # fmt: skip
+                continue
+            mean, low, high = change
+            distance.plot([low, high], [y, y], color=COLOURS["ours"], linewidth=1.4)
+            marks(distance, [mean], [y], "ours", 4.5, "D")
+        reach = 1.1 * max([4 * margin_mm, 1e-3, *np.abs(known).ravel()])
+        distance.set(xlim=(-reach, reach), xlabel="change of the mean distance (mm); left: nearer")
+        for axes in (poses, distance):
+            axes.tick_params(axis="y", length=0)
+            axes.grid(visible=False, axis="y")
+        sides: list[LegendEntry] = [
+            (plain(who, 40), role, form)
+            for who, role, form in zip(called, _SIDES, _FORMS, strict=True)
+        ]
+        legend(figure, [*sides, ("margin", "limit", "--")])
+
+    return draw(name, inches, plot)
 
 
 def error_scatter(
@@ -145,9 +202,13 @@ def per_axis_errors(
     errors_mm: Sequence[ArrayLike],
     limit_mm: float,
     *,
+    point: str = "one teat end",
+    bound: str = "limit",
     name: str = "per-axis-errors",
 ) -> str:
-    """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis."""
+    """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis. `point`
+    and `bound` are what the legend calls a point and the limit.
+    """
     arrays = _arrays("per_axis_errors", "situation", situations, errors_mm, (-1, 3))
     inches = (WIDE_INCHES, 0.9 + 0.3 * max(len(situations), 3))
     if not any(array.size for array in arrays):
@@ -172,9 +233,9 @@ def per_axis_errors(
         legend(
             figure,
             [
-                ("one teat end" if every else points, "ours", "o"),
+                (point if every else points, "ours", "o"),
                 ("mean", "ink", "-"),
-                (f"limit ± {limit_mm:g} mm", "limit", "-"),
+                (f"{bound} ± {limit_mm:.3g} mm", "limit", "-"),
             ],
         )
         panels[0].set_yticks(range(len(situations)), [plain(text) for text in situations])

@@ -98,6 +98,11 @@ def test_its_page_says_what_it_is_good_for(lab: Path) -> None:
     }.items():
         assert said in page.by_id(section).text, section
     assert text.count("<figure") == 3, "residuals of both cameras, precision by distance"
+    first = page.by_id("findings").text
+    assert "One point is good to" in first
+    assert "at most 1.25 mm" in first
+    assert "enough" in top
+    assert text.index('id="worth"') < text.index("<details>") < text.index('id="provenance"')
 
 
 def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, in_lab: Said) -> None:
@@ -109,6 +114,7 @@ def test_a_second_day_shows_that_it_still_holds_or_not(lab: Path, in_lab: Said) 
     seen = in_lab(1, check, "day3")
     assert "It no longer holds." in seen.out
     assert "wrong baseline" in seen.err
+    assert "It no longer holds: wrong baseline" in Path("again/index.html").read_text("utf-8")
 
 
 def test_all_steps_make_one_calibration(lab: Path, in_lab: Said) -> None:
@@ -130,7 +136,7 @@ def test_all_steps_make_one_calibration(lab: Path, in_lab: Said) -> None:
     assert found.record.by == who
     assert "world.toml: points.csv" in found.record.inputs
     page = (lab / "world.page" / "index.html").read_text(encoding="utf-8")
-    assert "Mapped points miss the arm" in page
+    assert "Good enough. Mapped points miss the arm" in page
 
 
 def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path, in_lab: Said) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from bench.config import ConfigError
 from bench.record.reader import read_run
-from bench.report.comparison import notes
+from bench.report.comparison import HINTS, notes
 from bench.results.comparison import compare_folders, scored_together
 from bench.scoring.decisions import Verdict
 from detector import registry
@@ -145,6 +145,10 @@ def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, 
     assert "THE NEW ONE IS WORSE" in page
     assert '<span class="word-text">worse</span>' in page
     assert "passed and now fails" in page
+    first = page[: page.index("<details>")]
+    assert f"thesis is worse than fused. Of {SCENES} poses fused got {SCENES} right" in first
+    assert all(f">{name}</abbr>" in first for name in list(HINTS)[:-1]), "one situation"
+    assert page.count("<details>") == 3
     assert json.loads((tmp_path / "page" / "comparison.json").read_text(encoding="utf-8")) == [text]
 
 

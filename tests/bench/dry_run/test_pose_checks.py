@@ -62,12 +62,12 @@ ROD = ({"kind": "rod", "x_mm": -150.0, "y_mm": 284.0},)
         (
             "reach",
             {"layout": "single", "pose": {"x_mm": -120.0, "y_mm": 130.0}},
-            "the arm doesn't reach the end of teat RF at [-235, 492, 135] mm",
+            "the arm doesn't reach the end of right front (RF) at [-235, 492, 135] mm",
         ),
         (
             "collision",
             {"objects": ROD, "pose": {"x_mm": -35.0}},
-            "teat RF's flange stands 21.2 mm inside object 1 (rod)",
+            "right front (RF)'s flange stands 21.2 mm inside object 1 (rod)",
         ),
     ],
 )
@@ -96,7 +96,7 @@ def test_a_registration_that_goes_beyond_the_travel(rig: LoadedRig) -> None:
 def test_a_teat_that_leaves_the_thermal_picture(rig: LoadedRig) -> None:
     found = kinds(rig, script(pose={"x_mm": -40.0}))
     assert found["view"].startswith(
-        "t: the end of teat LF isn't whole in the thermal picture: it lacks "
+        "t: the end of left front (LF) isn't whole in the thermal picture: it lacks "
     )
     assert "view" not in kinds(rig, script())
 
@@ -109,7 +109,10 @@ def test_teats_that_stand_in_each_other_are_found_even_where_no_file_says_so(
     near = replace(first.phantom.teats[1], base_mm=(-120.0, 284.2))
     crowded = replace(first, phantom=replace(first.phantom, teats=(first.phantom.teats[0], near)))
     found = kinds(rig, replace(loaded, planned=(crowded,)))
-    assert found["collision"] == "t: teat RF and teat RR stand 12.2 mm inside each other"
+    assert (
+        found["collision"]
+        == "t: right front (RF) and right rear (RR) stand 12.2 mm inside each other"
+    )
 
 
 def test_what_cannot_be_checked_is_said(rig: LoadedRig) -> None:
