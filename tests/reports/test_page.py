@@ -19,6 +19,8 @@ from reports.page import (
     Page,
     Requirement,
     Requirements,
+    Score,
+    Scoreboard,
     Section,
     Table,
     TrialPart,
@@ -71,6 +73,9 @@ def test_a_banner_claims_no_more_than_its_rows(verdict: str) -> None:
         Page("p", "", BANNER, (section(part),))
     honest = dataclasses.replace(BANNER, verdict="not met")
     assert Page("p", "", honest, (section(part),)).banner.verdict == "not met"
+    board = Scoreboard("s", ("a", "b"), (("speed", "", (None, Score("not met", "9 s", ""))),))
+    with pytest.raises(PageError, match=r"the banner says 'met', but \['speed'\] is not"):
+        Page("p", "", BANNER, (section(board),))
 
 
 @pytest.mark.slow
