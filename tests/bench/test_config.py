@@ -229,7 +229,9 @@ def test_names_that_are_not_there_list_what_is(tmp_path: Path) -> None:
         find_script("six-situation")
     with pytest.raises(ConfigError, match=r'no trial script "nosuch"\. Shipped: '):
         find_script("nosuch")
-    with pytest.raises(ConfigError, match=r'no rig "nosuch"\. Shipped: emulated; or'):
+    with pytest.raises(
+        ConfigError, match=r'no rig "nosuch"\. Shipped: emulated, emulated-browser; or'
+    ):
         find_rig("nosuch")
     with pytest.raises(ConfigError, match="can't be read"):
         load_rig(tmp_path / "none.toml")

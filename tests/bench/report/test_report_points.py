@@ -259,6 +259,20 @@ def test_a_script_of_offsets_is_printed_too(
 
 
 @pytest.mark.browser
+def test_the_first_page_is_three_screens_and_its_words_are_few(folder: Path) -> None:
+    """With what is folded closed; pictures of four trials, three views each, and the figures."""
+    with browser_page(width=1440, height=900) as seen:
+        page = seen.open(folder / "report" / "index.html")
+        assert page.evaluate("document.documentElement.scrollHeight") <= 3 * 900
+        assert len(page.locator("#main").inner_text().split()) <= 700
+        expect(page.locator(".look")).to_have_count(4)
+        expect(page.locator(".look .shot")).to_have_count(12)
+        expect(page.locator("#figures figure")).to_have_count(5)
+        page.locator(".look a").first.click()
+        expect(page.locator("article:target, section:target, :target").first).to_be_visible()
+
+
+@pytest.mark.browser
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
 def test_the_first_screen_says_what_and_why_and_what_next(
     folder: Path, width: int, height: int
