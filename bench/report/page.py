@@ -281,7 +281,7 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
         every = _links(run, detector)
         yield Figure(
             figures.error_scatter(*cloud, accept_mm=accept_mm, links=every, name=f"scatter-{name}"),
-            f"Depth error against lateral error, {detector}; each point opens its trial",
+            f"Depth error against lateral error, {detector}",
             f"{len(errors_mm)} points",
         )
     yield from sparkline(run, rules)

@@ -154,7 +154,7 @@ def _look(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibratio
         worst = max(score.radial_mm, default=None) if score else None
         farthest = "" if worst is None else f", farthest {worst:.1f} mm"
         results.append(Cell(f"{name}: {outcome}{farthest}", judged))
-    heading = f"{trial.id} ({part.situation})" if part.situation not in trial.id else trial.id
+    heading = f"{part.situation}, trial {trial.head['number']}"
     return Look(part.id, heading, why, tuple(results), tuple(images))
 
 
