@@ -23,7 +23,9 @@ from instruments.world.shading import Lamp, Lighting, Rows, irradiance
 from instruments.world.solids import Ints, Point, Solids, dot
 
 TEXEL_MM = 2.0
-COARSE_PX = 16  # between pixels at which the light of a plane is worked out
+# rows and columns between pixels at which the light of a plane is worked out: the table lies
+# nearly along the rays, so that a few rows are half a metre
+COARSE_PX = (2, 32)
 LASTING_KEPT = 12  # places in pictures of patches that stay: three by camera
 KEPT = 2  # drawn backdrops: those of a rig's two cameras, for a rig that is opened again
 FAR_MM = 2400.0  # the room's walls
@@ -231,10 +233,11 @@ class _Seen:
 
 
 def _finer(coarse: NDArray[np.float32], shape: tuple[int, ...]) -> Image:
-    """Interpolated from the middles of squares of `COARSE_PX`, one beyond each side, to (h, w)."""
-    size = COARSE_PX * coarse.shape[1], COARSE_PX * coarse.shape[0]
+    """Interpolated from the middles of parts of `COARSE_PX`, one beyond each side, to (h, w)."""
+    down, across = COARSE_PX
+    size = across * coarse.shape[1], down * coarse.shape[0]
     whole = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
-    part = whole[COARSE_PX : COARSE_PX + shape[0], COARSE_PX : COARSE_PX + shape[1]]
+    part = whole[down : down + shape[0], across : across + shape[1]]
     return np.asarray(part, dtype=np.float32)
 
 
@@ -253,8 +256,10 @@ def _look(place: Place, camera: CameraModel) -> _Seen | None:
     share = np.zeros((bottom - top, right - left), dtype=np.float32)
     share[outline.row - top, outline.column - left] = outline.share
     tall, wide = share.shape
-    grid = -(-tall // COARSE_PX) + 2, -(-wide // COARSE_PX) + 2
-    v, u = np.mgrid[: grid[0], : grid[1]] * COARSE_PX - 0.5 * (COARSE_PX + 1)
+    down, across = COARSE_PX
+    grid = -(-tall // down) + 2, -(-wide // across) + 2
+    v, u = np.mgrid[: grid[0], : grid[1]].astype(np.float64)
+    v, u = down * v - 0.5 * (down + 1), across * u - 0.5 * (across + 1)
     pixels = np.column_stack([u.ravel() + left, v.ravel() + top]).astype(np.float64)
     points, _ = _met(place, camera, camera.plane_from_pixels(pixels).T)
     x, y = (ray[top:bottom, left:right].reshape(-1) for ray in camera.rays())

@@ -199,7 +199,21 @@ def test_a_wrong_file_gives_2_and_a_sentence(
     assert threading.active_count() == threads
 
 
-WITHOUT_A_LINK = {"trials show", "replay-wire", "control", "tell", "report", "score", "compare"}
+WITHOUT_A_LINK = {
+    "campaign run",
+    "campaign chunk",
+    "campaign query",
+    "campaign search",
+    "campaign keep",
+    "console",
+    "trials show",
+    "replay-wire",
+    "control",
+    "tell",
+    "report",
+    "score",
+    "compare",
+}
 WITHOUT_A_LINK |= {"plan", "detect", "rigs", "emulate", "runs", "completion"}
 WITHOUT_A_LINK |= {"detectors new", "detectors try"}
 WITHOUT_A_LINK |= {f"camera {name}" for name in ("list", "show", "focus", "grab")}

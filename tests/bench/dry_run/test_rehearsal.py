@@ -70,7 +70,9 @@ def test_what_the_arm_does_not_reach_is_reported_by_the_trial_and_the_others_are
     rig, script = loaded(tmp_path, script=SCRIPT.replace(FAR, "{ y_mm = 300.0 }"))
     rehearsal = rehearse(rig, script, ())
     assert set(found(rehearsal)) == {("place-1", "reach")}
-    assert rehearsal.findings[0].text.startswith("the arm doesn't reach the end of teat ")
+    assert rehearsal.findings[0].text.startswith(
+        "the arm doesn't reach the end of right front (RF) at "
+    )
     assert rehearsal.trials == 2
 
 

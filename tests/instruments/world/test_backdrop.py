@@ -19,7 +19,7 @@ from instruments.world.shading import Lighting, irradiance
 from instruments.world.situations import situation
 from tests.instruments.world.scenes import renderer
 
-MEAN_GREY = 0.1
+MEAN_GREY, MOST_GREY = 0.1, 4.0
 
 
 def in_full(
@@ -80,6 +80,7 @@ def test_frames_are_those_of_the_long_way(
         off = getattr(short, name).astype(float) - getattr(full, name)
         assert np.abs(off).mean() <= MEAN_GREY, name
         assert abs(off.mean()) <= 0.01, name
+        assert np.abs(off).max() <= MOST_GREY, name
 
 
 def test_depth_and_warmth_are_those_of_the_long_way_and_a_poster_off_the_board_shows() -> None:
