@@ -24,7 +24,8 @@ from instruments.world import boards
 from instruments.world.phantom import Phantom
 from instruments.world.plant import PlantConstants
 from instruments.world.scene import Renderer, contact_sheet
-from instruments.world.situations import SITUATIONS, Situation, situation, spoken
+from instruments.world.setups import Situation
+from instruments.world.situations import SITUATIONS, situation, spoken
 from instruments.world.state import SceneState
 
 BOARD_DEPTHS_MM = (450.0, 1300.0)

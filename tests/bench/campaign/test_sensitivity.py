@@ -42,7 +42,8 @@ from detector.protocol import Detection, Frames, Teat
 from detector.registry import available
 from instruments.world.scene import Renderer
 from instruments.world.sensor import OpticalSensor
-from instruments.world.situations import EYES_MM, collisions, situation
+from instruments.world.setups import EYES_MM, collisions
+from instruments.world.situations import situation
 from instruments.world.solids import clearance_mm
 from instruments.world.state import SceneState
 from instruments.world.thermal_camera import ThermalSensor

@@ -12,14 +12,8 @@ import pytest
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.optics import CameraModel
 from instruments.world.phantom import Phantom, Teat
-from instruments.world.situations import (
-    SITUATIONS,
-    Around,
-    Situation,
-    faults,
-    hidden_ways,
-    situation,
-)
+from instruments.world.setups import Situation, faults, hidden_ways
+from instruments.world.situations import SITUATIONS, Around, situation
 from instruments.world.solids import Solids
 from instruments.world.state import SceneState
 from tests.instruments.world.scenes import renderer
