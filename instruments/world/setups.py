@@ -25,7 +25,9 @@ from instruments.world.state import SceneState
 @dataclass(frozen=True, slots=True)
 class Situation:
     """One member of a family: what stands where, light, paint, exposure; no temperatures of teats.
-    ``about`` tells a person in one sentence what to set up.
+    ``about`` tells a person in one sentence what to set up. ``cooler_k``: how much cooler each teat
+    is than the water makes it, empty for not at all; ``room_c``: the surroundings, None for as they
+    are.
     """
 
     name: str
@@ -38,16 +40,23 @@ class Situation:
     backdrop: Backdrop = field(default_factory=Backdrop)
     teat_paint: Paint = TEAT_PAINT
     exposure: Exposure = field(default_factory=Exposure)
+    cooler_k: tuple[float, ...] = ()
+    room_c: float | None = None
 
     def state(
         self, teat_temps_c: tuple[float, ...], hose_temp_c: float, ambient_c: float, **more: Any
     ) -> SceneState:
         """The scene at these temperatures of the plant; ``more`` are fields of `SceneState`."""
-        own = {f.name: getattr(self, f.name) for f in fields(self)}
-        for name in ("name", "seed", "about"):
-            del own[name]
-        temperatures = {"teat_temps_c": teat_temps_c, "hose_temp_c": hose_temp_c}
-        return SceneState(ambient_c=ambient_c, **(own | temperatures | more))
+        shared = {f.name for f in fields(SceneState)}
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name in shared}
+        if self.cooler_k:
+            teat_temps_c = tuple(np.subtract(teat_temps_c, self.cooler_k).tolist())
+        temperatures = {
+            "teat_temps_c": teat_temps_c,
+            "hose_temp_c": hose_temp_c,
+            "ambient_c": ambient_c if self.room_c is None else self.room_c,
+        }
+        return SceneState(**(own | temperatures | more))
 
 
 # left, right, thermal

@@ -1,7 +1,7 @@
-"""Eleven families of scenes: from a name and a seed to everything that a scene needs.
+"""Families of scenes: from a name and a seed to everything that a scene needs.
 
 The thesis's six (section 5.2), and ideal, low contrast, dim light, a teat missing or hidden, and
-anything anywhere. Each draws until a scene can be set up (no overlaps, ends within reach of arm and
+anything anywhere; and those of a cowshed. Each draws until a scene can be set up (no overlaps, ends within reach of arm and
 cameras) and fits its name. The cameras are a box of the thesis rig's bearings.
 """
 
@@ -13,6 +13,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from instruments.world import cowshed
 from instruments.world.boards import Board, Pattern
 from instruments.world.draws import (
     Draw,
@@ -356,4 +357,9 @@ SITUATIONS: dict[str, tuple[str, Family]] = {
         _missing_or_hidden,
     ),
     "anywhere": ("Four teats anywhere in view, leaning any way, among other things.", _anywhere),
+    "cool_quarters": (
+        "Four teats, up to three of them as much as 5 K cooler than the warmest.",
+        cowshed.cool_quarters,
+    ),
+    "warm_room": ("Four teats in surroundings of 26 to 31 degC.", cowshed.warm_room),
 }

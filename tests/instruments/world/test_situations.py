@@ -44,8 +44,9 @@ def visible(name: str) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
     return tuple(renderer().visible_ends(state(found)) for found in members(name))
 
 
-def test_there_are_the_eleven() -> None:
-    assert ("ideal", *THESIS, "low_contrast", "dim_light", "missing_or_hidden", "anywhere") == NAMES
+def test_there_are_the_eleven_and_those_of_a_cowshed() -> None:
+    eleven = "ideal", *THESIS, "low_contrast", "dim_light", "missing_or_hidden", "anywhere"
+    assert (*eleven, "cool_quarters", "warm_room") == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -158,6 +159,17 @@ def _span(hulls: tuple[object, ...]) -> tuple[float, float]:
     return float(((solids.a[:, 2] - solids.radius_a - 62.0) / away).min()), float(
         ((solids.a[:, 2] + solids.radius_a - 62.0) / away).max()
     )
+
+
+def test_quarters_are_cooler_than_the_warmest_and_rooms_warm() -> None:
+    for found in members("cool_quarters"):
+        teats_c = np.array(state(found).teat_temps_c)
+        assert teats_c.max() == 32.5
+        assert teats_c.min() >= 27.5
+    assert any(min(state(found).teat_temps_c) < 29.0 for found in members("cool_quarters"))
+    rooms_c = {state(found).ambient_c for found in members("warm_room")}
+    assert min(rooms_c) >= 26.0
+    assert 29.0 < max(rooms_c) <= 31.0
 
 
 def test_low_contrast_is_low_and_dim_is_dim() -> None:
