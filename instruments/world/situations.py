@@ -1,8 +1,8 @@
 """Families of scenes: from a name and a seed to everything that a scene needs.
 
 The thesis's six (section 5.2), and ideal, low contrast, dim light, a teat missing or hidden, and
-anything anywhere; and those of a cowshed. Each draws until a scene can be set up (no overlaps, ends within reach of arm and
-cameras) and fits its name. The cameras are a box of the thesis rig's bearings.
+anything anywhere; and those of a cowshed. Each draws until a scene can be set up (no overlaps,
+ends within reach of arm and cameras) and fits its name.
 """
 
 from __future__ import annotations
@@ -362,4 +362,8 @@ SITUATIONS: dict[str, tuple[str, Family]] = {
         cowshed.cool_quarters,
     ),
     "warm_room": ("Four teats in surroundings of 26 to 31 degC.", cowshed.warm_room),
+    "straw_and_legs": (
+        "Four teats with straws across them, and hind legs and a tail behind them.",
+        cowshed.straw_and_legs,
+    ),
 }

@@ -46,7 +46,7 @@ def visible(name: str) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
 
 def test_there_are_the_eleven_and_those_of_a_cowshed() -> None:
     eleven = "ideal", *THESIS, "low_contrast", "dim_light", "missing_or_hidden", "anywhere"
-    assert (*eleven, "cool_quarters", "warm_room") == NAMES
+    assert (*eleven, "cool_quarters", "warm_room", "straw_and_legs") == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -170,6 +170,22 @@ def test_quarters_are_cooler_than_the_warmest_and_rooms_warm() -> None:
     rooms_c = {state(found).ambient_c for found in members("warm_room")}
     assert min(rooms_c) >= 26.0
     assert 29.0 < max(rooms_c) <= 31.0
+
+
+def test_straws_lie_before_teats_and_legs_behind() -> None:
+    for found in members("straw_and_legs"):
+        straws = [thing.hulls[0] for thing in found.objects if thing.name == "straw"]
+        legs = [thing for thing in found.objects if thing.name == "leg"]
+        assert 2 <= len(straws) <= 5
+        assert 1 <= len(legs) <= 2
+        back = max(hull.a_mm[1] for hull in found.phantom.teat_hulls())
+        assert all(0.5 * (hull.a_mm[1] + hull.b_mm[1]) < back for hull in straws)
+        assert min(leg.hulls[1].a_mm[1] for leg in legs) > back
+        scene = state(found)
+        assert all(
+            19.0 < 20.0 + one.offset_k < 30.6 for one in found.objects if one.name == "straw"
+        )
+        assert all(23.0 < scene.temperature_c("teat") + leg.offset_k < 31.0 for leg in legs)
 
 
 def test_low_contrast_is_low_and_dim_is_dim() -> None:
