@@ -1,5 +1,5 @@
 """Families of scenes with what a cowshed shows and the thesis's six leave out: quarters of unlike
-warmth, a warm room, straw, legs and a tail.
+warmth, a warm room, straw, legs and a tail, teats of a cow.
 
 Ranges are our choice where no source is named.
 """
@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from instruments.world.draws import Draw, plain, udder
+from instruments.world.draws import PLACES, Draw, plain, udder
 from instruments.world.objects import SceneObject, make_object
-from instruments.world.phantom import Phantom
+from instruments.world.phantom import Phantom, Teat, TeatForm, TeatShape, Udder
 from instruments.world.setups import EYES_MM, Situation, collisions, hidden_ways
 
 
@@ -108,3 +108,77 @@ def _straw(draw: Draw, phantom: Phantom) -> SceneObject:
         offset_k=draw.between("straw_offset_k", -0.5, 1.0),
         albedo=draw.between("straw_albedo", 0.25, 0.6),
     )
+
+
+FORMS = ("cylinder", "funnel", "bottle")  # of the barrel, as breeders class them
+ENDS = ("round", "flat", "flat", "pointed")
+# radius at the base, and near the end, as shares of the barrel's
+BASE = {"cylinder": (1.0, 1.12), "funnel": (1.2, 1.45), "bottle": (0.78, 0.92)}
+NEAR_END = {"cylinder": (0.92, 1.0), "funnel": (0.70, 0.85), "bottle": (1.04, 1.18)}
+
+
+def cow_teats(draw: Draw) -> Situation:
+    """Teats of a cow's length and shape on a warm udder, each end 0 to 2.5 K cooler than its base.
+
+    Lengths of 35 to 70 mm are our choice for dairy cows (Zwertvaegher et al., J. Dairy Sci.
+    95, 2012: front teats longer and wider than hind ones), barrels 18 to 27 mm across. A quarter of
+    ends is round, half flat within a round rim, a quarter pointed (after Appleman, J. Dairy Sci.
+    56, 1973, 411; his discs count as flat, his cones as pointed: a dish hides its own apex). Bends
+    of 0 to 12 degrees, leans and the udder are our choice. The end is where the axis leaves it.
+    """
+    x, y = draw.between("udder_x_mm", -165.0, -95.0), draw.between("udder_y_mm", 215.0, 265.0)
+    wide = (
+        draw.between("near_half_width_mm", 28.0, 42.0),
+        draw.between("far_half_width_mm", 52.0, 75.0),
+    )
+    deep, height = draw.between("half_depth_mm", 30.0, 48.0), draw.between("udder_mm", 60.0, 88.0)
+    feet = [
+        (
+            x + across * wide[int(away > 0.0)] + draw.between("teat_x_mm", -7.0, 7.0),
+            y + away * deep + draw.between("teat_y_mm", -8.0, 8.0),
+        )
+        for across, away in PLACES
+    ]
+    teats = tuple(_teat(draw, foot, height) for foot in feet)
+    found = plain(draw, Phantom(teats, udder=Udder(tuple(feet), height)))
+    # an udder faces up, to lamps and ceiling, and gets twice a teat's light
+    paint = replace(found.teat_paint, albedo=0.65 * found.teat_paint.albedo)
+    cooler_k = draw.between("ends_cooler_k", 0.0, 2.5)
+    return replace(found, teat_paint=paint, ends_cooler_k=cooler_k)
+
+
+def _teat(draw: Draw, foot_mm: tuple[float, float], height_mm: float) -> Teat:
+    """Out of the udder there, where that is so high."""
+    long = draw.between("teat_length_mm", 35.0, 70.0)
+    radius = draw.between("teat_radius_mm", 9.0, 13.5)
+    lean = math.radians(draw.between("lean_deg", 0.0, 12.0))
+    way = draw.between("lean_way_rad", 0.0, 2.0 * math.pi)
+    slope = math.tan(lean) * math.cos(way), math.tan(lean) * math.sin(way)
+    base = foot_mm[0] - slope[0] * height_mm, foot_mm[1] - slope[1] * height_mm
+    whole_mm = height_mm * math.hypot(1.0, *slope) + long
+    shape = TeatShape(whole_mm, radius, _form(draw, long, radius))
+    return Teat(base, shape, (math.atan(slope[0]), math.atan(slope[1])))
+
+
+def _form(draw: Draw, long_mm: float, radius_mm: float) -> TeatForm:
+    """Of a teat that stands out so far, its foot 12 mm within the udder. A pointed end is half an
+    ellipsoid; the barrel's radius is a quadratic curve from there to the base.
+    """
+    kind, end = FORMS[draw.count(0, 2)], ENDS[draw.count(0, 3)]
+    base = radius_mm * draw.between("base_share", *BASE[kind])
+    last = radius_mm * draw.between("end_share", *NEAR_END[kind])
+    flat = last * draw.between("flat_share", 0.5, 0.75) if end == "flat" else 0.0
+    tall = last * (draw.between("point_share", 1.25, 1.8) if end == "pointed" else 1.0)
+    focus2 = tall**2 - last**2
+    balls = [(tall, last)]
+    if focus2:
+        aways = np.linspace(focus2 / tall, 0.0, 5)
+        balls = [(tall - away, last * math.sqrt(1.0 - away**2 / focus2)) for away in aways]
+    start = balls[-1][0]
+    for part in np.linspace(0.0, 1.0, 6)[1:].tolist():
+        radius = (1.0 - part) ** 2 * last + 2.0 * part * (1.0 - part) * radius_mm + part**2 * base
+        balls.append((start + part * (long_mm - start), radius))
+    balls.append((long_mm + 12.0, 1.15 * base))
+    bend = math.radians(draw.between("bend_deg", 0.0, 12.0)) / long_mm
+    way = draw.between("bend_way_rad", 0.0, 2.0 * math.pi)
+    return TeatForm(tuple((float(at), float(r)) for at, r in balls), flat, bend, way)

@@ -45,12 +45,16 @@ class SceneObject:
 def phantom_objects(
     phantom: Phantom, paint: Paint, teat_temps_c: Iterable[float], hose_c: float
 ) -> tuple[SceneObject, ...]:
-    """Teats, then flanges, then hoses. Flanges are as warm as the hoses that feed them."""
-    upright, feet, bows = _hulls(phantom)
+    """Teats, then flanges, then hoses; on an udder, teats and udder. What teats stand on is as warm
+    as the hoses that feed them.
+    """
+    upright, feet, bows, udder = _hulls(phantom)
     teats = [
-        SceneObject(f"teat {i}", (hull,), paint, temp)
-        for i, (hull, temp) in enumerate(zip(upright, teat_temps_c, strict=True))
+        SceneObject(f"teat {i}", hulls, paint, temp)
+        for i, (hulls, temp) in enumerate(zip(upright, teat_temps_c, strict=True))
     ]
+    if udder:
+        return (*teats, SceneObject("udder", udder, paint, hose_c))
     flanges = [SceneObject(f"flange {i}", (hull,), paint, hose_c) for i, hull in enumerate(feet)]
     hoses = [SceneObject(f"hose {i}", hulls, HOSE_PAINT, hose_c) for i, hulls in enumerate(bows)]
     return (*teats, *flanges, *hoses)
@@ -59,8 +63,15 @@ def phantom_objects(
 @lru_cache(maxsize=16)  # a state is asked for its things by every camera
 def _hulls(
     phantom: Phantom,
-) -> tuple[tuple[Hull, ...], tuple[Hull, ...], tuple[tuple[Hull, ...], ...]]:
-    return phantom.teat_hulls(), phantom.flange_hulls(), phantom.hose_hulls()
+) -> tuple[
+    tuple[tuple[Hull, ...], ...], tuple[Hull, ...], tuple[tuple[Hull, ...], ...], tuple[Hull, ...]
+]:
+    return (
+        phantom.teat_hulls(),
+        phantom.flange_hulls(),
+        phantom.hose_hulls(),
+        phantom.udder_hulls(),
+    )
 
 
 def _cold_teat(

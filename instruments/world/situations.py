@@ -366,4 +366,8 @@ SITUATIONS: dict[str, tuple[str, Family]] = {
         "Four teats with straws across them, and hind legs and a tail behind them.",
         cowshed.straw_and_legs,
     ),
+    "cow_teats": (
+        "Four teats of a cow's length and shape on a warm udder.",
+        cowshed.cow_teats,
+    ),
 }

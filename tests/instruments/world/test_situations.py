@@ -46,7 +46,7 @@ def visible(name: str) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
 
 def test_there_are_the_eleven_and_those_of_a_cowshed() -> None:
     eleven = "ideal", *THESIS, "low_contrast", "dim_light", "missing_or_hidden", "anywhere"
-    assert (*eleven, "cool_quarters", "warm_room", "straw_and_legs") == NAMES
+    assert (*eleven, "cool_quarters", "warm_room", "straw_and_legs", "cow_teats") == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -178,7 +178,7 @@ def test_straws_lie_before_teats_and_legs_behind() -> None:
         legs = [thing for thing in found.objects if thing.name == "leg"]
         assert 2 <= len(straws) <= 5
         assert 1 <= len(legs) <= 2
-        back = max(hull.a_mm[1] for hull in found.phantom.teat_hulls())
+        back = max(hull.a_mm[1] for (hull,) in found.phantom.teat_hulls())
         assert all(0.5 * (hull.a_mm[1] + hull.b_mm[1]) < back for hull in straws)
         assert min(leg.hulls[1].a_mm[1] for leg in legs) > back
         scene = state(found)
@@ -186,6 +186,37 @@ def test_straws_lie_before_teats_and_legs_behind() -> None:
             19.0 < 20.0 + one.offset_k < 30.6 for one in found.objects if one.name == "straw"
         )
         assert all(23.0 < scene.temperature_c("teat") + leg.offset_k < 31.0 for leg in legs)
+
+
+def test_teats_of_a_cow_end_where_their_axes_leave_them() -> None:
+    flat, lengths = 0, []
+    for found in members("cow_teats"):
+        udder = found.phantom.udder
+        assert udder is not None
+        for hulls, end, axis, teat in zip(
+            found.phantom.teat_hulls(),
+            found.phantom.ends_mm,
+            found.phantom.axes,
+            found.phantom.teats,
+            strict=True,
+        ):
+            assert teat.shape.form is not None
+            flat += teat.shape.form.flat_mm > 0.0
+            reaches = [
+                float((np.array(at) - end) @ axis) + (0.0 if disc else radius)
+                for hull in hulls
+                for at, radius, disc in (
+                    (hull.a_mm, hull.radius_a_mm, hull.flat_a),
+                    (hull.b_mm, hull.radius_b_mm, hull.flat_b),
+                )
+            ]
+            assert max(reaches) == pytest.approx(0.0, abs=1e-6)
+            lengths.append((end[2] - udder.height_mm) / axis[2])
+    assert 34.9 < min(lengths) < 40.0
+    assert 65.0 < max(lengths) < 70.1
+    assert 0.3 < flat / len(lengths) < 0.7
+    scene = state(members("cow_teats")[0])
+    assert scene.teat_fall > SceneState(Phantom(()), (), 33.0, 20.0).teat_fall
 
 
 def test_low_contrast_is_low_and_dim_is_dim() -> None:
