@@ -260,7 +260,7 @@ class Phantom:
         half = 0.5 * self.udder.height_mm
         placed = self._placed(np.array([(*at, 0.0) for at in self.udder.quarters_mm]))
         feet = [as_point(at) for at in placed]
-        middles = [as_point(at + [0.0, 0.0, half]) for at in placed]
+        middles = [as_point(at + np.array([0.0, 0.0, half])) for at in placed]
         quarters = [cylinder(*ends, half) for ends in zip(feet, middles, strict=True)]
         return (*quarters, *(Hull(a, b, half, half) for a, b in combinations(middles, 2)))
 
