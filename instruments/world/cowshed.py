@@ -1,5 +1,5 @@
 """Families of scenes with what a cowshed shows and the thesis's six leave out: quarters of unlike
-warmth, a warm room, straw, legs and a tail, teats of a cow.
+warmth, a warm room, straw, legs and a tail, teats of a cow, pipes and hoses.
 
 Ranges are our choice where no source is named.
 """
@@ -182,3 +182,91 @@ def _form(draw: Draw, long_mm: float, radius_mm: float) -> TeatForm:
     bend = math.radians(draw.between("bend_deg", 0.0, 12.0)) / long_mm
     way = draw.between("bend_way_rad", 0.0, 2.0 * math.pi)
     return TeatForm(tuple((float(at), float(r)) for at, r in balls), flat, bend, way)
+
+
+def cluttered(draw: Draw) -> Situation | None:
+    """A pipe or two across behind the teats, about as high as their ends, posts behind it, teat
+    cups and hoses beside and behind; no end hidden.
+
+    Milk leaves the udder at some 38 degC and wash water is warmer, cold water and steel as cold as
+    the room: 10 K cooler to 8 K warmer than the teats (our choice). Bare stainless steel has an
+    emissivity of 0.15 to 0.35 and mirrors the room, painted or dirty things 0.85 to 0.96.
+    """
+    phantom = udder(draw, lean_deg=(0.0, 4.0))
+    cups = tuple(_cup(draw) for _ in range(draw.count(0, 2)))
+    alone = Situation("", 0, "", phantom, cups)
+    if any(collisions(alone)) or hidden_ways(alone).any():
+        return None
+    pipes = tuple(_pipe(draw, number) for number in range(draw.count(1, 2)))
+    posts = tuple(_post(draw) for _ in range(draw.count(0, 3)))
+    hoses = tuple(_hose(draw) for _ in range(draw.count(0, 2)))
+    return plain(draw, phantom, *cups, *pipes, *posts, *hoses)
+
+
+def _metal(draw: Draw, name: str) -> dict[str, float]:
+    """What pipes and posts look like, bare or painted."""
+    bare = draw.chance(0.4)
+    return {
+        "offset_k": draw.between(f"{name}_offset_k", -10.0, 8.0),
+        "albedo": draw.between(f"{name}_albedo", 0.12, 0.65),
+        "gloss": draw.between(f"{name}_gloss", *((0.15, 0.5) if bare else (0.0, 0.1))),
+        "emissivity": draw.between(f"{name}_emissivity", *((0.15, 0.35) if bare else (0.85, 0.96))),
+    }
+
+
+def _pipe(draw: Draw, number: int) -> SceneObject:
+    """The second above the first."""
+    return make_object(
+        "pipe",
+        x_mm=draw.between("pipe_x_mm", -300.0, 50.0),
+        y_mm=draw.between("pipe_y_mm", 360.0, 450.0),
+        z_mm=draw.between("pipe_z_mm", *((90.0, 190.0), (240.0, 330.0))[number]),
+        length_mm=draw.between("pipe_length_mm", 700.0, 1300.0),
+        radius_mm=draw.between("pipe_radius_mm", 9.0, 25.0),
+        rise_deg=draw.between("pipe_rise_deg", -3.0, 3.0),
+        turn_deg=draw.between("pipe_turn_deg", -4.0, 4.0),
+        **_metal(draw, "pipe"),
+    )
+
+
+def _post(draw: Draw) -> SceneObject:
+    return make_object(
+        "rod",
+        x_mm=draw.between("post_x_mm", -430.0, 160.0),
+        y_mm=draw.between("post_y_mm", 560.0, 900.0),
+        height_mm=draw.between("post_height_mm", 300.0, 900.0),
+        radius_mm=draw.between("post_radius_mm", 8.0, 24.0),
+        temperature="teat",
+        **_metal(draw, "post"),
+    )
+
+
+def _cup(draw: Draw) -> SceneObject:
+    """Of a milking cluster, on the table beside the teats or behind them."""
+    radius = draw.between("cup_radius_mm", 22.0, 32.0)
+    return make_object(
+        "hot_cup",
+        x_mm=draw.between("cup_x_mm", -360.0, 120.0),
+        y_mm=draw.between("cup_y_mm", 140.0, 330.0),
+        height_mm=draw.between("cup_height_mm", 90.0, 170.0),
+        radius_mm=radius,
+        foot_radius_mm=radius * draw.between("cup_foot_share", 0.75, 1.0),
+        **_metal(draw, "cup"),
+    )
+
+
+def _hose(draw: Draw) -> SceneObject:
+    """Black rubber, as warm as the room or as what flows in it."""
+    return make_object(
+        "hose",
+        x_mm=draw.between("hose_x_mm", -330.0, 60.0),
+        y_mm=draw.between("hose_y_mm", 490.0, 530.0),
+        z_mm=draw.between("hose_z_mm", 40.0, 140.0),
+        span_mm=draw.between("hose_span_mm", 150.0, 400.0),
+        sag_mm=draw.between("hose_sag_mm", 60.0, 260.0),
+        radius_mm=draw.between("hose_radius_mm", 6.0, 12.0),
+        turn_deg=draw.between("hose_turn_deg", -3.0, 3.0),
+        temperature="teat",
+        offset_k=draw.between("hose_offset_k", -10.0, 3.0),
+        albedo=draw.between("hose_albedo", 0.03, 0.2),
+    )

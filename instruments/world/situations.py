@@ -370,4 +370,8 @@ SITUATIONS: dict[str, tuple[str, Family]] = {
         "Four teats of a cow's length and shape on a warm udder.",
         cowshed.cow_teats,
     ),
+    "cluttered": (
+        "Four teats before pipes and posts, with teat cups and hoses beside and behind them.",
+        cowshed.cluttered,
+    ),
 }

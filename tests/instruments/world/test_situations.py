@@ -46,7 +46,14 @@ def visible(name: str) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
 
 def test_there_are_the_eleven_and_those_of_a_cowshed() -> None:
     eleven = "ideal", *THESIS, "low_contrast", "dim_light", "missing_or_hidden", "anywhere"
-    assert (*eleven, "cool_quarters", "warm_room", "straw_and_legs", "cow_teats") == NAMES
+    assert (
+        *eleven,
+        "cool_quarters",
+        "warm_room",
+        "straw_and_legs",
+        "cow_teats",
+        "cluttered",
+    ) == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -217,6 +224,19 @@ def test_teats_of_a_cow_end_where_their_axes_leave_them() -> None:
     assert 0.3 < flat / len(lengths) < 0.7
     scene = state(members("cow_teats")[0])
     assert scene.teat_fall > SceneState(Phantom(()), (), 33.0, 20.0).teat_fall
+
+
+def test_pipes_cross_behind_the_teats_about_as_high_as_their_ends() -> None:
+    kinds = set()
+    for found in members("cluttered"):
+        kinds |= {thing.name for thing in found.objects}
+        back = found.phantom.ends_mm[:, 1].max()
+        first, *_ = (thing.hulls[0] for thing in found.objects if thing.name == "pipe")
+        assert min(first.a_mm[1], first.b_mm[1]) - first.radius_a_mm > back
+        assert 50.0 < min(first.a_mm[2], first.b_mm[2]) < max(first.a_mm[2], first.b_mm[2]) < 230.0
+    assert kinds == {"pipe", "rod", "hot_cup", "hose"}
+    emissivities = [thing.paint.emissivity for one in members("cluttered") for thing in one.objects]
+    assert min(emissivities) < 0.35  # bare steel mirrors the room
 
 
 def test_low_contrast_is_low_and_dim_is_dim() -> None:
