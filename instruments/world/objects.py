@@ -45,32 +45,42 @@ class SceneObject:
 def phantom_objects(
     phantom: Phantom, paint: Paint, teat_temps_c: Iterable[float], hose_c: float
 ) -> tuple[SceneObject, ...]:
-    """Teats, then flanges, then hoses; on an udder, teats and udder. What teats stand on is as warm
-    as the hoses that feed them.
+    """Teats, then flanges, then hoses, or the udder; then drops and dirt, about as warm as teats.
+    What teats stand on is as warm as the hoses that feed them.
     """
-    upright, feet, bows, udder = _hulls(phantom)
+    upright, feet, bows, udder, spots = _hulls(phantom)
+    temps_c = tuple(teat_temps_c)
     teats = [
         SceneObject(f"teat {i}", hulls, paint, temp)
-        for i, (hulls, temp) in enumerate(zip(upright, teat_temps_c, strict=True))
+        for i, (hulls, temp) in enumerate(zip(upright, temps_c, strict=True))
+    ]
+    on_teats = [
+        SceneObject(each.name, hulls, each.paint, sum(temps_c) / len(temps_c), -each.cooler_k)
+        for each, hulls in zip(phantom.spots, spots, strict=True)
     ]
     if udder:
-        return (*teats, SceneObject("udder", udder, paint, hose_c))
+        return (*teats, SceneObject("udder", udder, paint, hose_c), *on_teats)
     flanges = [SceneObject(f"flange {i}", (hull,), paint, hose_c) for i, hull in enumerate(feet)]
     hoses = [SceneObject(f"hose {i}", hulls, HOSE_PAINT, hose_c) for i, hulls in enumerate(bows)]
-    return (*teats, *flanges, *hoses)
+    return (*teats, *flanges, *hoses, *on_teats)
 
 
 @lru_cache(maxsize=16)  # a state is asked for its things by every camera
 def _hulls(
     phantom: Phantom,
 ) -> tuple[
-    tuple[tuple[Hull, ...], ...], tuple[Hull, ...], tuple[tuple[Hull, ...], ...], tuple[Hull, ...]
+    tuple[tuple[Hull, ...], ...],
+    tuple[Hull, ...],
+    tuple[tuple[Hull, ...], ...],
+    tuple[Hull, ...],
+    tuple[tuple[Hull, ...], ...],
 ]:
     return (
         phantom.teat_hulls(),
         phantom.flange_hulls(),
         phantom.hose_hulls(),
         phantom.udder_hulls(),
+        tuple(phantom.spot_hulls(spots) for spots in phantom.spots),
     )
 
 
