@@ -26,7 +26,8 @@ from instruments.camera.frame import FrameSet
 from instruments.camera.recording import TruthRow
 from instruments.clock import processor_s, stopwatch_s
 from instruments.world.scene import Renderer
-from instruments.world.situations import Situation, situation
+from instruments.world.setups import Situation
+from instruments.world.situations import situation
 
 LIMIT_MM = 5.0  # of the error of each teat; thesis, section 1.4.3
 ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene

@@ -1,5 +1,5 @@
 """Are the stated covariances honest? Normalised squared errors against chi-square, on two members
-of every family.
+of each of the first eleven families.
 
 The scenes are rendered by the bench's own renderer, which shares no code with the detector; the
 path-traced ones are next door.
@@ -27,6 +27,8 @@ pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 SEEDS = (100, 101)
+# those of a cowshed are counted in campaigns
+FAMILIES = tuple(SITUATIONS)[:11]
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def squared(error: Array, covariance: Array | None) -> float:
 
 @pytest.fixture(scope="module")
 def members() -> list[Seen]:
-    return list(seen(tuple(SITUATIONS), SEEDS))
+    return list(seen(FAMILIES, SEEDS))
 
 
 def test_nothing_false_is_said_of_any_family(members: list[Seen]) -> None:
