@@ -496,6 +496,12 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--into DIR", "the recording; is added to", required=True),
         option("--name NAME", "of the frame (default: family, member and number)", str),
     ),
+    "campaign show": (
+        "draw scenes of a campaign again: their frames with truth and answers, as a page",
+        "campaign show campaigns/ideal ideal-0012",
+        option("folder DIR", "the campaign's folder"),
+        option("scene SCENE", "by name: family and member, as in ideal-0012", str, nargs="+"),
+    ),
     "campaign query": (
         "ask DuckDB over the views scenes and teats",
         'campaign query campaigns/ideal "SELECT failure, count() FROM scenes GROUP BY ALL"',
