@@ -99,16 +99,16 @@ def collisions(situation: Situation) -> Iterator[str]:
     """Things that stand within each other, in words."""
     teats = situation.phantom.teat_hulls()
     for (i, one), (j, other) in combinations(enumerate(teats), 2):
-        if min(_gap(a, b) for a in one for b in other) < 0.0:
+        if _least_gap(one, other) < 0.0:
             yield f"teats {i + 1} and {j + 1} stand in each other"
     upright = [hull for hulls in teats for hull in hulls]
     feet = situation.phantom.flange_hulls(), situation.phantom.udder_hulls()
     solid = (*upright, *feet[0], *feet[1])
     for thing in situation.objects:
-        if min(_gap(hull, mine) for hull in thing.hulls for mine in solid) < GAP_MM:
+        if _least_gap(thing.hulls, solid) < GAP_MM:
             yield f"{thing.name} stands within the phantom"
     for one_thing, other_thing in combinations(situation.objects, 2):
-        if min(_gap(a, b) for a in one_thing.hulls for b in other_thing.hulls) < GAP_MM:
+        if _least_gap(one_thing.hulls, other_thing.hulls) < GAP_MM:
             yield f"{one_thing.name} and {other_thing.name} stand in each other"
     for board in situation.boards:
         u, v = np.meshgrid(np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 25))
@@ -144,10 +144,22 @@ def _crosses(start: Floats, end: Floats, outline: Floats) -> bool:
 
 def _gap(one: Hull, other: Hull) -> float:
     """Gap between two solids taken as round, so a little small for flat ends; negative: overlap."""
-    a, b = np.asarray(one.a_mm), np.asarray(one.b_mm)
-    t = np.linspace(0.0, 1.0, 33)
-    radii = one.radius_a_mm + t * (one.radius_b_mm - one.radius_a_mm)
-    return float((_apart(a + t[:, None] * (b - a), other) - radii).min())
+    return _least_gap((one,), (other,))
+
+
+ALONG = np.linspace(0.0, 1.0, 33)
+
+
+def _least_gap(ones: Sequence[Hull], others: Sequence[Hull]) -> float:
+    """The least gap between one of these and one of those."""
+    a, b = (np.array([getattr(one, end) for one in ones]) for end in ("a_mm", "b_mm"))
+    start, end = (
+        np.array([getattr(one, radius) for one in ones])
+        for radius in ("radius_a_mm", "radius_b_mm")
+    )
+    points = (a[:, None] + ALONG[:, None] * (b - a)[:, None]).reshape(-1, 3)
+    radii = (start[:, None] + ALONG * (end - start)[:, None]).ravel()
+    return min(float((_apart(points, other) - radii).min()) for other in others)
 
 
 def _apart(points: Floats, hull: Hull) -> Floats:
