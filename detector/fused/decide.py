@@ -27,7 +27,8 @@ _FARTHEST = 0.9
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
-_OUTLINE = "its outline isn't that of a teat"
+OUTLINE = "its outline isn't that of a teat"
+ELSEWHERE = "the thermal picture shows its outline elsewhere"
 _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
@@ -175,7 +176,7 @@ def doubts(
 
 def maybe_hidden(reason: str | None) -> bool:
     """Whether a nearer teat may explain what speaks against this one, if anything."""
-    return reason is None or "seen" in reason or reason in (_OUTLINE, _UNSURE, _WORSE)
+    return reason is None or "seen" in reason or reason in (OUTLINE, _UNSURE, _WORSE)
 
 
 def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | None:
@@ -185,7 +186,7 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
     if _one_sees_a_side(evidence, i):
         return "a side of it is seen in one picture only"
     if evidence.misfit_px[i] > p.greatest_misfit_px:
-        return _OUTLINE
+        return OUTLINE
     if not p.least_radius_mm < teat[RADIUS] < p.greatest_radius_mm:
         return _SIZE
     if max(abs(teat[LEAN_X]), abs(teat[LEAN_Z])) > p.greatest_lean:
@@ -195,7 +196,7 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
     if not np.isfinite(evidence.warmth[i]).all():
         return "the thermal picture doesn't reach it"
     if _elsewhere(evidence.thermal_px[i], p.greatest_thermal_px):
-        return "the thermal picture shows its outline elsewhere"
+        return ELSEWHERE
     return _UNSURE if evidence.sd_mm[i] > p.greatest_sd_mm else None
 
 
