@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused import pictures
-from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, warmth_inside, weigh
+from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, warmth_across, weigh
 from detector.fused.depth_search import (
     Map,
     best_starts,
@@ -151,7 +151,7 @@ def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) 
 def _judge(fitted: Fitted, thermal: _Thermal, p: Parameters) -> _Judged:
     covariances = end_covariances(fitted, p)
     motion, size = thermal.view.camera_from_teats, thermal.px_a_sensor_px
-    warmth = warmth_inside(fitted.teats, thermal.view.field, thermal.lens, motion, size)
+    warmth = warmth_across(fitted.teats, thermal.view.field, thermal.lens, motion, size)
     evidence = weigh(fitted, covariances, warmth)
     reasons = objections(fitted.teats, evidence, thermal.surroundings, p)
     return _Judged(fitted, covariances, evidence, reasons)
