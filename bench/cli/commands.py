@@ -260,6 +260,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             flag("--pdf", "fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)"),
             flag("--no-pdf", "print no report.pdf, though a browser is installed"),
         ),
+        flag("--appendix", "print what is folded in the page too: report.pdf is the whole report"),
     ),
     "console": (
         "a page in the browser: what a run is doing, what it asks, and a button that ends it",
