@@ -30,7 +30,7 @@ from instruments.world.sensor import (
     blurred_by_depth,
     reach_px,
 )
-from instruments.world.shading import Lighting, irradiance, seen_light
+from instruments.world.shading import GLOSS_EXPONENT, Lighting, irradiance, seen_light
 from instruments.world.solids import BLOCK, Ints, dot, meet
 from instruments.world.state import SceneState, Stage
 
@@ -302,13 +302,16 @@ class OpticalCamera:
         eye = self.view.camera.centre_mm.astype(np.float32)[:, None]
         looks = [(thing.paint.albedo, thing.paint.gloss) for thing in things]
         paints = np.array(looks, dtype=np.float32).reshape(-1, 2).T
+        exponents = np.array([thing.paint.gloss_exponent for thing in things], dtype=np.float32)
+        usual = bool(np.all(exponents == GLOSS_EXPONENT))
         light = np.empty(len(seen.owner), dtype=np.float32)
         for start in range(0, len(light), BLOCK):
             part = slice(start, start + BLOCK)
             points = turn @ (seen.depth_mm[part] * seen.rays[:, part]).astype(np.float32) + eye
             normals = turn @ seen.normals[:, part].astype(np.float32)
             albedo, gloss = paints[:, seen.owner[part]]
-            light[part] = seen_light(lighting, points, normals, eye, albedo, gloss)
+            exponent = GLOSS_EXPONENT if usual else exponents[seen.owner[part]]
+            light[part] = seen_light(lighting, points, normals, eye, albedo, gloss, exponent)
         return seen.by_thing(len(things), light)
 
     def _board(self, board: Board, lighting: Lighting) -> Layer:

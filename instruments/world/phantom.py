@@ -15,7 +15,8 @@ import numpy as np
 
 from instruments.teat_end import apex_mm
 from instruments.world.optics import Floats
-from instruments.world.solids import Hull, Point, as_point, chain, cylinder
+from instruments.world.shading import Paint
+from instruments.world.solids import Hull, Point, as_point, ball, chain, cylinder
 
 # the middle of the four teats of table 5.1: where the stage's turntable has its axis
 PIVOT_MM = (-189.4, 235.8)
@@ -196,6 +197,20 @@ class Udder:
 
 
 @dataclass(frozen=True, slots=True)
+class Spots:
+    """Drops or dirt on teats: balls that stand out of their skin by ``out_mm``, of one paint,
+    ``cooler_k`` cooler than the teats. ``places``: teat from 0, mm behind its end along the axis,
+    direction from the axis in rad, radius in mm.
+    """
+
+    name: str
+    paint: Paint
+    places: tuple[tuple[int, float, float, float], ...]
+    out_mm: float = 1.0
+    cooler_k: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Phantom:
     """Teats on a plate, numbered from 0. ``name``: the layout's; ``emissivity``: the paint's."""
 
@@ -204,6 +219,7 @@ class Phantom:
     name: str = ""
     emissivity: float = 0.95
     udder: Udder | None = None
+    spots: tuple[Spots, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0.0 < self.emissivity <= 1.0:
@@ -263,6 +279,20 @@ class Phantom:
         middles = [as_point(at + np.array([0.0, 0.0, half])) for at in placed]
         quarters = [cylinder(*ends, half) for ends in zip(feet, middles, strict=True)]
         return (*quarters, *(Hull(a, b, half, half) for a, b in combinations(middles, 2)))
+
+    def spot_hulls(self, spots: Spots) -> tuple[Hull, ...]:
+        """The balls of drops or dirt, where the teats have them."""
+        hulls = []
+        for teat, behind, way, radius in spots.places:
+            end, axis, shape = self.ends_mm[teat], self.axes[teat], self.teats[teat].shape
+            (u, v), back = square_to(axis), np.array([behind])
+            skin, on_axis = shape.radius_mm, end - behind * axis
+            if shape.form:
+                skin, on_axis = shape.form.radii_mm(back)[0], shape.form.middles(end, axis, back)[0]
+            outward = np.cos(way) * u + np.sin(way) * v
+            middle = on_axis + (skin + spots.out_mm - radius) * outward
+            hulls.append(ball(as_point(middle), radius))
+        return tuple(hulls)
 
     def flange_hulls(self) -> tuple[Hull, ...]:
         """The discs that the teats stand in, down to the table where the plate is lifted; none on

@@ -376,4 +376,12 @@ SITUATIONS: dict[str, tuple[str, Family]] = {
         "Four teats of a cow's length and shape on a warm udder.",
         cowshed.cow_teats,
     ),
+    "wet": (
+        "Four wet teats with drops and dirt on them, cooled by evaporation.",
+        cowshed.wet,
+    ),
+    "cluttered": (
+        "Four teats before pipes and posts, with teat cups and hoses beside and behind them.",
+        cowshed.cluttered,
+    ),
 }

@@ -28,6 +28,7 @@ THESIS = (
     "hot_body_at_ends",
     "cooler_bodies",
 )
+COWSHED = ("cool_quarters", "warm_room", "straw_and_legs", "cow_teats", "wet", "cluttered")
 
 
 @cache
@@ -46,7 +47,7 @@ def visible(name: str) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
 
 def test_there_are_the_eleven_and_those_of_a_cowshed() -> None:
     eleven = "ideal", *THESIS, "low_contrast", "dim_light", "missing_or_hidden", "anywhere"
-    assert (*eleven, "cool_quarters", "warm_room", "straw_and_legs", "cow_teats") == NAMES
+    assert (*eleven, *COWSHED) == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -217,6 +218,40 @@ def test_teats_of_a_cow_end_where_their_axes_leave_them() -> None:
     assert 0.3 < flat / len(lengths) < 0.7
     scene = state(members("cow_teats")[0])
     assert scene.teat_fall > SceneState(Phantom(()), (), 33.0, 20.0).teat_fall
+
+
+def test_pipes_cross_behind_the_teats_about_as_high_as_their_ends() -> None:
+    kinds = set()
+    for found in members("cluttered"):
+        kinds |= {thing.name for thing in found.objects}
+        back = found.phantom.ends_mm[:, 1].max()
+        first, *_ = (thing.hulls[0] for thing in found.objects if thing.name == "pipe")
+        assert min(first.a_mm[1], first.b_mm[1]) - first.radius_a_mm > back
+        assert 50.0 < min(first.a_mm[2], first.b_mm[2]) < max(first.a_mm[2], first.b_mm[2]) < 230.0
+    assert kinds == {"pipe", "rod", "hot_cup", "hose"}
+    emissivities = [thing.paint.emissivity for one in members("cluttered") for thing in one.objects]
+    assert min(emissivities) < 0.35  # bare steel mirrors the room
+
+
+def test_drops_and_dirt_sit_on_the_skin_of_wet_teats_and_leave_their_ends_free() -> None:
+    names = set()
+    for found in members("wet"):
+        scene = state(found)
+        assert max(scene.teat_temps_c) <= 31.5
+        assert found.teat_paint.gloss_exponent >= 60.0
+        things = [thing for thing in scene.everything() if thing.name in ("drops", "dirt")]
+        assert len(things) == len(found.phantom.spots)
+        for thing, spots in zip(things, found.phantom.spots, strict=True):
+            names.add(thing.name)
+            for hull, (teat, *_) in zip(thing.hulls, spots.places, strict=True):
+                end, axis = found.phantom.ends_mm[teat], found.phantom.axes[teat]
+                off = np.array(hull.a_mm) - end
+                along = float(off @ axis)
+                out = float(np.linalg.norm(off - along * axis)) + hull.radius_a_mm
+                skin = found.phantom.teats[teat].shape.radius_mm
+                assert along + hull.radius_a_mm <= -6.0
+                assert out == pytest.approx(skin + spots.out_mm)
+    assert names == {"drops", "dirt"}
 
 
 def test_low_contrast_is_low_and_dim_is_dim() -> None:
