@@ -80,6 +80,22 @@ def show(given: argparse.Namespace) -> int:
     return CODES.met
 
 
+def compare(given: argparse.Namespace) -> int:
+    from bench.campaign.comparison import compare_campaigns
+    from bench.cli.store import told
+    from bench.cli.terminal import working
+
+    with working("comparing the campaigns"):
+        found = compare_campaigns(
+            given.folder,
+            given.detector,
+            margin_mm=given.margin_mm,
+            margin_rate=given.margin_rate,
+            confidence=given.confidence,
+        )
+    return told(given, found)
+
+
 def chunk(given: argparse.Namespace) -> int:
     from bench.campaign.plan import read_plan
     from bench.campaign.pool import PoolError
