@@ -43,7 +43,7 @@ STRAW_MM = 2.5  # radius at most
 
 
 def straw_and_legs(draw: Draw) -> Situation | None:
-    """Straws before the teats, one across each of some, no end hidden; a leg or two and a tail.
+    """Straws before the teats, across some of them, hardly an end hidden; a leg or two and a tail.
 
     Legs and tail are cooler than teats: bare skin of the udder is the warmest outside of a cow, by
     2 to 9 K in a shed (our choice); coat has an emissivity of 0.98. Straw is as warm as the air, a
