@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench.campaign.perturbations import Applied
+from bench.campaign.quantities import varied
 from bench.results.answers import Answer, examine, score_answer
 from bench.rig.loading import LoadedRig
 from bench.rig.scenes import Drawn, draw, rig_renderer, warm
@@ -36,7 +37,7 @@ DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance
 
 @dataclass(frozen=True, slots=True, order=True)
 class Scene:
-    """A member of a family."""
+    """A member of a family, or of a quantity at a value (`quantities`)."""
 
     family: str
     member: int
@@ -174,11 +175,16 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
     """
     started_s, used_before_s = stopwatch_s(), processor_s()
     seeds = (bench.seed, scene.member, *scene.family.encode())
-    state, stated = warm(found or situation(scene.family, scene.member)), bench.calibration
+    renderer, stated, noise = bench.renderer, bench.calibration, scene.family
+    if at := varied(scene.family):
+        renderer, noise = at.renderer(renderer, bench.seed), at.quantity.name
+        found = at.quantity.set_up(at.value, scene.member, renderer)
+        stated = at.quantity.stated(at.value, scene.member, stated)
+    state = warm(found or situation(scene.family, scene.member))
     for perturbation in bench.perturbations:
         state = perturbation.state(state, seeds)
         stated = perturbation.stated(stated)
-    drawn = draw(bench.renderer, scene.family, state, [bench.seed, scene.member])
+    drawn = draw(renderer, noise, state, [bench.seed, scene.member])
     frames = drawn.frames
     for perturbation in bench.perturbations:
         frames = perturbation.frames(frames, seeds)
