@@ -16,20 +16,14 @@ import numpy as np
 
 from bench.config import ConfigError, did_you_mean
 from detector.calibration import Calibration
+from instruments.world.draws import Draw, udder
 from instruments.world.objects import make_object
 from instruments.world.phantom import Phantom, PlatePose, Teat
 from instruments.world.scene import Renderer
 from instruments.world.sensor import OpticalSensor
+from instruments.world.setups import EYES_MM, Situation, apart, collisions
 from instruments.world.shading import Lighting, Paint
-from instruments.world.situations import (
-    EYES_MM,
-    Draw,
-    Situation,
-    apart,
-    collisions,
-    situation,
-    udder,
-)
+from instruments.world.situations import situation
 from instruments.world.thermal_camera import ThermalSensor
 
 SetUp = Callable[[float, int, Renderer], Situation]
@@ -199,7 +193,9 @@ def before_arm(gap_mm: float, seed: int, _renderer: Renderer) -> Situation:
     found = situation(FAMILY, seed)
     ends = found.phantom.ends_mm
     farthest = max(
-        hull.radius_b_mm + max(hull.a_mm[1], hull.b_mm[1]) for hull in found.phantom.teat_hulls()
+        hull.radius_b_mm + max(hull.a_mm[1], hull.b_mm[1])
+        for hulls in found.phantom.teat_hulls()
+        for hull in hulls
     )
     arm = make_object(
         "warm_arm",
