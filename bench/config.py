@@ -16,7 +16,7 @@ import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
@@ -155,7 +155,7 @@ class ConfigError(Exception):
         super().__init__("\n".join(_rendered(path, self.faults, text.split("\n"))))
 
     @classmethod
-    def plain(cls, message: str) -> ConfigError:
+    def plain(cls, message: str) -> Self:
         """A fault that has no place in a file."""
         return cls(None, [Fault(0, 0, 0, message)])
 

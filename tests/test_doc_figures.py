@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.campaign.sensitivity import QUANTITIES
+from bench.campaign.quantities import QUANTITIES
 from bench.cli.main import main
 from bench.report.sensitivity import PAGE, POINTS, numbers_page
 from bench.report.tables import ALL

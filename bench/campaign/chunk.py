@@ -11,11 +11,12 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bench.campaign.perturbations import Applied
+from bench.campaign.quantities import AT, varied
 from bench.results.answers import Answer, examine, score_answer
 from bench.rig.loading import LoadedRig
 from bench.rig.scenes import Drawn, draw, rig_renderer, warm
@@ -42,7 +43,7 @@ SHARES = 255  # a parameter's share of its range is kept in so many steps
 
 @dataclass(frozen=True, slots=True, order=True)
 class Scene:
-    """A member of a family."""
+    """A member of a family, or of a quantity at a value (`quantities`)."""
 
     family: str
     member: int
@@ -191,6 +192,11 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
     """
     started_s, used_before_s = stopwatch_s(), processor_s()
     parameters: Mapping[str, Parameter] = {}
+    if at := varied(scene.family):
+        renderer = at.renderer(bench.renderer, bench.seed)
+        stated = at.quantity.stated(at.value, scene.member, bench.calibration)
+        bench = replace(bench, renderer=renderer, calibration=stated)
+        found = at.quantity.set_up(at.value, scene.member, renderer)
     if found is None:
         found, parameters = member_of(scene.family, scene.member)
     drawn, stated = draw_scene(bench, scene, found)
@@ -222,7 +228,8 @@ def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[Drawn, Cal
     for perturbation in bench.perturbations:
         state = perturbation.state(state, seeds)
         stated = perturbation.stated(stated)
-    drawn = draw(bench.renderer, scene.family, state, [bench.seed, scene.member])
+    noise = scene.family.partition(AT)[0]  # the same at all values of a quantity
+    drawn = draw(bench.renderer, noise, state, [bench.seed, scene.member])
     frames = drawn.frames
     for perturbation in bench.perturbations:
         frames = perturbation.frames(frames, seeds)

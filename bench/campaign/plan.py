@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
@@ -39,10 +39,17 @@ LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
 # what makes a scene's rows, beside the libraries
 MAKES_ROWS = (
     *(Path(detector.__file__).parent, Path(instruments.world.__file__).parent),
-    *(Path(bench.__file__).parent / name for name in ("campaign/chunk.py", "rig/scenes.py")),
-    Path(bench.__file__).parent / "campaign/perturbations.py",
-    *(Path(bench.__file__).parent / name for name in ("results/answers.py", "scoring")),
+    *(
+        Path(bench.__file__).parent / name
+        for name in (
+            *("campaign/chunk.py", "campaign/perturbations.py", "campaign/quantities.py"),
+            *("rig/scenes.py", "results/answers.py", "scoring"),
+        )
+    ),
 )
+
+
+SomePlan = TypeVar("SomePlan", bound="Plan")
 
 
 class PerturbationTable(Section):
@@ -116,9 +123,12 @@ class Plan(Section):
     def chunk(self, number: int) -> Chunk:
         """Chunk ``number`` of all, from 0; the families take turns."""
         part, family = divmod(number, len(self.families))
-        start = part * self.chunk_scenes
-        members = range(start, min(start + self.chunk_scenes, self.most_scenes))
-        return Chunk(self.families[family], part, tuple(self.first + one for one in members))
+        start = self.first + part * self.chunk_scenes
+        return Chunk(self.families[family], part, range(start, start + self.scenes_of(part)))
+
+    def scenes_of(self, part: int) -> int:
+        """Scenes of chunk ``part`` of a family: the last may have fewer."""
+        return min(self.chunk_scenes, self.most_scenes - part * self.chunk_scenes)
 
     def chunks(self) -> Iterator[Chunk]:
         """All chunks, in order."""
@@ -131,7 +141,7 @@ class Chunk:
 
     family: str
     number: int
-    members: tuple[int, ...]
+    members: range
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -169,12 +179,12 @@ class Job:
         return Bench(renderer, self.stated, detectors, self.seed, self.limit_mm, self.perturbations)
 
 
-def read_plan(path: Path) -> Plan:
+def read_plan(path: Path, kind: type[Plan] = Plan) -> Plan:
     """The plan at ``path``, with whole paths. Raises ConfigError with all its faults."""
-    return with_whole_paths(read_config(path, Plan), path.parent)
+    return with_whole_paths(read_config(path, kind), path.parent)
 
 
-def with_whole_paths(plan: Plan, folder: Path) -> Plan:
+def with_whole_paths(plan: SomePlan, folder: Path) -> SomePlan:
     """The plan with every file named from the root, so that it may be stored elsewhere."""
 
     def whole(name: str) -> str:

@@ -1,5 +1,6 @@
-"""Processes of this machine that work on chunks. One that dies or stops is replaced, and only the
-scene on which it did so is tried again.
+"""Processes of this machine that work on chunks. One that dies or stops is replaced, and its chunk
+goes on from the scene on which it did so. A scene with two deaths is cut out of its chunk and tried
+in a new process that does nothing else; one that dies there too is set aside.
 
 A pool of the standard library won't do: `ProcessPoolExecutor` is broken as a whole by one death,
 and `multiprocessing.Pool` waits for ever for what a killed process had taken.
@@ -18,7 +19,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import IO, Any, cast
 
@@ -28,7 +29,7 @@ from bench.campaign.worker import ONE_THREAD
 from instruments.clock import stopwatch_s
 
 AHEAD = 2  # chunks in flight a worker, so that none waits for its next
-DEATHS = 3  # on one scene, until it is set aside
+DEATHS = 2  # on one scene, until it is tried alone
 START_DEATHS = 3  # of workers one after the other that never began, where none ever did
 MORE_START_DEATHS = 30  # where one did: a machine that is short of memory for a while
 USUAL_TIMES = 10  # a worker may take so many usual chunk times without a word
@@ -44,13 +45,19 @@ class PoolError(Exception):
     """No worker can be started; the message says why."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Part:
-    """What is left of a chunk, and what is done."""
+    """What is left of a chunk, and what is done; ``alone``: its next scene is tried alone."""
 
     chunk: Chunk
-    left: list[Scene]
+    left: range
     done: list[Rows] = field(default_factory=list)
+    alone: bool = False
+
+    @property
+    def scene(self) -> Scene:
+        """The one that is next."""
+        return Scene(self.chunk.family, self.left[0])
 
     @property
     def rows(self) -> Rows:
@@ -85,11 +92,17 @@ class _Worker:
     def pid(self) -> int:
         return self._process.pid
 
+    @property
+    def busy_alone(self) -> bool:
+        """It works on a scene that is tried alone."""
+        return any(part.alone for part in self.parts)
+
     def give(self, part: _Part) -> None:
         if not self.parts:
             self.heard_s = stopwatch_s()
         self.parts.append(part)
-        self.ask(tuple(part.left))
+        # a few bytes however large the chunk is: a stopped one's pipe doesn't fill up
+        self.ask(replace(part.chunk, members=part.left[:1] if part.alone else part.left))
 
     def ask(self, value: object) -> None:
         with suppress(OSError):  # a dead one says so itself
@@ -213,20 +226,23 @@ class LocalPool:
         for load in range(AHEAD):
             for place in range(self._count):
                 worker = self._workers[place] if place < len(self._workers) else None
-                if worker and len(worker.parts) > load:
+                if worker and (len(worker.parts) > load or worker.busy_alone):
                     continue
-                part = self._next(chunks)
-                if part is None:
-                    return
-                if worker is None:
-                    worker = self._start()
-                worker.give(part)
+                part = self._next(chunks, new=worker is None)
+                if part is not None:
+                    (worker or self._start()).give(part)
 
-    def _next(self, chunks: Iterator[Chunk]) -> _Part | None:
-        if self._again:
-            return self._again.popleft()
+    def _next(self, chunks: Iterator[Chunk], *, new: bool) -> _Part | None:
+        """What is to be done next. One to be tried alone is for a ``new`` process; it waits for the
+        place of the one that it killed, so there is one.
+        """
+        fitting = (part for part in self._again if new or not part.alone)
+        # those first: a place is left for each
+        if part := max(fitting, key=lambda one: one.alone, default=None):
+            self._again.remove(part)
+            return part
         chunk = next(chunks, None)
-        return None if chunk is None else _Part(chunk, list(chunk.scenes))
+        return None if chunk is None else _Part(chunk, chunk.members)
 
     def _start(self) -> _Worker:
         self._started += 1
@@ -239,10 +255,13 @@ class LocalPool:
         self._scene_s.append(now_s - worker.heard_s)
         worker.heard_s = now_s
         part = worker.parts[0]
-        part.left.pop(0)
+        part.left = part.left[1:]
         part.done.append(rows)
-        if not part.left:
+        if part.alone and part.left:
+            self._again.appendleft(part)
+        if part.alone or not part.left:
             worker.parts.popleft()
+        part.alone = False
         return part
 
     def _replace(self, worker: _Worker) -> _Part | None:
@@ -265,16 +284,18 @@ class LocalPool:
             return None
         current = parts.popleft()
         self._again.extendleft(reversed(parts))
-        scene = current.left[0]
+        scene = current.scene
         self._deaths[scene] += 1
         text = f"worker {worker.number} {how} at scene {scene.name}"
-        if self._deaths[scene] < DEATHS:
-            self._say(f"{text}; the scene is tried again")
+        if not current.alone:
+            current.alone = self._deaths[scene] >= DEATHS
+            apart = " alone, in a new process" if current.alone else ""
+            self._say(f"{text}; the scene is tried again{apart}")
             self._again.appendleft(current)
             return None
-        self._say(f"{text}, the third time: the scene is set aside")
-        why = f"its process {how} {DEATHS} times"
-        current.left.pop(0)
+        self._say(f"{text}, alone: the scene is set aside")
+        why = f"its process {how}, {self._deaths[scene]} times, at last with this scene alone"
+        current.left, current.alone = current.left[1:], False
         current.done.append(set_aside(scene, self._job.detector_names, why))
         if current.left:
             self._again.appendleft(current)

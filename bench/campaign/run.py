@@ -27,6 +27,10 @@ from bench.scoring.sequential import tight_enough
 PLAN, LOCK = "plan.toml", "campaign.lock"
 
 
+class OtherCampaignError(ConfigError):
+    """The folder's rows were made by something else."""
+
+
 class Executor(Protocol):
     """Works on chunks, in whatever order; asks for one when there is room."""
 
@@ -46,13 +50,29 @@ class Status:
 @dataclass(slots=True)
 class _Family:
     """Chunks of a family that are done, with failures and scenes by detector; from ``stopped`` on
-    none is wanted.
+    none is wanted. ``whole`` and ``done`` are the sums of all.
     """
 
     stopped: int
     chunks: dict[int, dict[str, Rate]] = field(default_factory=dict)
     looked_at: int = 0  # chunks from the first on, without a gap
-    sums: dict[str, Rate] = field(default_factory=dict)
+    sums: dict[str, Rate] = field(default_factory=dict)  # of those
+    whole: dict[str, Rate] = field(default_factory=dict)
+    done: int = 0
+
+    def add(self, number: int, rates: Mapping[str, Rate], scenes: int) -> None:
+        self.chunks[number] = dict(rates)
+        _add(self.whole, rates)
+        self.done += scenes
+
+    @property
+    def aside(self) -> int:
+        return self.done - min((rate.trials for rate in self.whole.values()), default=0)
+
+
+def _add(sums: dict[str, Rate], rates: Mapping[str, Rate]) -> None:
+    for detector, rate in rates.items():
+        sums[detector] = sums.get(detector, Rate()) + rate
 
 
 class Campaign:
@@ -66,14 +86,14 @@ class Campaign:
         self.shards = Shards(folder)
         path = folder / PLAN
         if path.exists():
-            kept = read_plan(path)
+            kept = read_plan(path, type(plan))
             if not kept.made_by:
                 raise ConfigError.plain(
                     f"{path} was written by a person, not by a campaign: give the campaign a folder"
                     " of its own by --out"
                 )
             if lines := differences(kept, kept.made_by, plan, self.made_by):
-                raise ConfigError.plain(
+                raise OtherCampaignError.plain(
                     f"{folder} holds a campaign of another kind, whose rows don't go with these:\n"
                     f"{lines}\nName another --out, or go back to what made it."
                 )
@@ -109,7 +129,7 @@ class Campaign:
             family = families[chunk.family]
             if chunk.number < family.stopped:
                 self.shards.write(chunk.family, chunk.number, rows)
-                family.chunks[chunk.number] = _rates(rows)
+                family.add(chunk.number, _rates(rows), len(chunk.members))
                 self._look(chunk.family, family)
                 report(self._status(families))
         self.shards.merge(rest=True)
@@ -135,9 +155,11 @@ class Campaign:
                 " FROM scenes GROUP BY ALL",
                 [self.plan.first, self.plan.chunk_scenes, ASIDE, ASIDE],
             ).fetchall()
-        for name, chunk, detector, failures, scenes in found:
-            rates = families[name].chunks.setdefault(chunk, {})
-            rates[detector] = Rate(scenes - failures, scenes)
+        chunks: dict[tuple[str, int], dict[str, Rate]] = defaultdict(dict)
+        for name, number, detector, failures, scenes in found:
+            chunks[name, number][detector] = Rate(scenes - failures, scenes)
+        for (name, number), rates in chunks.items():
+            families[name].add(number, rates, self.plan.scenes_of(number))
         for name, family in families.items():
             self._look(name, family)
         return families
@@ -147,8 +169,7 @@ class Campaign:
         chunk ended first changes nothing.
         """
         while family.looked_at in family.chunks and family.looked_at < family.stopped:
-            for detector, rate in family.chunks[family.looked_at].items():
-                family.sums[detector] = family.sums.get(detector, Rate()) + rate
+            _add(family.sums, family.chunks[family.looked_at])
             family.looked_at += 1
             if self._tight(family):
                 family.stopped = family.looked_at
@@ -158,7 +179,8 @@ class Campaign:
                     if one.family == name and one.first >= family.stopped
                 ]
                 self.shards.remove(beyond)
-                family.chunks = {k: v for k, v in family.chunks.items() if k < family.stopped}
+                family.whole = dict(family.sums)
+                family.done = sum(map(self.plan.scenes_of, range(family.stopped)))
 
     def _tight(self, family: _Family) -> bool:
         width = self.plan.half_width
@@ -171,21 +193,17 @@ class Campaign:
         done = planned = aside = 0
         for family in families.values():
             planned += min(family.stopped * self.plan.chunk_scenes, self.plan.most_scenes)
-            for chunk, rates in family.chunks.items():
-                members = len(self.plan.chunk(chunk * len(self.plan.families)).members)
-                done += members
-                aside += members - min(rate.trials for rate in rates.values())
-                for detector, rate in rates.items():
-                    failures[detector] += rate.failures
+            done += family.done
+            aside += family.aside
+            for detector, rate in family.whole.items():
+                failures[detector] += rate.failures
         return Status(done, planned, failures, aside)
 
 
 def _rates(rows: Rows) -> dict[str, Rate]:
     found: dict[str, Rate] = {}
     for row in rows.scenes:
-        scored = row.failure != ASIDE
-        one = Rate(int(row.failure == ""), int(scored))
-        found[row.detector] = found.get(row.detector, Rate()) + one
+        _add(found, {row.detector: Rate(int(row.failure == ""), int(row.failure != ASIDE))})
     return found
 
 

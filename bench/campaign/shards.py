@@ -13,6 +13,8 @@ import re
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, fields
+from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,7 @@ from bench.files import write_synced
 
 SHARDS = "shards"
 MERGED = 64  # chunks in one file, at most
+INSERTED = 100  # rows in one statement: a statement takes as long as ten rows
 SIZES = {"int": "INTEGER", "float": "FLOAT", "str": "VARCHAR", "Sequence[int]": "UTINYINT[]"}
 COUNTS = (
     *("visible", "hidden", "found", "missed", "false_teats", "hidden_claimed", "teat"),
@@ -67,6 +70,11 @@ class Shards:
     def __init__(self, folder: Path) -> None:
         self.folder = folder / SHARDS
 
+    @cached_property
+    def _writer(self) -> duckdb.DuckDBPyConnection:
+        """Kept open: to open one takes longer than to write a chunk."""
+        return duckdb.connect(config={"threads": 1})
+
     def files(self) -> list[Shard]:
         """What is to be read, in order: no chunk twice."""
         kept: list[Shard] = []
@@ -86,10 +94,13 @@ class Shards:
 
     def write(self, family: str, number: int, rows: Rows) -> None:
         """Add a chunk; its rows are sorted first."""
-        with duckdb.connect(config={"threads": 1}) as db:
-            db.execute(f"CREATE TABLE rows ({TABLE})")
-            db.executemany(f"INSERT INTO rows VALUES ({', '.join('?' * WIDTH)})", _lines(rows))
-            self._store(db, f"{family}-{number:06d}")
+        self._writer.execute(f"CREATE OR REPLACE TABLE rows ({TABLE})")
+        lines = _lines(rows)
+        for start in range(0, len(lines), INSERTED):
+            part = lines[start : start + INSERTED]
+            places = ", ".join([f"({', '.join('?' * WIDTH)})"] * len(part))
+            self._writer.execute(f"INSERT INTO rows VALUES {places}", list(chain(*part)))
+        self._store(f"{family}-{number:06d}")
 
     def merge(self, *, rest: bool) -> None:
         """Merge each whole block of chunks of a family into one file; with ``rest``, what remains
@@ -103,9 +114,9 @@ class Shards:
             first, last = parts[0].first, parts[-1].last
             together = chunks == last - first + 1 and (rest or chunks == MERGED)
             if len(parts) > 1 and together:
-                with duckdb.connect(config={"threads": 1}) as db:
-                    db.execute("CREATE TABLE rows AS " + _read([part.path for part in parts]))
-                    self._store(db, f"{family}-{first:06d}-{last:06d}")
+                read = _read([part.path for part in parts])
+                self._writer.execute(f"CREATE OR REPLACE TABLE rows AS {read}")
+                self._store(f"{family}-{first:06d}-{last:06d}")
                 self.remove(parts)
         self.remove(set(self._all()) - set(self.files()))
 
@@ -155,10 +166,10 @@ class Shards:
                 found.append(Shard(name["family"], first, int(name["last"] or first), path))
         return found
 
-    def _store(self, db: duckdb.DuckDBPyConnection, name: str) -> None:
+    def _store(self, name: str) -> None:
         with tempfile.TemporaryDirectory(prefix="teatbench-") as made:
             path = Path(made) / "rows.parquet"
-            db.execute(
+            self._writer.execute(
                 f"COPY (FROM rows ORDER BY {', '.join(KEYS)}) TO {quoted(path)}"
                 " (FORMAT parquet, COMPRESSION zstd, PARQUET_VERSION v2)"
             )

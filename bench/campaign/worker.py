@@ -1,6 +1,6 @@
 """``python -m bench.campaign.worker``: a process that works on chunks for `pool`.
 
-Its standard input brings a `Job`, then tuples of scenes, its standard output takes `Rows` scene by
+Its standard input brings a `Job`, then chunks, its standard output takes `Rows` scene by
 scene, all pickled. It ends when its input does, in the middle of whatever it does: a client that
 died leaves no worker behind.
 """
@@ -54,11 +54,11 @@ def main() -> None:
     job: Job = requests.get()
     renderer = job.renderer()
     _answer(answers, "ready")
-    while (scenes := requests.get()) is not None:
+    while (chunk := requests.get()) is not None:
         detectors = job.make_detectors()
         try:
             bench = job.bench(renderer, detectors)
-            for scene in scenes:
+            for scene in chunk.scenes:
                 _answer(answers, attempt(bench, scene))
         finally:
             close_detectors(detectors)
@@ -68,7 +68,7 @@ def _read(source: IO[bytes], requests: queue.SimpleQueue[Any]) -> None:
     while True:
         try:
             requests.put(pickle.load(source))  # noqa: S301 - of the process that started this one
-        except (EOFError, OSError, pickle.UnpicklingError):
+        except Exception:  # its end, or what this installation can't read: never waited for
             os._exit(1)
 
 

@@ -45,9 +45,9 @@ def run(given: argparse.Namespace) -> int:
         try:
             with (
                 working("campaign", pace="scenes") as shown,
-                _executor(campaign, given.workers, given.dask, shown.say) as executor,
+                executor(campaign, given.workers, given.dask, shown.say) as made,
             ):
-                status = campaign.run(executor, lambda status: shown(*_progress(status)))
+                status = campaign.run(made, lambda status: shown(*progress(status)))
         except KeyboardInterrupt:
             return complain(
                 "interrupted; give the same command again to go on where it stopped", CODES.fault
@@ -113,8 +113,8 @@ def chunk(given: argparse.Namespace) -> int:
     campaign = Campaign(plan, given.out or given.plan.parent)
     campaign.begin()
     try:
-        with _executor(campaign, 1, None, _say) as executor:
-            new = campaign.do_chunk(given.number, executor)
+        with executor(campaign, 1, None, _say) as made:
+            new = campaign.do_chunk(given.number, made)
     except PoolError as error:
         return complain(str(error), CODES.fault)
     name = plan.chunk(given.number).name
@@ -223,9 +223,10 @@ def _plan(given: argparse.Namespace) -> Plan:
 
 
 @contextmanager
-def _executor(
+def executor(
     campaign: Campaign, workers: int | None, dask: str | None, say: Callable[[str], None]
 ) -> Iterator[Executor]:
+    """Processes of this machine, all its processors for None, or a cluster. Raises ConfigError."""
     from bench.campaign.pool import LocalPool, usable_processors
 
     scenes, limit_s = campaign.plan.chunk_scenes, campaign.plan.chunk_limit_s
@@ -249,7 +250,8 @@ def _say(text: str) -> None:
     complain(text, CODES.met)
 
 
-def _progress(status: Status) -> tuple[int, int, str]:
+def progress(status: Status) -> tuple[int, int, str]:
+    """Scenes done, planned, and failures so far, for a bar."""
     failed = ", ".join(f"{name} {count}" for name, count in sorted(status.failures.items()))
     aside = f"; set aside {status.aside}" if status.aside else ""
     return status.done, status.planned, f"failures: {failed or 'none yet'}{aside}"

@@ -84,6 +84,7 @@ RIG_OPTION = option("--rig", RIG_HELP)
 CAMERAS_OF = option(
     "--rig", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
 )
+WORKERS = option("--workers N", "processes (default: one a processor)", whole(1, 1024))
 RUN = option("run", "the run's folder", Path)
 RECORDING = option("recording", "a recording's folder", Path)
 OUT_RUNS = option("--out DIR", "where run folders go", default=Path("runs"))
@@ -426,9 +427,10 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--seeds N", "scenes at each value", whole(1), 6),
         option("--first N", "the first scene's seed", whole(0), 0),
         option("--seed N", "of noise and of the cameras' fixed patterns", whole(0), 1),
+        WORKERS,
         option(
             "--out DIR",
-            "default: sensitivity; files there are replaced",
+            "default: sensitivity; goes on where it stopped, else files there are replaced",
             default=Path("sensitivity"),
         ),
     ),
@@ -460,7 +462,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--limit-mm MM", "of each teat's error (default: 5)", LENGTH),
         option("--chunk-scenes N", "scenes worked on together (default: 25)", whole(1, 10_000)),
         one_of(
-            option("--workers N", "processes (default: one a processor)", whole(1, 1024)),
+            WORKERS,
             option("--dask ADDRESS", "a Dask scheduler instead, such as tcp://lab-pc:8786"),
         ),
         option("--out DIR", "the campaign's folder", required=True),

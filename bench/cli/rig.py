@@ -241,21 +241,49 @@ def _shown(frames: Iterator[str], out: Path, total: int) -> int:
 
 
 def sensitivity(given: argparse.Namespace) -> int:
-    from bench.campaign.sensitivity import Bench, chosen, measure
+    from bench.campaign.plan import with_whole_paths
+    from bench.campaign.pool import PoolError
+    from bench.campaign.quantities import chosen
+    from bench.campaign.run import locked
+    from bench.campaign.sensitivity import Study, measured, opened
+    from bench.cli.campaign import executor, progress
     from bench.report.sensitivity import check_curves, no_answers, write_figure, write_numbers
-    from bench.results.answers import close_detectors
     from bench.script.detectors import make_detectors
 
     quantities = chosen(given.quantity)
-    rig = load_rig(find_rig(given.rig))
-    detectors = make_detectors(given.detector or ("fused", "thesis"))
+    path = load_rig(find_rig(given.rig)).path
+    wanted = tuple(given.detector or ("fused", "thesis"))
+    detectors = make_detectors(wanted)
     check_curves([detector.name for detector in detectors])
-    bench = Bench(rig, detectors, _members(given), given.seed)
+    plan = Study(
+        families=Study.names(quantities),
+        scenes=given.seeds,
+        first=given.first,
+        seed=given.seed,
+        detectors=wanted,
+        rig=str(path),
+        chunk_scenes=min(given.seeds, 25),
+    )
+    folder = given.out / "campaign"
     results: dict[str, list[Measured]] = {}
-    try:
+    with locked(folder):
+        campaign = opened(with_whole_paths(plan, Path()), folder)
+        campaign.begin()
+        try:
+            with (
+                working("sensitivity", pace="scenes") as shown,
+                executor(campaign, given.workers, None, shown.say) as works,
+            ):
+                campaign.run(works, lambda status: shown(*progress(status)))
+        except KeyboardInterrupt:
+            return complain(
+                "interrupted; give the same command again to go on where it stopped", CODES.fault
+            )
+        except PoolError as error:
+            return complain(f"{error} The same command goes on where it stopped.", CODES.fault)
         for quantity in quantities:
             points = results[quantity.name] = []
-            for point in measure(bench, quantity):
+            for point in measured(campaign, quantity):
                 points.append(point)
                 found = ", ".join(
                     f"{name} {len(tally.distances_mm)}{no_answers(tally.failures)}"
@@ -266,11 +294,9 @@ def sensitivity(given: argparse.Namespace) -> int:
                     flush=True,
                 )
             print(write_figure(given.out, quantity, points), flush=True)
-    finally:
-        close_detectors(detectors)
     asked = ", ".join(f"{detector.name} (version {detector.version})" for detector in detectors)
     made = (
-        f"teatbench {__version__}; {asked}; cameras of `{rig.path.name}`; members {given.first} to"
+        f"teatbench {__version__}; {asked}; cameras of `{path.name}`; members {given.first} to"
         f" {given.first + given.seeds - 1} of `ideal` at each value, noise and cameras of seed"
         f" {given.seed}."
     )

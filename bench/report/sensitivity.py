@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from bench.campaign.sensitivity import DISPARITY_PX, Measured, Quantity
+from bench.campaign.limits import DISPARITY_PX
+from bench.campaign.quantities import Quantity
+from bench.campaign.sensitivity import Measured
 from bench.config import ConfigError
 from bench.report.wording import NOT_MEASURED
 from bench.scoring.errors import summarise_radial

@@ -153,7 +153,10 @@ def draw(backdrop: Backdrop, lighting: Lighting, camera: CameraModel) -> tuple[I
     for patch, seen in _patches_seen(backdrop, camera):
         light = seen.light(lighting, patch.albedo)
         if patch.texture > 0.0:
-            light *= 1.0 + np.float32(patch.texture) * seen.texture(patch)
+            shade = seen.texture(patch)
+            shade *= np.float32(patch.texture)
+            shade += 1.0
+            light *= shade
         part = image[seen.rows, seen.columns]
         light -= part
         light *= seen.share

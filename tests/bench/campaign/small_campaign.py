@@ -49,16 +49,22 @@ class Here:
             yield chunk, run_chunk(self._bench, chunk.scenes)
 
 
-def command(*words: object) -> subprocess.Popen[str]:
-    """`teatbench campaign` with these words, in a process of its own."""
+def module(name: object, *words: object, quiet: bool = False) -> subprocess.Popen[str]:
+    """A module of Python with these words, in a process of its own; ``quiet``: output isn't kept."""
+    kept = subprocess.DEVNULL if quiet else subprocess.PIPE
     return subprocess.Popen(
-        [sys.executable, "-m", "bench.cli", "campaign", *map(str, words)],
+        [sys.executable, "-m", *map(str, (name, *words))],
         cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        stdout=kept,
+        stderr=kept,
         text=True,
         encoding="utf-8",
     )
+
+
+def command(*words: object) -> subprocess.Popen[str]:
+    """`teatbench campaign` with these words, in a process of its own."""
+    return module("bench.cli", "campaign", *words)
 
 
 def until(holds: Callable[[], bool], what: str, most_s: float = 120.0) -> None:

@@ -8,9 +8,12 @@ import json
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+import threading
+from collections import Counter
+from collections.abc import Collection, Iterator
 from functools import partial
 from pathlib import Path
 from textwrap import dedent
@@ -24,11 +27,20 @@ from bench.campaign.run import Campaign, Executor
 from bench.campaign.shards import Shards, query
 from bench.rig.scenes import draw, warm
 from instruments.world.situations import situation
-from tests.bench.campaign.small_campaign import KILLS, Here, command, small_plan, until
+from tests.bench.campaign.small_campaign import (
+    KILLS,
+    Here,
+    command,
+    module,
+    small_plan,
+    until,
+)
 from tests.bench.commands import Said
 
+# with 50 by hand: 200 scenes
 WORKERS = (1, 2, 7) if KILLS else (2,)
-CLIENT_KILLS, WORKER_KILLS = int(KILLS or 1), int(KILLS or 0)
+CLIENT_KILLS = WORKER_KILLS = int(KILLS or 1)
+KILLED = int(KILLS or 3)  # of a cluster
 
 
 @pytest.fixture(scope="module")
@@ -71,43 +83,57 @@ def test_the_order_of_chunks_changes_nothing(
 
 
 class Killing:
-    """A pool that loses a worker after each of some results: which signal it gets, by the number of
-    the result.
-    """
+    """A pool that gets its chunks shuffled and loses a worker, any of them, after some results."""
 
-    def __init__(self, inner: LocalPool, after: Mapping[int, int]) -> None:
-        self._inner, self._after = inner, after
+    def __init__(self, inner: LocalPool, after: Collection[int], kind: int) -> None:
+        self._inner, self._after, self._kind = inner, after, kind
         self._chance, self._hit = random.Random(8), set[int]()
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
-        for number, found in enumerate(self._inner.results(chunks)):
+        planned = list(chunks)
+        shuffled = self._chance.sample(planned, len(planned))
+        for number, found in enumerate(self._inner.results(iter(shuffled))):
             whole = [pid for pid in self._inner.pids if pid not in self._hit]
             if number in self._after and whole:
-                kind = self._after[number]
-                # the first has worked: one that has only begun may take longer
-                pid = whole[0] if kind is signal.SIGSTOP else self._chance.choice(whole)
+                pid = self._chance.choice(whole)
                 self._hit.add(pid)
-                os.kill(pid, kind)
+                os.kill(pid, self._kind)
             yield found
+
+    @property
+    def hits(self) -> int:
+        return len(self._hit)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
 @pytest.mark.parametrize("workers", WORKERS)
-def test_a_worker_killed_and_one_stopped_change_nothing(
+def test_workers_killed_at_random_change_nothing(
     workers: int, plan: Plan, plain: tuple[Path, str], tmp_path: Path
 ) -> None:
     said: list[str] = []
     campaign = Campaign(plan, tmp_path)
     campaign.begin()
-    more = dict.fromkeys(range(4, 4 + WORKER_KILLS), signal.SIGKILL)
-    signals = {0: signal.SIGKILL, 2: signal.SIGSTOP, **more}
-    with pool(campaign, workers, said, limit_s=5.0) as inner:
-        campaign.run(Killing(inner, signals), lambda _: None)
-    assert campaign.shards.digest() == plain[1]
+    with pool(campaign, workers, said) as inner:
+        killing = Killing(inner, range(WORKER_KILLS), signal.SIGKILL)
+        status = campaign.run(killing, lambda _: None)
+    assert campaign.shards.digest() == plain[1], said
+    assert (killing.hits, status.done, status.aside) == (WORKER_KILLS, 2 * plan.most_scenes, 0)
     assert any("ended by SIGKILL" in text for text in said), said
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="sends signals")
+def test_a_stopped_worker_is_told_and_replaced(
+    plan: Plan, plain: tuple[Path, str], tmp_path: Path
+) -> None:
+    said: list[str] = []
+    campaign = Campaign(plan, tmp_path)
+    campaign.begin()
+    with pool(campaign, 1, said, limit_s=5.0) as inner:  # it has given a result: it is ready
+        campaign.run(Killing(inner, (0,), signal.SIGSTOP), lambda _: None)
+    assert campaign.shards.digest() == plain[1]
     assert any("gave no sign of life for 5 s" in text for text in said), said
-    assert all(" at scene " in text or "before it was ready" in text for text in said), said
 
 
 ROGUE = """
@@ -167,6 +193,9 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     assert sorted(found["set_aside"]) == ["ideal-0001", "ideal-0004"]
     assert "ended with code 3" in found["set_aside"]["ideal-0001"]
     assert "no sign of life for 1 s" in found["set_aside"]["ideal-0004"]
+    assert all("with this scene alone" in why for why in found["set_aside"].values())
+    assert out.err.count("ended with code 3 at scene ideal-0001") == 3
+    assert "the scene is tried again alone, in a new process" in out.err
     assert "scene ideal-0004 was set aside" in out.err
     rows = query(tmp_path / "out", "SELECT member, failure FROM scenes ORDER BY member")[1]
     assert [failure == ASIDE for _, failure in rows] == [False, True, False, False, True]
@@ -272,30 +301,57 @@ def test_what_the_commands_write_and_refuse(
     assert "there is no chunk 999" in said(2, "campaign chunk {} 999", folder / "plan.toml").err
 
 
-CLUSTER = """
-import sys
-from distributed import LocalCluster
-from bench.cli.main import main
-with LocalCluster(1, processes=False, threads_per_worker=2, dashboard_address=None) as cluster:
-    code = main([*sys.argv[1:], "--dask", cluster.scheduler_address])
-sys.exit(code)
-"""
-
-
 @pytest.mark.slow
-def test_a_dask_cluster_makes_the_same_rows(
+@pytest.mark.timeout(120 + 20 * KILLED)
+def test_a_dask_cluster_makes_the_same_rows_whoever_of_it_is_killed(
     plan: Plan, plain: tuple[Path, str], tmp_path: Path
 ) -> None:
-    file = tmp_path / "plan.toml"
-    file.write_text(plan_text(plan, {}), encoding="utf-8")
-    words = ["campaign", "run", str(file), "--json", "--out", str(tmp_path / "out")]
-    ended = subprocess.run(
-        [sys.executable, "-c", CLUSTER, *words],
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        timeout=200,
-        check=False,
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert json.loads(ended.stdout)["digest"] == plain[1]
+    """Worker, scheduler and client take turns to be killed; each is started again, as who watches
+    a cluster does.
+    """
+    file, out = tmp_path / "plan.toml", tmp_path / "out"
+    quick = plan.model_copy(update={"chunk_limit_s": 5.0})
+    file.write_text(plan_text(quick, {}), encoding="utf-8")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    shards = Shards(out)
+    campaign = ("bench.cli", "campaign", "run", file, "--dask", address, "--json", "--out", out)
+    at = ("--host", "127.0.0.1", "--no-dashboard")
+    words: dict[str, tuple[object, ...]] = {
+        "scheduler": ("distributed.cli.dask_scheduler", "--port", address.split(":")[-1], *at),
+        "worker": ("distributed.cli.dask_worker", address, "--nthreads", 1, "--no-nanny", *at),
+        "client": campaign,
+    }
+    going: dict[str, subprocess.Popen[str]] = {}
+    chance, kills = random.Random(6), Counter[str]()
+
+    def ended(enough: int) -> bool:
+        for name in words:
+            if name not in going or (name != "client" and going[name].poll() is not None):
+                if name in going:
+                    going[name].communicate()
+                going[name] = module(*words[name], quiet=name != "client")
+        if (code := going["client"].poll()) not in (None, 0):
+            assert code == 3, going["client"].communicate()  # told that it can go on
+            del going["client"]
+        return code == 0 or len(shards.done()) >= enough
+
+    try:
+        for number in range(KILLED):
+            # every other time a chunk is waited for: the campaign must not end before
+            until(partial(ended, len(shards.done()) + number % 2), "no chunk was done")
+            name = ("worker", "scheduler", "client")[number % 3]
+            if going["client"].poll() is None:
+                threading.Event().wait(chance.uniform(0.0, 2.0 - 1.5 * (number % 2)))
+                going[name].kill()
+                kills[name] += 1
+                going.pop(name).communicate()
+        until(partial(ended, sys.maxsize), "the campaign did not end", 300.0)
+        told, err = going.pop("client").communicate()
+    finally:
+        for process in going.values():
+            process.kill()
+            process.communicate()
+    assert json.loads(told)["digest"] == plain[1], err
+    assert (json.loads(told)["scenes"], json.loads(told)["set_aside"]) == (2 * plan.most_scenes, {})
+    assert kills.total() == KILLED, kills

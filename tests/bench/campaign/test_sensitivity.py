@@ -16,29 +16,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.special import erf
 
-from bench.campaign import sensitivity
-from bench.campaign.sensitivity import (
-    QUANTITIES,
-    Bench,
-    Limit,
-    Measured,
-    Optics,
-    Outline,
-    Tally,
-    chosen,
-    measure,
-    outline_of,
-    shifts_mm,
-)
+from bench.campaign import limits, quantities
+from bench.campaign.chunk import Bench, Scene, run_scene
+from bench.campaign.limits import Limit, Outline, limit_at, outline_of, shifts_mm
+from bench.campaign.quantities import QUANTITIES, Optics, Varied, chosen
+from bench.campaign.sensitivity import Measured, Study, Tally, measured, opened
+from bench.campaign.shards import query
+from bench.campaign.worker import attempt
 from bench.cli.main import parser
 from bench.config import ConfigError
 from bench.report.sensitivity import COLUMNS, PAGE, POINTS, figure_of, write_figure, write_numbers
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.rig.scenes import warm
 from detector.calibration import Calibration, ParameterCovariance, load_calibration
-from detector.protocol import Detection, Frames, Teat
+from detector.protocol import Detection, Detector, Frames, Teat
 from detector.registry import available
 from instruments.world.scene import Renderer
 from instruments.world.sensor import OpticalSensor
@@ -54,48 +48,64 @@ from tests.conftest import ROOT
 LIMIT = Limit(0.01, 0.03, 0.2, None)
 
 
+def bench_of(*detectors: Detector) -> Bench:
+    return Bench.of_rig(load_rig(find_rig(None)), detectors, 1)
+
+
 @pytest.mark.slow
-def test_what_is_found_false_and_missing_is_counted_against_the_truth() -> None:
+def test_a_quantity_at_a_value_is_a_family_of_scenes() -> None:
     ends = situation("ideal", 0).phantom.ends_mm
     right = Knowing([*ends[:3], ends[0] + [0.0, 300.0, 0.0]], error_mm=0.5)
-    failing = Knowing([], breaks=True, name="failing")
-    quantity = replace(QUANTITIES["calibration"], values=(0.0, 0.5))
-    bench = Bench(load_rig(find_rig(None)), [right, failing], [0], 1)
-    none, half = measure(bench, quantity)
-    assert (none.value, half.value) == (0.0, 0.5)
-    assert none.visible == half.visible == 4
-    assert none.tallies["knowing"].distances_mm == pytest.approx([0.5] * 3)
-    assert (none.tallies["knowing"].false, none.tallies["knowing"].failures) == (1, 0)
-    assert none.tallies["failing"] == Tally((), 0, 1)
-    assert right.note[0].left == bench.rig.calibration.left
-    assert right.note[1].left != bench.rig.calibration.left
-    assert none.limit is not None
-    assert half.limit is not None
-    assert none.limit.p95_mm < 0.1 < half.limit.median_mm
-    assert none.limit.share is None
+    bench = bench_of(right, Knowing([], breaks=True, name="failing"))
+    none, _ = (run_scene(bench, Scene(f"calibration={size}", 0)) for size in ("0", "0.5"))
+    good, failing = none.scenes
+    assert (good.visible, good.found, good.false_teats, failing.no_answer) == (4, 3, 1, True)
+    assert good.max_mm == pytest.approx(0.5)
+    assert right.note[0].left == bench.calibration.left
+    assert right.note[1].left != bench.calibration.left
 
 
-@pytest.mark.slow
+def test_the_limit_grows_with_the_errors_of_the_calibration() -> None:
+    bench = bench_of()
+    for size, least_mm, most_mm in ((0.0, 0.0, 0.1), (0.5, 0.1, 2.0)):
+        at = Varied(QUANTITIES["calibration"], size)
+        visible, limit = limit_at(at, [0], bench.renderer, 1, bench.calibration)
+        assert (visible, limit is not None and limit.share is None) == (4, True)
+        assert limit is not None
+        assert least_mm < limit.median_mm < limit.p95_mm < most_mm
+
+
 def test_a_thermal_quantity_has_the_share_that_can_be_nominated_beside_it() -> None:
-    quantity = replace(QUANTITIES["netd"], values=(0.05, 400.0))
-    low, high = measure(Bench(load_rig(find_rig(None)), [Knowing([])], [1], 1), quantity)
-    assert low.limit is not None
-    assert high.limit is not None
-    assert low.limit.share == pytest.approx(1.0)
-    assert high.limit.share == pytest.approx(0.0, abs=0.01)
+    bench = bench_of()
+    for netd_k, share in ((0.05, 1.0), (400.0, 0.0)):
+        at = Varied(QUANTITIES["netd"], netd_k)
+        assert at.renderer(bench.renderer, 1) is at.renderer(bench.renderer, 1)
+        limit = limit_at(at, [1], bench.renderer, 1, bench.calibration)[1]
+        assert limit is not None
+        assert limit.share == pytest.approx(share, abs=0.01)
 
 
 @pytest.mark.slow
 def test_the_command_writes_the_same_figures_and_numbers_each_time(
     tmp_path: Path, said: Said
 ) -> None:
-    command = "scene sensitivity --quantity overlap --detector thesis --seeds 1 --first 2 --out {}"
-    for folder in ("one", "two"):
-        assert "overlap 0.2: found of " in said(0, command, tmp_path / folder).out
-    names = sorted(path.name for path in (tmp_path / "one").iterdir())
-    assert names == ["measured.md", "overlap.svg", "points.csv"]
-    for name in names:
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    command = (
+        "scene sensitivity --quantity overlap --detector thesis --seeds 1 --first 2 --workers 1"
+    )
+    command += " --out {}"
+    other = said(0, command.replace("overlap", "range"), tmp_path / "one").out
+    assert "range 1: found of " in other
+    (tmp_path / "one" / "range.svg").unlink()
+    texts = []
+    for _ in ("in place of another", "done already"):
+        assert "overlap 0.2: found of " in said(0, command, tmp_path / "one").out
+        names = sorted(path.name for path in (tmp_path / "one").iterdir())
+        assert names == ["campaign", "measured.md", "overlap.svg", "points.csv"]
+        texts.append([(tmp_path / "one" / name).read_bytes() for name in names[1:]])
+    assert texts[0] == texts[1]
+    asked = "SELECT DISTINCT family FROM scenes ORDER BY ALL"
+    families = [row[0] for row in query(tmp_path / "one" / "campaign", asked)[1]]
+    assert sorted(families) == sorted(Study.names([QUANTITIES["overlap"]]))
     with (tmp_path / "one" / "points.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["value"]) for row in rows] == list(QUANTITIES["overlap"].values)
@@ -150,11 +160,19 @@ def test_wrong_use_is_explained(arguments: str, why: str, tmp_path: Path, said: 
     assert wrong.out == ""
 
 
-def test_a_scene_that_cannot_stand_before_the_cameras_is_reported() -> None:
+def test_a_scene_that_cannot_stand_before_the_cameras_is_reported(tmp_path: Path) -> None:
     quantity = replace(QUANTITIES["range"], values=(3.0,))
+    plan = Study(families=Study.names([quantity]), scenes=1, detectors=("thesis",))
+    campaign = opened(plan, tmp_path)
+    campaign.begin()
+    bench = campaign.job.bench(campaign.job.renderer(), campaign.job.make_detectors())
+    for chunk in plan.chunks():
+        campaign.shards.write(chunk.family, chunk.number, attempt(bench, chunk.scenes[0]))
     why = "range 3 can't be set up for member 0: .* stands behind the board .*; choose others by"
     with pytest.raises(ConfigError, match=f"{why} --first"):
-        list(measure(Bench(load_rig(find_rig(None)), [], [0], 1), quantity))
+        list(measured(campaign, quantity))
+    with pytest.raises(ValidationError, match="a quantity and its value are wanted, not ideal"):
+        Study(families=("ideal",))
 
 
 def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
@@ -216,7 +234,7 @@ def test_every_scene_can_be_set_up_is_seen_and_comes_again(name: str, renderer: 
 
 def test_the_range_is_the_mean_depth_of_the_ends(renderer: Renderer) -> None:
     for range_m in QUANTITIES["range"].values:
-        found = sensitivity.at_range(range_m, 2, renderer)
+        found = quantities.at_range(range_m, 2, renderer)
         depth = renderer.cameras[1].camera_from_world(found.phantom.ends_mm)[:, 2]
         assert depth.mean() == pytest.approx(1e3 * range_m, abs=0.5)
         assert found.phantom.teats == situation("ideal", 2).phantom.teats
@@ -225,7 +243,7 @@ def test_the_range_is_the_mean_depth_of_the_ends(renderer: Renderer) -> None:
 def test_the_contrast_is_that_of_the_picture(renderer: Renderer) -> None:
     """Grey levels in the middle of a teat's side and of the board beside it, without noise."""
     for contrast in (0.03, 0.25, 0.85):
-        state = warm(sensitivity.of_contrast(contrast, 1, renderer))
+        state = warm(quantities.of_contrast(contrast, 1, renderer))
         picture = renderer.left.expected(state, renderer.shadows(state))
         teat = state.phantom.ends_mm[0] - 40.0 * state.phantom.axes[0]
         x, y = np.rint(renderer.cameras[0].project(teat[None])[0]).astype(int)
@@ -240,14 +258,14 @@ def test_the_contrast_is_that_of_the_picture(renderer: Renderer) -> None:
 
 def test_all_teats_lean_by_the_angle_said(renderer: Renderer) -> None:
     for lean_deg in (0.0, 10.0, 22.0):
-        axes = sensitivity.leaning(lean_deg, 0, renderer).phantom.axes
+        axes = quantities.leaning(lean_deg, 0, renderer).phantom.axes
         lean = np.degrees(np.arccos(np.clip(axes[:, 2], -1.0, 1.0)))
         assert lean == pytest.approx(lean_deg, abs=1e-4)
 
 
 def test_the_far_teat_is_covered_by_the_share_said(renderer: Renderer) -> None:
     for share in (-0.4, 0.2, 0.5):
-        phantom = sensitivity.overlapping(share, 1, renderer).phantom
+        phantom = quantities.overlapping(share, 1, renderer).phantom
         for near, far in ((0, 2), (1, 3)):
             left, right = [], []
             for teat in (near, far):
@@ -258,7 +276,7 @@ def test_the_far_teat_is_covered_by_the_share_said(renderer: Renderer) -> None:
             covered = min(right) - max(left)
             assert covered / (right[1] - left[1]) == pytest.approx(share, abs=1e-6)
             assert phantom.ends_mm[far, 1] - phantom.ends_mm[near, 1] == pytest.approx(
-                sensitivity.BEHIND_MM
+                quantities.BEHIND_MM
             )
 
 
@@ -267,7 +285,7 @@ def test_the_far_teat_is_covered_by_the_share_said(renderer: Renderer) -> None:
 def test_the_arm_is_as_far_behind_the_teats_as_said(
     gap_mm: float, member: int, renderer: Renderer
 ) -> None:
-    found = sensitivity.before_arm(gap_mm, member, renderer)
+    found = quantities.before_arm(gap_mm, member, renderer)
     (arm,) = found.objects
     teats = [hull for (hull,) in found.phantom.teat_hulls()]
     nearest = min(hull.a_mm[1] - max(hull.radius_a_mm, hull.radius_b_mm) for hull in arm.hulls)
@@ -307,7 +325,7 @@ def test_every_quantity_has_its_figure() -> None:
     assert f"(sensitivity/{PAGE})" in TEXT
 
 
-def measured() -> list[dict[str, str]]:
+def points() -> list[dict[str, str]]:
     with (DOCS / "sensitivity" / POINTS).open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
@@ -315,7 +333,7 @@ def measured() -> list[dict[str, str]]:
 def test_its_command_made_what_lies_beside_it() -> None:
     (command,) = re.findall(r"^teatbench (scene sensitivity .*)$", TEXT, flags=re.MULTILINE)
     given = parser().parse_args(shlex.split(command))
-    rows = measured()
+    rows = points()
     assert tuple(rows[0]) == COLUMNS
     assert {row["detector"] for row in rows} == set(given.detector)
     for name, quantity in QUANTITIES.items():
@@ -331,9 +349,7 @@ def test_its_command_made_what_lies_beside_it() -> None:
 
 def found(detector: str, quantity: str) -> list[tuple[float, int, int]]:
     """Value, found, visible."""
-    chosen = [
-        row for row in measured() if (row["detector"], row["quantity"]) == (detector, quantity)
-    ]
+    chosen = [row for row in points() if (row["detector"], row["quantity"]) == (detector, quantity)]
     return [(float(row["value"]), int(row["found"]), int(row["visible"])) for row in chosen]
 
 
@@ -354,7 +370,7 @@ def test_what_the_page_says_of_fused_is_what_was_measured() -> None:
     assert all(seen == visible for value, seen, visible in found("fused", "netd") if value <= 2.0)
     assert all(
         float(row["median_mm"]) < 1.5 * float(row["disparity_mm"])
-        for row in measured()
+        for row in points()
         if (row["detector"], row["quantity"]) == ("fused", "range")
     )
 
@@ -363,7 +379,7 @@ def test_what_the_page_says_of_the_thesis_is_what_was_measured() -> None:
     assert "`thesis` is 11 to 18 mm off in the median" in TEXT
     medians = [
         float(row["median_mm"])
-        for row in measured()
+        for row in points()
         if row["detector"] == "thesis" and row["median_mm"]
     ]
     assert (round(min(medians)), round(max(medians))) == (11, 18)
@@ -399,7 +415,7 @@ def test_no_estimate_of_an_edge_scatters_less_than_its_information_says() -> Non
         np.full(rows, contrast),
         np.zeros(rows),
     )
-    information = sensitivity.edge_information(outline, sigma_px, np.full(rows, noise))
+    information = limits.edge_information(outline, sigma_px, np.full(rows, noise))
     assert estimated.std() == pytest.approx(information[0, 0] ** -0.5, rel=0.05)
     assert information[1, 1] == 0.0
 
@@ -409,7 +425,7 @@ def test_noise_is_that_of_the_sensors_own_frames() -> None:
     k, units = sensor.gain_dn_per_e, np.random.default_rng(2).standard_normal(200_000)
     grey = sensor.offset_dn + 6500.0 * k
     drawn = np.rint(grey + k * np.sqrt(6500.0 + 60.0**2) * units)
-    once, twice = (sensitivity.noise_dn(sensor, np.array([grey]), gain)[0] for gain in (1.0, 2.0))
+    once, twice = (limits.noise_dn(sensor, np.array([grey]), gain)[0] for gain in (1.0, 2.0))
     assert once == pytest.approx(drawn.std(), rel=0.01)
     assert twice < 2.0 * once
 
@@ -438,16 +454,16 @@ def test_an_outline_lies_where_the_picture_changes(renderer: Renderer, state: Sc
 def test_the_limit_is_the_disparitys_noise_times_z_squared_over_f_b(
     renderer: Renderer, state: SceneState, calibration: Calibration
 ) -> None:
-    covariance = sensitivity.end_covariances(renderer, state, [1])[0]
+    covariance = limits.end_covariances(renderer, state, [1])[0]
     end, shadows = state.phantom.ends_mm[1], renderer.shadows(state)
     variance = 0.0
     for eye, camera in zip((renderer.left, renderer.right), renderer.cameras[:2], strict=True):
         sensor = eye.readout.sensor
         outline = outline_of(state.phantom, 1, camera, eye.expected(state, shadows))
-        noise = sensitivity.noise_dn(sensor, 0.5 * (outline.inside + outline.outside), 1.0)
+        noise = limits.noise_dn(sensor, 0.5 * (outline.inside + outline.outside), 1.0)
         depth = float(camera.camera_from_world(end[None])[0, 2])
-        sigma_px = sensitivity.edge_sigma_px(sensor, depth, float(camera.fc.mean()))
-        variance += 1.0 / sensitivity.edge_information(outline, sigma_px, noise)[0, 0]
+        sigma_px = limits.edge_sigma_px(sensor, depth, float(camera.fc.mean()))
+        variance += 1.0 / limits.edge_information(outline, sigma_px, noise)[0, 0]
     along = calibration.world_from_right.R[:, 2]
     per_px = float(calibration.depth_per_disparity_px_mm(end)[0])
     assert np.sqrt(along @ covariance @ along) == pytest.approx(per_px * variance**0.5, rel=0.03)
@@ -455,10 +471,10 @@ def test_the_limit_is_the_disparitys_noise_times_z_squared_over_f_b(
 
 def test_quantiles_are_those_of_a_shifted_normal_distribution() -> None:
     one_axis = np.diag([1e-12, 1e-12, 4.0])[None]
-    median, p95 = sensitivity.error_quantiles_mm(one_axis, np.zeros((1, 3)), (0.5, 0.95))
+    median, p95 = limits.error_quantiles_mm(one_axis, np.zeros((1, 3)), (0.5, 0.95))
     assert median == pytest.approx(2.0 * 0.6745, rel=0.05)
     assert p95 == pytest.approx(2.0 * 1.96, rel=0.05)
-    shifted = sensitivity.error_quantiles_mm(
+    shifted = limits.error_quantiles_mm(
         1e-12 * np.eye(3)[None], np.array([[3.0, 4.0, 0.0]]), (0.5,)
     )
     assert shifted[0] == pytest.approx(5.0, abs=1e-4)
@@ -470,13 +486,13 @@ def test_miscalibration_moves_perfect_pixels_as_its_covariance_says(
     size_px, ends = 0.05, state.phantom.ends_mm
     shifts = np.array(
         [
-            shifts_mm(calibration, sensitivity.miscalibrated(size_px, seed, calibration), ends)
+            shifts_mm(calibration, quantities.miscalibrated(size_px, seed, calibration), ends)
             for seed in range(300)
         ]
     )
     spread = ParameterCovariance(
-        tuple(sensitivity.SPREAD_PER_PX),
-        np.diag([(size_px * one) ** 2 for one in sensitivity.SPREAD_PER_PX.values()]),
+        tuple(quantities.SPREAD_PER_PX),
+        np.diag([(size_px * one) ** 2 for one in quantities.SPREAD_PER_PX.values()]),
     )
     expected = replace(calibration, covariance=spread).covariance_of(ends)
     rms = np.sqrt((shifts**2).sum(axis=2).mean(axis=0))
@@ -486,9 +502,9 @@ def test_miscalibration_moves_perfect_pixels_as_its_covariance_says(
 def test_miscalibration_is_seeded_scales_and_leaves_the_rest_alone(
     calibration: Calibration,
 ) -> None:
-    none, one, twice = (sensitivity.miscalibrated(size, 4, calibration) for size in (0.0, 0.1, 0.2))
-    assert sensitivity.miscalibrated(0.1, 4, calibration).left == one.left
-    assert sensitivity.miscalibrated(0.1, 5, calibration).left != one.left
+    none, one, twice = (quantities.miscalibrated(size, 4, calibration) for size in (0.0, 0.1, 0.2))
+    assert quantities.miscalibrated(0.1, 4, calibration).left == one.left
+    assert quantities.miscalibrated(0.1, 5, calibration).left != one.left
     moved = np.subtract(one.left.cc, calibration.left.cc)
     assert np.subtract(twice.left.cc, calibration.left.cc) == pytest.approx(2.0 * moved)
     before = calibration.right_from_left.T

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -24,7 +26,9 @@ def evenly() -> Floats:
     return np.asarray(points[can_be_set_up(points)])
 
 
-def drawn(proposal: Proposal, scenes: int, seed: int) -> tuple[list[bool], list[float]]:
+def drawn(
+    proposal: Proposal, scenes: int, seed: int, fails: Callable[[Floats], Floats]
+) -> tuple[list[bool], list[float]]:
     chance = np.random.default_rng(seed)
     failed: list[bool] = []
     weights: list[float] = []
@@ -36,10 +40,22 @@ def drawn(proposal: Proposal, scenes: int, seed: int) -> tuple[list[bool], list[
     return failed, weights
 
 
-def test_it_agrees_with_brute_force_and_is_nearer_than_as_many_even_scenes(evenly: Floats) -> None:
-    true = float(fails(evenly).mean())  # 0.0017
+def fails_beyond_a_slope(points: Floats) -> Floats:
+    """On no parameter's own range: a corner of three of them, cut off by a plane, in part of which
+    nothing can be set up.
+    """
+    return np.asarray(points[..., 0] + points[..., 1] + points[..., 3] > 2.72)
+
+
+@pytest.mark.parametrize("fails", [fails, fails_beyond_a_slope])
+def test_it_agrees_with_brute_force_and_is_nearer_than_as_many_even_scenes(
+    evenly: Floats, fails: Callable[[Floats], Floats]
+) -> None:
+    true = float(fails(evenly).mean())  # 0.0017 and 0.0027
     proposal = Proposal.around(evenly[fails(evenly)][:20])
-    found = [weighted_rate(*drawn(proposal, 400, seed), proposal.largest) for seed in range(60)]
+    found = [
+        weighted_rate(*drawn(proposal, 400, seed, fails), proposal.largest) for seed in range(60)
+    ]
     off = np.array([(one.value - true) / one.standard_error for one in found])
     assert abs(off.mean()) < 0.4
     assert 0.7 < off.std() < 1.4

@@ -1,0 +1,72 @@
+"""What a campaign takes beside its chunks, in seconds of processors: they don't depend on what else
+the machine does. `pytest tests/benchmarks --benchmark-only`.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from bench.campaign.chunk import Rows, run_chunk
+from bench.campaign.plan import Chunk, Plan
+from bench.campaign.pool import LocalPool
+from bench.campaign.run import Campaign
+from tests.benchmarks.figures import figure
+
+WORKERS = 2
+
+
+class Counted:
+    """A pool whose chunks' CPU seconds are added up."""
+
+    def __init__(self, inner: LocalPool) -> None:
+        self._inner, self.cpu_s = inner, 0.0
+
+    def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
+        for chunk, rows in self._inner.results(chunks):
+            self.cpu_s += rows.cpu_s
+            yield chunk, rows
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="counts the time of children")
+def test_what_a_campaign_takes_beside_its_chunks(
+    benchmark: BenchmarkFixture, tmp_path: Path
+) -> None:
+    import resource
+
+    def children_s() -> float:
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return used.ru_utime + used.ru_stime
+
+    cv2.setNumThreads(1)
+    campaign = Campaign(Plan(families=("ideal", "overlapping"), scenes=50), tmp_path)
+    campaign.begin()
+    plan, job = campaign.plan, campaign.job
+    parent_s, workers_s = -time.process_time(), -children_s()
+
+    def work() -> float:
+        with LocalPool(job, WORKERS, say=print, chunk_scenes=plan.chunk_scenes) as pool:
+            counted = Counted(pool)
+            campaign.run(counted, lambda _: None)
+        return counted.cpu_s
+
+    chunks_s = float(benchmark.pedantic(work, rounds=1))
+    parent_s, workers_s = parent_s + time.process_time(), workers_s + children_s()
+    bench = job.bench(job.renderer(), job.make_detectors())
+    plain_s = sum(run_chunk(bench, chunk.scenes).cpu_s for chunk in plan.chunks())
+    start_s = (workers_s - chunks_s) / WORKERS
+    share = 100.0 * parent_s / chunks_s
+    figure(benchmark, "a chunk, CPU s", chunks_s / plan.chunk_count, "5 to 30")
+    figure(benchmark, "parent, % of the chunks", share, "at most 3")
+    figure(
+        benchmark, "chunks in workers against the plain loop", chunks_s / plain_s, "at most 1.03"
+    )
+    figure(benchmark, "a worker outside of chunks (start), CPU s", start_s, "none; once a worker")
+    longer = 100.0 * (parent_s * 10 + WORKERS * start_s) / (10.0 * plain_s)
+    figure(benchmark, "all overhead of ten times as many scenes, %", longer, "at most 3")
