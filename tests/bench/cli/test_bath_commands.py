@@ -26,7 +26,7 @@ from bench.cli.bath import (
 )
 from bench.safety.stability import StabilityGate
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_profile
+from instruments.bath.profile import load_register_profile
 from instruments.bath.reading import BathReading
 from instruments.clock import RealClock
 from instruments.listener import Listener
@@ -45,7 +45,7 @@ class Served:
 def bath() -> Iterator[Served]:
     """``at`` are the arguments that lead to it."""
     clock, plant = RealClock(), Plant(1, start_c=25.0)
-    emulator = BathEmulator(plant, load_profile("julabo-presto"), clock)
+    emulator = BathEmulator(plant, load_register_profile("julabo-presto"), clock)
     listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
     try:
         yield Served(
