@@ -30,6 +30,8 @@ from instruments.world.phantom import PlatePose
 from instruments.world.plant import Plant
 from instruments.world.world import World
 
+AS_A_PTY = "?parity=N&bytesize=8&handshake=none"  # a pseudo-terminal has no other frames
+
 Heated = BathEmulator | LineEmulator | RelayEmulator
 
 
@@ -150,6 +152,8 @@ class EmulatedRig:
             if device and name in urls:
                 scheme = "rtu+tcp://" if device.framing == "rtu" else "tcp://"
                 urls[name] = urls[name].replace("socket://", scheme)
+                if device.framing == "line" and "://" not in urls[name]:
+                    urls[name] += AS_A_PTY
         return urls
 
     def close(self) -> None:

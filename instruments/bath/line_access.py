@@ -187,19 +187,12 @@ class LineAccess(Access[LineProfile]):
         for identity in self.profile.identity:
             self.check(identity)
         self._absent = set()
-        optional = [row for row in self._polled if row.optional]
+        shown = filter(None, map(self.profile.find, SHOWN))
+        optional = [row for row in (*self._polled, *shown) if row.optional and self._may_ask(row)]
         self._absent = {row.name for row in optional if self._is_absent(row)}
         reading = self._poll_once()
-        shown = {"family": self.profile.family, "url": self.url}
-        if self._absent:
-            shown["not answered"] = ", ".join(sorted(self._absent))
-        rows = [row for name in SHOWN if (row := self.profile.find(name)) and self._may_ask(row)]
-        lines = self.replies(rows)
-        for row in rows:
-            line = lines[row.ask]
-            shown[row.name] = line if row.is_text else f"{row.decode(line):g} {row.unit}".strip()
         self._looked = True
-        return reading, shown
+        return reading, self._identity()
 
     def poll(self) -> BathReading:
         if not self._looked:  # an event of virtual time has dropped the link meanwhile
@@ -265,6 +258,19 @@ class LineAccess(Access[LineProfile]):
         """The reply to one row's command, whatever it is. Raises LinkError."""
         self._come_in_step()
         return self.wire.ask(row.ask)
+
+    def _identity(self) -> Mapping[str, str]:
+        """What the controller shows of itself."""
+        shown = {"family": self.profile.family, "url": self.url}
+        if self._absent:
+            shown["not answered"] = ", ".join(sorted(self._absent))
+        rows = [row for name in SHOWN if (row := self.profile.find(name)) and self._may_ask(row)]
+        rows = [row for row in rows if row.name not in self._absent]
+        lines = self.replies(rows) if rows else {}
+        for row in rows:
+            line = lines[row.ask]
+            shown[row.name] = line if row.is_text else f"{row.decode(line):g} {row.unit}".strip()
+        return shown
 
     @property
     def _polled(self) -> list[LineRow]:

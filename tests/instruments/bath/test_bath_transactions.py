@@ -481,7 +481,10 @@ def test_what_a_url_says(url: str, line: Line) -> None:
         ("ttyUSB0", 'did you mean "/dev/ttyUSB0"?'),
         ("com5:", 'did you mean "COM5"?'),
         ("10.0.0.7:502", 'did you mean "tcp://10.0.0.7:502"?'),
-        ("", 'allowed: "tcp://host:port", "rtu+tcp://host:port", "rfc2217://host:port", "/dev/ttyUSB0"'),
+        (
+            "",
+            'allowed: "tcp://host:port", "rtu+tcp://host:port", "rfc2217://host:port", "/dev/ttyUSB0"',
+        ),
         ("tcp://", 'write "tcp://host:port"'),
         ("tcp://:502", 'write "tcp://host:port"'),
         ("tcp://h:1/x", "nothing behind it"),
