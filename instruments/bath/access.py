@@ -10,18 +10,38 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from instruments.bath.profile import Device, Identity
 from instruments.bath.quantity import Quantity
 from instruments.bath.reading import BathReading
-from instruments.bath.session import RefusedError, Session
+from instruments.bath.session import BrokenError, RefusedError, Session
 from instruments.clock import Clock
-from instruments.errors import DeviceError, LimitError, LinkError
+from instruments.errors import (
+    DeviceError,
+    InstrumentError,
+    LimitError,
+    LinkError,
+    ProtocolError,
+    hex_bytes,
+)
 
 POLL_S = 4.0
+NOT_READ = "only written"
 
 D = TypeVar("D", bound=Device, covariant=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """What became of one question for ``row``: what was ``asked``, what came, what it means."""
+
+    row: str
+    evidence: str
+    asked: str
+    answered: bool
+    said: str
 
 
 class Access(ABC, Generic[D]):
@@ -71,6 +91,38 @@ class Access(ABC, Generic[D]):
     @abstractmethod
     def stands(self, row: Quantity, value: float, seen: float) -> bool:
         """Whether a row that shows ``seen`` was set to ``value``."""
+
+    @abstractmethod
+    def asking(self, row: Quantity) -> str:
+        """How ``row`` is asked for, for a person."""
+
+    @abstractmethod
+    def try_row(self, row: Quantity) -> str:
+        """What came for ``row`` and what it means, for a person; asked before any identification.
+        Raises InstrumentError.
+        """
+
+    def tried(self, row: Quantity) -> Tried:
+        """Ask for ``row``, whatever its evidence; writes nothing. Raises BrokenError."""
+        if row.access == "w":
+            return Tried(row.name, row.evidence, NOT_READ, answered=False, said="not tried")
+        try:
+            answered, said = True, self.try_row(row)
+        except BrokenError:
+            raise
+        except InstrumentError as error:
+            seen = error.seen if isinstance(error.seen, str) else hex_bytes(error.seen or b"")
+            answered, said = False, f"{error.what} (got {seen})" if error.seen else error.what
+        return Tried(row.name, row.evidence, self.asking(row), answered, said)
+
+    def shown(self, row: Quantity, value: float) -> str:
+        """``value`` with its label or unit. Raises ProtocolError for a code that it hasn't."""
+        if math.isnan(value):
+            return "no value now"
+        if row.values and not row.alarm and not row.is_known(value):
+            labels = ", ".join((*row.values, *row.seen))
+            raise ProtocolError(self.who, f"{value:g} is none of {labels}", asked=row.name)
+        return f"{row.label(value)} {row.unit}".strip()
 
     def row(self, name: str) -> Quantity:
         """The row called ``name``. Raises LimitError where the family has none."""

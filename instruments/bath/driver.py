@@ -10,10 +10,11 @@ their last set point. That a relay is on does not say that water moves.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeVar
 
+from instruments.bath.access import Tried
 from instruments.bath.profile import PUMP, Profile, RelayProfile
 from instruments.bath.quantity import Quantity
 from instruments.bath.reading import BathReading, ChangedError
@@ -116,6 +117,17 @@ class Bath:
             return self._switched(lambda: relay.value(relay.row(PUMP)), relay)
         row = self._rows.row(name)
         return self._do(lambda: self._looked(row).value(row))
+
+    def try_rows(self) -> Iterator[Tried]:
+        """Each row asked by itself, whoever is there; writes nothing. For a profile that is being
+        made. Raises LinkError where the link can't be opened.
+        """
+        with self._lock:
+            for row in self._rows.profile.rows:
+                if not self._wire.connected:
+                    self._rows.forget()
+                    self._wire.connect()
+                yield self._rows.tried(row)
 
     def set(self, name: str, value: float | str) -> None:
         """Write a row (a number, or one of its labels) where it is another, and see that it stands.

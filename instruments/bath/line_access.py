@@ -254,10 +254,23 @@ class LineAccess(Access[LineProfile]):
                 return found
         raise AssertionError("an attempt returns or raises")
 
-    def ask_once(self, row: LineRow) -> str:
-        """The reply to one row's command, whatever it is. Raises LinkError."""
-        self._come_in_step()
-        return self.wire.ask(row.ask)
+    def asking(self, row: Quantity) -> str:
+        return repr(self.profile.row(row.name).ask)
+
+    def try_row(self, row: Quantity) -> str:
+        found, wire = self.profile.row(row.name), self.wire
+        if not wire.in_step:  # the marker may be among what is not known yet
+            wire.become_quiet(self.clock.now() + SYNC_S)
+            wire.in_step = True
+        reply = wire.ask(found.ask)
+        if reply in self.profile.refusals:
+            raise self._refused(found.ask, reply)
+        if not found.understands(reply):
+            forms = [form for forms in found.shows.values() for form in forms] or [found.reply]
+            what = f"the profile expects {' or '.join(map(repr, (*forms, *found.absent)))}"
+            raise self._nonsense(what, found.ask, reply)
+        meaning = "text" if found.is_text else self.shown(row, found.decode(reply))
+        return f"{meaning} (got {reply!r})"
 
     def _identity(self) -> Mapping[str, str]:
         """What the controller shows of itself."""

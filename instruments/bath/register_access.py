@@ -131,6 +131,16 @@ class RegisterAccess(Access[Wiring]):
     def forget(self) -> None:
         self._poll = None
 
+    def asking(self, row: Quantity) -> str:
+        found = self._row(row)
+        return f"{found.table} {found.address}, {found.type}"
+
+    def try_row(self, row: Quantity) -> str:
+        found = self._row(row)
+        words = self._words(found)
+        raw = " ".join(f"{word:04X}" for word in words)
+        return f"{self.shown(row, found.decode(words, self.order))} (got {raw})"
+
     def value(self, row: Quantity) -> float:
         """The value of ``row`` in its unit."""
         found = self._row(row)
