@@ -389,7 +389,8 @@ class LineAccess(Access[LineProfile]):
             if mark == first:
                 break
             first = mark
-        others = {row.ask for row in self.profile.rows if row.ask not in ("", self._marker.ask)}
+        others = {row.ask for row in self.profile.rows if row.ask and not row.is_text}
+        others -= {self._marker.ask}
         like = next((ask for ask in others if self._fits_all(ask, mark)), "")
         refused = mark in self.profile.refusals
         if mark != first or refused or like or not self._marker.understands(mark):

@@ -135,4 +135,55 @@ class Julabo(Dialect):
         return ""
 
 
-DIALECTS: dict[str, type[Dialect]] = {"julabo": Julabo}  # by how the name of the family begins
+class Lauda(Dialect):
+    """LAUDA's commands (LOOP 100 manual, 5.11; fault characters: ECO Gold manual, p. 125). Each has
+    an answer; a blank may stand for an underscore. Chosen: the keys have no effect on it.
+    """
+
+    end = b"\r"
+    OK, WRONG_COMMAND, SYNTAX, NOT_ALLOWED = "OK", "ERR_3", "ERR_5", "ERR_6"
+    READS: ClassVar[dict[str, Callable[[Lauda], str]]] = {
+        "TYPE": lambda _: "RP845",
+        "VERSION_R": lambda _: "1.30",
+        "STATUS": lambda on: "-1" if on.plant.alarm else "0",
+        "STAT": lambda on: on.stat(),
+        "IN_PV_00": lambda on: on.fixed(on.temperature_c()),
+        "IN_PV_03": lambda on: on.fixed(float(on.plant.teat_c.mean())),
+        "IN_SP_00": lambda on: on.fixed(on.plant.set_point_c),
+        "IN_SP_03": lambda on: on.fixed(on.plant.constants.cut_out_c),
+        "IN_MODE_02": lambda on: "0" if on.plant.running else "1",
+    }
+
+    def answer(self, command: str) -> str:
+        word = command.strip("\n").replace(" ", "_").upper()
+        if read := self.READS.get(word):
+            return read(self)
+        if word in ("START", "STOP"):
+            self.run(on=word == "START")
+            return self.OK
+        if not word.startswith("OUT_SP_00_"):
+            return self.WRONG_COMMAND
+        value = word.removeprefix("OUT_SP_00_")
+        if not NUMBER.fullmatch(value):
+            return self.SYNTAX
+        temp_c = self.meant_c(float(value))
+        if not LEAST_C <= temp_c <= MOST_C:
+            return self.NOT_ALLOWED
+        self.plant.set_point_c = temp_c
+        return self.OK
+
+    def fixed(self, temp_c: float) -> str:
+        shown = self.shown(temp_c)
+        return f"{'-' if shown < 0 else ''}{abs(shown):06.2f}"
+
+    def stat(self) -> str:
+        """Error, alarm, warning, over-temperature, low level, 0, external value missing."""
+        alarm = self.plant.alarm
+        flags = (alarm == "sensor", bool(alarm), False, alarm == "over-temperature")
+        return "".join(str(int(flag)) for flag in (*flags, alarm == "level", False, False))
+
+
+DIALECTS: dict[str, type[Dialect]] = {
+    "julabo": Julabo,
+    "lauda": Lauda,
+}  # by how the name of the family begins

@@ -225,6 +225,58 @@ def test_what_no_julabo_answers_is_refused(replies: dict[str, str], said: str) -
         pass
 
 
+# LAUDA. CERTAIN: commands, OK and ERR_X, XXX.XX, CR LF (LOOP 100 manual, 5.11), and the characters of
+# STAT (ECO Gold manual, p. 125); IN_MODE_02 is 1 in standby.
+LAUDA_REPLIES = {
+    "TYPE": "BC_LOOP",
+    "VERSION_R": "1.10",
+    "IN_PV_00": "020.50",
+    "IN_PV_03": "ERR_3",
+    "IN_SP_00": "033.00",
+    "IN_SP_03": "040.00",
+    "IN_MODE_02": "1",
+    "STAT": "0000000",
+}
+
+
+@pytest.mark.parametrize(
+    ("stat", "alarm", "text"),
+    [
+        ("0000000", 0, ""),
+        ("0010000", 0, ""),  # a warning is no alarm
+        ("0100100", 18, "low level"),
+        ("0001000", 8, "over-temperature"),
+        ("1000000", 1, "error"),
+    ],
+)
+def test_a_laudas_replies(stat: str, alarm: int, text: str) -> None:
+    typed = Typed(VirtualClock(), {**LAUDA_REPLIES, "STAT": stat}, confirm="OK")
+    with served(typed, "lauda-ascii") as (_, bath):
+        reading = bath.read()
+        assert (reading.temp_c, reading.set_point_c, reading.external_c) == (20.5, 33.0, None)
+        assert (reading.running, reading.alarm) == (False, alarm)
+        assert text in bath.profile.alarm_text(alarm)
+        assert bath.profile.means(alarm, "level") == (stat[4] == "1")
+
+
+def test_what_a_lauda_is_told() -> None:
+    """CERTAIN: its example sets 30.5 degC by OUT_SP_00_30.5, answered with OK."""
+
+    def act(typed: Typed, command: str) -> None:
+        changed = {"START": ("IN_MODE_02", "0"), "STOP": ("IN_MODE_02", "1")}
+        read, shown = changed.get(command, ("IN_SP_00", f"0{command[-5:]}"))
+        typed.replies[read] = shown
+
+    typed = Typed(VirtualClock(), dict(LAUDA_REPLIES), confirm="OK", acts=act)
+    with served(typed, "lauda-ascii") as (_, bath):
+        bath.start(30.5)
+        bath.safe()
+        assert typed.told == ["OUT_SP_00_30.50", "START", "STOP"]
+        typed.confirm = "ERR_6"
+        with pytest.raises(DeviceError, match="refused: impermissible value"):
+            bath.set_point(31.0)
+
+
 # ---- late, doubled, cut and garbled
 
 
@@ -356,6 +408,26 @@ def test_a_client_written_from_the_julabo_manual_alone() -> None:
         assert not device.plant.running
 
 
+def test_a_client_written_from_the_lauda_manual_alone() -> None:
+    """CR ends a command; each has an answer."""
+    with in_real_time("lauda-ascii") as (device, url), closing(ManualClient(url)) as client:
+        for command, answer in (
+            ("OUT_SP_00_30.5", "OK"),
+            ("IN_SP_00", "030.50"),
+            ("out_sp_00 -5", "OK"),
+            ("IN_SP_00", "-005.00"),
+            ("START", "OK"),
+            ("IN_MODE_02", "0"),
+            ("STAT", "0000000"),
+            ("OUT_SP_00_x", "ERR_5"),
+            ("OUT_SP_00_900", "ERR_6"),
+            ("STRAT", "ERR_3"),
+            ("STOP", "OK"),
+        ):
+            assert client.ask(command) == answer
+        assert not device.plant.running
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LINE_FAMILIES)
 def test_the_driver_on_a_serial_port(name: str) -> None:
@@ -410,12 +482,6 @@ def test_each_family_with_a_bad_line_gives_an_error_and_recovers(name: str, faul
         bath.read()
         device.fault("doubled answer")
         assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
-
-
-@pytest.mark.parametrize("name", LINE_FAMILIES)
-def test_each_family_by_hand_refuses_with_a_cause(name: str) -> None:
-    with emulated(name, "manual mode") as (_, bath), pytest.raises(DeviceError):
-        bath.set_point(30.0)
 
 
 @pytest.mark.parametrize("name", LINE_FAMILIES)
