@@ -13,6 +13,7 @@ import socket
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from time import monotonic, sleep
 from urllib.parse import urlsplit
 
 import serial
@@ -20,9 +21,11 @@ from serial.tools import list_ports
 
 from instruments.clock import PATIENCE_S, Clock, VirtualClock, Wire
 from instruments.errors import LinkError
+from instruments.port_settings import PortSettings
 from instruments.tap import NoTap, Tap
 
 SLICE_S = 1.0
+EIGHT_N_ONE = PortSettings()
 SOCKETS = ("socket://", "tcp://", "rtu+tcp://")
 COUNTED_S = 2.0  # real time until bytes that an emulator has counted must have come over loopback
 
@@ -37,8 +40,7 @@ class Link:
         *,
         who: str,
         baud: int = 115200,
-        parity: str = "N",
-        stopbits: int = 1,
+        port: PortSettings = EIGHT_N_ONE,
         connect_timeout_s: float = 5.0,
         tap: Tap | None = None,
     ) -> None:
@@ -47,7 +49,7 @@ class Link:
         self.clock = clock
         self.baud = baud
         self.connected = False  # until a break is noticed, or ``close``
-        self._parity, self._stopbits = parity, stopbits
+        self._settings = port
         self._connect_timeout_s = connect_timeout_s
         self._tap: Tap = tap or NoTap()
         self._open()
@@ -75,7 +77,7 @@ class Link:
         if self.url.startswith(SOCKETS):
             self._port = _TcpPort(self.url, self.who, self._connect_timeout_s)
         else:
-            self._port = _SerialPort(self.url, self.who, self.baud, self._parity, self._stopbits)
+            self._port = _SerialPort(self.url, self.who, self.baud, self._settings)
         self._is_open = self.connected = True
         self._virtual: tuple[VirtualClock, Wire] | None = None
         self._tap.opened(self.url)
@@ -261,22 +263,39 @@ def _hang_up_is_os_error() -> Iterator[None]:
 
 
 class _SerialPort:
-    def __init__(self, url: str, who: str, baud: int, parity: str, stopbits: int) -> None:
+    def __init__(self, url: str, who: str, baud: int, settings: PortSettings) -> None:
+        self._settings = settings
         try:
             with _hang_up_is_os_error():
                 self._serial = serial.serial_for_url(
                     url,
+                    do_not_open=True,
                     baudrate=baud,
-                    parity=parity,
-                    stopbits=stopbits,
+                    bytesize=settings.bytesize,
+                    parity=settings.parity,
+                    stopbits=settings.stopbits,
+                    rtscts=settings.handshake == "rtscts",
+                    xonxoff=settings.handshake == "xonxoff",
                     timeout=0,
                     write_timeout=2.0,
                     exclusive=True,
                 )
+                # before it is open: a board resets when DTR goes up
+                if settings.dtr is not None:
+                    self._serial.dtr = settings.dtr
+                if settings.rts is not None:
+                    self._serial.rts = settings.rts
+                if settings.rs485:
+                    self._serial.rts = False  # listening
+                self._serial.open()
                 self._serial.timeout = 0.0  # sets all again: what a port lacks fails only then
         except (serial.SerialException, ValueError, OSError) as error:
             what = f"the port can't be opened: {error}"
             raise LinkError(who, what, hint=_port_hint(url, error)) from error
+
+    def _character_s(self) -> float:
+        s = self._settings
+        return (1 + s.bytesize + (s.parity != "N") + s.stopbits) / float(self._serial.baudrate)
 
     def read_some(self, timeout_s: float) -> bytes:
         with _hang_up_is_os_error():
@@ -289,8 +308,19 @@ class _SerialPort:
 
     def write(self, data: bytes) -> None:
         with _hang_up_is_os_error():
-            self._serial.write(data)
-            self._serial.flush()
+            if not self._settings.rs485:
+                self._serial.write(data)
+                self._serial.flush()
+                return
+            self._serial.rts = True
+            try:
+                # an adapter says that it has sent when it has only taken the bytes
+                sent_s = monotonic() + len(data) * self._character_s()
+                self._serial.write(data)
+                self._serial.flush()
+                sleep(max(0.0, sent_s - monotonic()))
+            finally:
+                self._serial.rts = False
 
     def set_baud(self, baud: int) -> None:
         with _hang_up_is_os_error():

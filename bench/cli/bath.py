@@ -1,4 +1,4 @@
-"""`bath read|set|watch|standby|acknowledge`: the water bath alone, without a rig file.
+"""`bath read|learn|set|watch|standby|acknowledge`: the water bath alone, without a rig file.
 
 `watch` shows its last minutes as a plot of characters, its state, and how long until it is stable;
 it changes nothing at the bath.
@@ -12,6 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from bench.safety.interlocks import moving_of
 from bench.safety.latch import acknowledge as acknowledge_latch
 from bench.safety.latch import latch_path, read_latch
 from bench.safety.stability import StabilityGate, StabilityReport, State
+from instruments.bath.access import NOT_READ
 from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
 from instruments.bath.reading import BathReading
@@ -70,6 +72,23 @@ def read(given: argparse.Namespace) -> int:
         for key, value in values.items():
             print(f"{key}: {'not told' if value is None else value}")
     return CODES.met
+
+
+def learn(given: argparse.Namespace) -> int:
+    """Asks for each row by itself and writes nothing: for a profile that is being made."""
+    profile = profile_of(given.profile)
+    with open_bath(given.port, profile, identify=False, capture=given.capture) as (bath, _):
+        tried = list(bath.try_rows())
+    answered = [one for one in tried if one.answered]
+    if given.json:
+        print(json.dumps([asdict(one) for one in tried]))
+    else:
+        width = max(len(one.row) for one in tried)
+        for one in tried:
+            print(f"{'+' if one.answered else '-'} {one.row:{width}}  {one.asked}: {one.said}")
+        asked = [one for one in tried if one.asked != NOT_READ]
+        print(f"{len(answered)} of {len(asked)} rows that can be read made sense")
+    return CODES.met if answered else CODES.fault
 
 
 def change(given: argparse.Namespace) -> int:

@@ -599,6 +599,12 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *BATH_LINK,
         JSON,
     ),
+    "bath learn": (
+        "try each row of a profile, read-only: what answered, and what not",
+        "bath learn --port tcp://192.168.0.40:502 --profile my-bath.toml",
+        *BATH_LINK,
+        JSON,
+    ),
     "bath set": (
         "change the set point; starts and stops nothing",
         "bath set --port tcp://192.168.0.40:502 --profile julabo-presto 33",

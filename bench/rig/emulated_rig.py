@@ -14,7 +14,8 @@ from bench.rig.loading import LoadedRig
 from bench.rig.model import EmulatedFault, EmulatedStage, Stage, make_renderer
 from detector.geometry import Motion
 from instruments.bath.emulator import BathEmulator, Framing, RelayEmulator
-from instruments.bath.profile import Profile, RelayProfile
+from instruments.bath.line_emulator import LineEmulator
+from instruments.bath.profile import LineProfile, Profile, RegisterProfile, RelayProfile
 from instruments.camera.emulator import EmulatedCameras
 from instruments.clock import Clock
 from instruments.listener import Device, Listener
@@ -26,7 +27,12 @@ from instruments.stage.emulator import CLASSIC, GRBL_HAL, Mounting, StageEmulato
 from instruments.stage.emulator.board import LATE_S, LOST_MM
 from instruments.stage.emulator.board import Fault as StageFault
 from instruments.world.phantom import PlatePose
+from instruments.world.plant import Plant
 from instruments.world.world import World
+
+AS_A_PTY = "?parity=N&bytesize=8&handshake=none"  # a pseudo-terminal has no other frames
+
+Heated = BathEmulator | LineEmulator | RelayEmulator
 
 
 class PlacedHand:
@@ -96,11 +102,10 @@ class EmulatedRig:
             tremor_mm=emulation.hand_tremor_mm,
         )
         plant, r, relay = self.world.plant, rig.rig, rig.relay
-        self.bath = BathEmulator(plant, rig.profile, clock, framing=self._framing(rig.profile))
+        self.bath = self._bath(plant, rig.profile)
         # on a port of its own; without one, and with a controller that turns none, the pump stands
-        self.pump = (
-            RelayEmulator(plant, relay, clock, framing=self._framing(relay)) if relay else None
-        )
+        framing = self._framing(relay) if relay else None
+        self.pump = RelayEmulator(plant, relay, clock, framing=framing) if relay else None
         self.stage = self._stage(r.stage, emulation.stage) if r.stage else None
         try:
             for at, fault in enumerate(emulation.faults):
@@ -111,17 +116,33 @@ class EmulatedRig:
                     raise located(rig.path, rig.text, [(key, str(error), False)]) from error
             # the rate of each serial port; a network has none
             self._listen("arm", self.arm, r.arm.baud)
-            for name, modbus, of in (("bath", self.bath, rig.profile), ("pump", self.pump, relay)):
-                if modbus and of:
-                    self._listen(name, modbus, of.baud if modbus.framing == "rtu" else None)
+            devices: tuple[tuple[str, Heated | None, Profile | RelayProfile | None], ...]
+            devices = ("bath", self.bath, rig.profile), ("pump", self.pump, relay)
+            for name, device, of in devices:
+                if device and of:
+                    self._listen(name, device, None if self._on_tcp(device) else of.baud)
             if self.stage and r.stage:
                 self._listen("stage", self.stage, r.stage.baud)
         except BaseException:
             self.close()
             raise
 
-    def _framing(self, profile: Profile | RelayProfile) -> Framing | None:
+    def _bath(self, plant: Plant, profile: Profile) -> BathEmulator | LineEmulator:
+        match profile:
+            case LineProfile():
+                return LineEmulator(plant, profile, self._clock)
+            case RegisterProfile():
+                framing = self._framing(profile)
+                return BathEmulator(plant, profile, self._clock, framing=framing)
+        raise TypeError(f"{profile.family} can't be emulated")
+
+    def _framing(self, profile: RegisterProfile | RelayProfile) -> Framing | None:
         return "rtu" if self._pty and "rtu" in profile.transports else None
+
+    def _on_tcp(self, device: Heated) -> bool:
+        """Whether it stays on TCP where serial ports are pseudo-terminals."""
+        serial = {"rtu", "line"} if "serial" in device.profile.transports else {"rtu"}
+        return device.framing not in serial
 
     @property
     def urls(self) -> dict[str, str]:
@@ -129,8 +150,10 @@ class EmulatedRig:
         urls = {name: listener.url for name, listener in self._listeners.items()}
         for name, device in (("bath", self.bath), ("pump", self.pump)):
             if device and name in urls:
-                scheme = "tcp://" if device.framing == "tcp" else "rtu+tcp://"
+                scheme = "rtu+tcp://" if device.framing == "rtu" else "tcp://"
                 urls[name] = urls[name].replace("socket://", scheme)
+                if device.framing == "line" and "://" not in urls[name]:
+                    urls[name] += AS_A_PTY
         return urls
 
     def close(self) -> None:

@@ -493,8 +493,9 @@ def fault_names(instrument: str) -> tuple[str, ...]:
 
         return tuple(fault.value for fault in Fault)
     from instruments.bath.emulator import FAULTS, RELAY_FAULTS
+    from instruments.bath.line_emulator import LINE_FAULTS
 
-    return tuple(FAULTS) if instrument == "bath" else RELAY_FAULTS
+    return tuple(dict.fromkeys((*FAULTS, *LINE_FAULTS))) if instrument == "bath" else RELAY_FAULTS
 
 
 class Emulation(Section):

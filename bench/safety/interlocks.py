@@ -413,11 +413,9 @@ def bath_of(profile: Profile) -> Bath:
     """What the rules have to know of a family."""
     rows = {"output": ("power",), "other sensor": ("external", "safety")}
     tells = {what for what, names in rows.items() if any(profile.find(name) for name in names)}
-    levels = [alarm.code for alarm in profile.alarms if alarm.cause == "level"]
-    bits = any(row.alarm == "bits" for row in profile.rows)
 
     def low_level(alarm: int) -> bool:
-        return any(alarm & level if bits else alarm == level for level in levels)
+        return profile.means(alarm, "level")
 
     return Bath(frozenset(tells), low_level, profile.alarm_text)
 
@@ -426,7 +424,6 @@ def moving_of(profile: Profile) -> Callable[[BathReading], Hashable]:
     """What of a reading has to change while the controller lives: the temperature; of a coarse one
     the output too.
     """
-    row = profile.row("temperature")
-    if row.type == "f32" or row.scale <= COARSE_K:
+    if profile.row("temperature").step <= COARSE_K:
         return lambda reading: reading.raw
     return lambda reading: (reading.raw, reading.power_percent)

@@ -1,9 +1,10 @@
-"""Where a Modbus device is: its URL, taken apart. Pure; the rig file's reader and the driver both
-ask here.
+"""Where a bath's controller or a relay is: its URL, taken apart. Pure; the rig file's reader and
+the driver both ask here.
 
-``tcp://host[:502]`` is Modbus TCP, ``rtu+tcp://host:port`` RTU behind a serial server,
-``/dev/ttyUSB0`` and ``COM5`` RTU on a serial port. ``?unit=3`` names the unit, ``baud``, ``parity``
-and ``stopbits`` a serial port's settings; what a URL leaves open, the profile fills in.
+``tcp://host[:port]`` is Modbus TCP, or lines of ASCII over TCP; ``rtu+tcp://host:port`` is RTU
+behind a serial server; ``/dev/ttyUSB0``, ``COM5`` and ``rfc2217://host:port`` are serial ports.
+``?unit=3`` names the unit, ``gap_ms`` the least silence between two frames; the other settings are
+a serial port's. What a URL leaves open, the profile fills in.
 """
 
 from __future__ import annotations
@@ -11,29 +12,58 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Protocol
 from urllib.parse import parse_qsl, urlsplit
 
-Kind = Literal["tcp", "rtu+tcp", "serial"]
-Parity = Literal["N", "E", "O"]
+from instruments.port_settings import PortSettings
+
+Kind = Literal["tcp", "rtu+tcp", "serial", "rfc2217"]
 
 ALLOWED = (
-    '"tcp://host:port", "rtu+tcp://host:port", "/dev/ttyUSB0", "COM5"; each with "?unit=3", a'
-    ' serial port also with "&baud=9600&parity=N"'
+    '"tcp://host:port", "rtu+tcp://host:port", "rfc2217://host:port", "/dev/ttyUSB0", "COM5"; each'
+    ' with "?unit=3", a serial port also with "&baud=9600&parity=N"'
 )
-SCHEMES = ("tcp", "rtu+tcp")
-OTHER_WORDS = dict.fromkeys(("socket", "rtu", "serial", "rfc2217"), "rtu+tcp") | {"modbus": "tcp"}
+SCHEMES: tuple[Kind, ...] = ("tcp", "rtu+tcp", "rfc2217")
+OTHER_WORDS = dict.fromkeys(("socket", "rtu", "serial"), "rtu+tcp") | {"modbus": "tcp"}
 MODBUS_PORT = 502
 BAUD = 9600  # where neither the URL nor a profile says
 # 255 is "no unit" on TCP
-MOST_UNIT: Mapping[Kind, int] = {"tcp": 255, "rtu+tcp": 254, "serial": 254}
-ON_TCP = ("unit",)
-ON_SERIAL = ("unit", "baud", "parity", "stopbits")
+MOST_UNIT: Mapping[Kind, int] = {"tcp": 255, "rtu+tcp": 254, "serial": 254, "rfc2217": 254}
+ON_TCP = ("unit", "gap_ms")
+ON_SERIAL = (*ON_TCP, "baud", "parity", "stopbits", "bytesize", "handshake", "dtr", "rts", "rs485")
+NUMBERS = {
+    "gap_ms": (0, 1000),
+    "baud": (300, 921600),
+    "stopbits": (1, 2),
+    "bytesize": (7, 8),
+}
+WORDS: Mapping[str, Mapping[str, Any]] = {
+    "parity": {"N": "N", "E": "E", "O": "O"},
+    "handshake": {"none": "none", "rtscts": "rtscts", "xonxoff": "xonxoff"},
+    "dtr": {"on": True, "off": False},
+    "rts": {"on": True, "off": False},
+    "rs485": {"on": True, "off": False},
+}
+ALLOWED_WORDS = {name: " and ".join(words) for name, words in WORDS.items()}
+ALLOWED_WORDS |= {"parity": "N (none), E (even) and O (odd)"}
+
+
+class Defaults(Protocol):
+    """What a profile says of a serial port."""
+
+    @property
+    def baud(self) -> int: ...
+    @property
+    def parity(self) -> Literal["N", "E", "O"]: ...
+    @property
+    def stopbits(self) -> Literal[1, 2]: ...
+    @property
+    def bytesize(self) -> Literal[7, 8]: ...
 
 
 class LineError(ValueError):
-    """Not a URL of a Modbus device; the message says why, and what is allowed or may be meant."""
+    """Not a URL of a device; the message says why, and what is allowed or may be meant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +76,14 @@ class Line:
     device: str = ""
     unit_id: int | None = None
     baud: int | None = None
-    parity: Parity | None = None
-    stopbits: int | None = None
+    gap_s: float | None = None
+    parity: Literal["N", "E", "O"] | None = None
+    stopbits: Literal[1, 2] | None = None
+    bytesize: Literal[7, 8] | None = None
+    handshake: Literal["none", "rtscts", "xonxoff"] | None = None
+    dtr: bool | None = None
+    rts: bool | None = None
+    rs485: bool = False
 
     @property
     def is_rtu(self) -> bool:
@@ -56,15 +92,34 @@ class Line:
 
     @property
     def transport(self) -> Literal["tcp", "rtu"]:
-        """What a family has to have for it."""
+        """What a family that speaks Modbus has to have for it."""
         return "rtu" if self.is_rtu else "tcp"
 
     @property
+    def is_port(self) -> bool:
+        """Whether it is a serial port, here or behind a server that sets it for us."""
+        return self.kind in ("serial", "rfc2217")
+
+    @property
     def character_s(self) -> float:
-        """How long one character takes on the wire: start, eight bits, parity, stop; 0 over TCP."""
-        if self.kind != "serial":
+        """How long one character takes on the wire: start, data, parity, stop; 0 over TCP."""
+        if not self.is_port:
             return 0.0
-        return (9 + (self.parity in ("E", "O")) + (self.stopbits or 1)) / (self.baud or BAUD)
+        bits = 1 + (self.bytesize or 8) + (self.parity in ("E", "O")) + (self.stopbits or 1)
+        return bits / (self.baud or BAUD)
+
+    @property
+    def port_settings(self) -> PortSettings:
+        """What a serial port is set to, beside its rate."""
+        return PortSettings(
+            parity=self.parity or "N",
+            stopbits=self.stopbits or 1,
+            bytesize=self.bytesize or 8,
+            handshake=self.handshake or "none",
+            dtr=self.dtr,
+            rts=self.rts,
+            rs485=self.rs485,
+        )
 
     @property
     def url(self) -> str:
@@ -72,25 +127,38 @@ class Line:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return self.device or f"{self.kind}://{host}:{self.port}"
 
+    def filled(
+        self, profile: Defaults, handshake: Literal["none", "rtscts", "xonxoff"] = "none"
+    ) -> Line:
+        """With the profile's settings where the URL names none."""
+        return replace(
+            self,
+            baud=self.baud or profile.baud,
+            parity=self.parity or profile.parity,
+            stopbits=self.stopbits or profile.stopbits,
+            bytesize=self.bytesize or profile.bytesize,
+            handshake=self.handshake or handshake,
+        )
 
-def parse_line(url: str) -> Line:
-    """The line that ``url`` names. Raises LineError."""
+
+def parse_line(url: str, *, port: int | None = MODBUS_PORT) -> Line:
+    """The line that ``url`` names; ``port`` is TCP's where it names none. Raises LineError."""
     place, _, query = url.partition("?")
     if re.fullmatch(r"/dev/\S+|COM\d+", place):
-        return Line("serial", device=place, **_settings(query, "serial"))  # type: ignore[arg-type]
+        return Line("serial", device=place, **_settings(query, "serial"))
     scheme, found, _ = place.partition("://")
     if not found:
-        raise LineError(f"not a link to a Modbus device{_near(place, scheme)}; allowed: {ALLOWED}")
+        raise LineError(f"not a link to a device{_near(place, scheme)}; allowed: {ALLOWED}")
     if scheme not in SCHEMES:
         word = OTHER_WORDS.get(scheme.lower(), scheme.lower())
         meant = _nearest(word, SCHEMES, "://")
-        raise LineError(f'"{scheme}://" is no link to a Modbus device{meant}; allowed: {ALLOWED}')
-    kind: Kind = "tcp" if scheme == "tcp" else "rtu+tcp"
-    host, port = _host_and_port(place, kind)
-    return Line(kind, host, port, **_settings(query, kind))  # type: ignore[arg-type]
+        raise LineError(f'"{scheme}://" is no link to a device{meant}; allowed: {ALLOWED}')
+    kind = next(known for known in SCHEMES if known == scheme)
+    host, its_port = _host_and_port(place, kind, port)
+    return Line(kind, host, its_port, **_settings(query, kind))
 
 
-def _host_and_port(place: str, kind: Kind) -> tuple[str, int]:
+def _host_and_port(place: str, kind: Kind, usual: int | None) -> tuple[str, int]:
     try:
         parts = urlsplit(place)
         host, port = parts.hostname, parts.port
@@ -99,38 +167,40 @@ def _host_and_port(place: str, kind: Kind) -> tuple[str, int]:
     if not host or parts.path or parts.username is not None:
         form = f'"{kind}://host:port" and nothing behind it but "?unit=3"'
         raise LineError(f"not a link: write {form}")
-    if port is None and kind == "rtu+tcp":
-        form = '"rtu+tcp://host:port" with the port that the serial server listens on'
+    if port is None and (kind != "tcp" or usual is None):
+        form = f'"{kind}://host:port" with the port that the serial server listens on'
         raise LineError(f"the port is missing: write {form}")
-    return host, MODBUS_PORT if port is None else port
+    return host, port or usual or 0
 
 
-def _settings(query: str, kind: Kind) -> dict[str, int | str]:
-    known = ON_SERIAL if kind == "serial" else ON_TCP
+def _settings(query: str, kind: Kind) -> dict[str, Any]:
+    known = ON_SERIAL if kind in ("serial", "rfc2217") else ON_TCP
     try:
         pairs = parse_qsl(query, strict_parsing=bool(query), keep_blank_values=True)
     except ValueError as error:
         what = f'"?{query}" is no list of settings: write "?unit=3&baud=9600" ({error})'
         raise LineError(what) from error
-    settings: dict[str, int | str] = {}
+    settings: dict[str, Any] = {}
     for name, value in pairs:
         if name not in known:
-            where = "a serial port" if kind == "serial" else f"{kind}://"
+            where = "a serial port" if known is ON_SERIAL else f"{kind}://"
             meant, allowed = _nearest(name, known), ", ".join(known)
             raise LineError(f'"{name}" is no setting of {where}{meant} (allowed: {allowed})')
-        settings["unit_id" if name == "unit" else name] = _setting(name, value, kind)
+        key = {"unit": "unit_id", "gap_ms": "gap_s"}.get(name, name)
+        settings[key] = _setting(name, value, kind)
     return settings
 
 
-def _setting(name: str, value: str, kind: Kind) -> int | str:
-    if name == "parity":
-        if value.upper() not in ("N", "E", "O"):
-            raise LineError(f"parity={value}: allowed are N (none), E (even) and O (odd)")
-        return value.upper()
-    low, high = {"unit": (1, MOST_UNIT[kind]), "baud": (300, 921600), "stopbits": (1, 2)}[name]
+def _setting(name: str, value: str, kind: Kind) -> Any:
+    if words := WORDS.get(name):
+        word = value.upper() if name == "parity" else value.lower()
+        if word not in words:
+            raise LineError(f"{name}={value}: allowed are {ALLOWED_WORDS[name]}")
+        return words[word]
+    low, high = (1, MOST_UNIT[kind]) if name == "unit" else NUMBERS[name]
     if not re.fullmatch(r"\d{1,7}", value) or not low <= int(value) <= high:
         raise LineError(f"{name}={value}: a whole number from {low} to {high} is needed")
-    return int(value)
+    return int(value) / 1000.0 if name == "gap_ms" else int(value)
 
 
 def _nearest(word: str, known: Sequence[str], end: str = "") -> str:

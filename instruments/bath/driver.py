@@ -10,15 +10,16 @@ their last set point. That a relay is on does not say that water moves.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeVar
 
+from instruments.bath.access import Tried
 from instruments.bath.profile import PUMP, Profile, RelayProfile
-from instruments.bath.reading import BathReading, OrderError, Poll
-from instruments.bath.register_access import WiredRows, identity_of, look
-from instruments.bath.registers import Row
-from instruments.bath.transactions import BrokenError
+from instruments.bath.quantity import Quantity
+from instruments.bath.reading import BathReading, ChangedError
+from instruments.bath.rows import Relay, Rows, open_relay, open_rows
+from instruments.bath.session import BrokenError
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError
 from instruments.tap import Tap
@@ -69,22 +70,20 @@ class Bath:
         self.url, self.pump_url = url, pump.url if pump else ""
         self.profile = _with_pump(profile, pump.profile) if pump else profile
         self.who = f"bath at {url}"
-        self._family = profile
         self._lock = threading.RLock()
-        self._wired = WiredRows(
+        self._rows = open_rows(
             url, profile, clock, who=self.who, allow_inferred=allow_inferred, tap=tap
         )
-        self._wire = self._wired.wire
-        self._relay = pump and WiredRows(
+        self._wire = self._rows.wire
+        self._relay = pump and open_relay(
             pump.url,
             pump.profile,
             clock,
             who=f"pump at {pump.url}",
             allow_inferred=allow_inferred,
             tap=pump.tap,
-            shared=self._wire,
+            beside=self._rows,
         )
-        self._poll: Poll | None = None
         self._identity: Mapping[str, str] = {}
         self._started = False
         self._times_made_safe = 0
@@ -116,8 +115,19 @@ class Bath:
         if self._relay and name == PUMP:
             relay = self._relay
             return self._switched(lambda: relay.value(relay.row(PUMP)), relay)
-        row = self._wired.row(name)
+        row = self._rows.row(name)
         return self._do(lambda: self._looked(row).value(row))
+
+    def try_rows(self) -> Iterator[Tried]:
+        """Each row asked by itself, whoever is there; writes nothing. For a profile that is being
+        made. Raises LinkError where the link can't be opened.
+        """
+        with self._lock:
+            for row in self._rows.profile.rows:
+                if not self._wire.connected:
+                    self._rows.forget()
+                    self._wire.connect()
+                yield self._rows.tried(row)
 
     def set(self, name: str, value: float | str) -> None:
         """Write a row (a number, or one of its labels) where it is another, and see that it stands.
@@ -126,8 +136,8 @@ class Bath:
         """
         if self._relay and name == PUMP:
             return self._switch(self._relay, value)
-        row = self._wired.row(name)
-        wanted = self._wired.allowed(row, value)
+        row = self._rows.row(name)
+        wanted = self._rows.allowed(row, value)
         return self._do(lambda: self._looked(row).set(row, wanted))
 
     def set_point(self, set_point_c: float) -> None:
@@ -145,7 +155,7 @@ class Bath:
         With ``pump == "with run"`` the controller starts the pump by itself; a pump of its own has
         to be on already, and one that is not fitted is the caller's to prove.
         """
-        self._wired.allowed(self._wired.row("set_point"), set_point_c)
+        self._rows.allowed(self._rows.row("set_point"), set_point_c)
         with self._lock:
             made_safe = self._times_made_safe
             reading = self.read()
@@ -184,16 +194,16 @@ class Bath:
         Raises the last error when the controller can't be reached or does not obey: then it must be
         switched off by hand.
         """
-        run = self._wired.row("run")
+        run = self._rows.row("run")
         with self._lock:
             self._started = False
             self._times_made_safe += 1
             for tries_left in reversed(range(SAFE_TRIES)):
                 if not self._wire.connected:
-                    self._poll = None
+                    self._rows.forget()
                     self._wire.connect()
                 try:  # whoever it is: a wrong unit or an alarm must not keep the heater on
-                    self._wired.send(run, run.values["standby"], urgent=True)
+                    self._rows.send(run, run.values["standby"], urgent=True)
                 except InstrumentError:
                     self._wire.close()
                     if not tries_left:
@@ -208,19 +218,19 @@ class Bath:
             if self._relay:
                 self._relay.wire.close()
 
-    def _switch(self, relay: WiredRows, value: float | str) -> None:
-        pump, run = relay.row(PUMP), self._wired.row("run")
+    def _switch(self, relay: Relay, value: float | str) -> None:
+        pump, run = relay.row(PUMP), self._rows.row("run")
         wanted = relay.allowed(pump, value)
         with self._lock:
             if wanted == pump.values["off"]:
-                shown = self._do(lambda: self._wired.value(run))
+                shown = self._do(lambda: self._rows.value(run))
                 if shown != run.values["standby"]:
                     state = run.label(shown)
                     what = f"the pump is not switched off while the controller is {state}"
                     raise LimitError(self.who, what, hint="Put the controller into standby first.")
             self._switched(lambda: relay.set(pump, wanted), relay)
 
-    def _switched(self, work: Callable[[], T], relay: WiredRows) -> T:
+    def _switched(self, work: Callable[[], T], relay: Relay) -> T:
         """``work``, on a link of the relay's own once more when that breaks."""
         if relay.shares:
             return self._do(work)
@@ -236,48 +246,41 @@ class Bath:
     def _do(self, work: Callable[[], T]) -> T:
         """``work`` on a link that is up; once more over a new link when it breaks."""
         with self._lock:
-            if self._poll is None or not self._wire.connected:
+            if not self._rows.known or not self._wire.connected:
                 self._meet()
             try:
                 return work()
             except BrokenError:
                 self._meet()
                 return work()
-            except OrderError:
-                self._poll = None
+            except ChangedError:
+                self._rows.forget()
                 raise
 
     def _meet(self) -> None:
         """Connect and identify; the link is closed where the controller does not fit."""
-        self._poll = None
+        self._rows.forget()
         wire = self._wire
         if not wire.connected:
             wire.connect()
         try:
-            poll, reading = look(self._wired, self._family)
-            self._identity = identity_of(self._wired, self.url)
+            reading, self._identity = self._rows.look()
             self._see_that_it_runs(reading)
         except BaseException:
+            self._rows.forget()
             wire.close()
             raise
-        self._poll = poll
 
     def _read(self) -> BathReading:
-        reading = self._wired.poll(self._known())
+        reading = self._rows.poll()
         self._see_that_it_runs(reading)
         return reading
 
-    def _looked(self, row: Row) -> WiredRows:
-        """The rows; for one in degC after a poll: unit or order of bytes may have been changed."""
+    def _looked(self, row: Quantity) -> Rows:
+        """The rows; for one in degC after a poll: how the controller speaks may have changed."""
         if row.unit == "degC":
-            self._wired.poll(self._known())
-        return self._wired
-
-    def _known(self) -> Poll:
-        """Raises BrokenError when an event of virtual time has dropped the link meanwhile."""
-        if self._poll is None:
-            raise BrokenError(self.who, "the link is down", hint="Check cable and power.")
-        return self._poll
+            self._rows.poll()
+        return self._rows
 
     def _see_that_it_runs(self, reading: BathReading) -> None:
         if self._started and reading.running is False:

@@ -12,7 +12,7 @@ from itertools import cycle
 from typing import ClassVar, Literal, get_args
 
 from instruments.bath import protocol
-from instruments.bath.profile import PUMP, Profile, RelayProfile, Wiring
+from instruments.bath.profile import PUMP, RegisterProfile, RelayProfile, Wiring
 from instruments.bath.protocol import Exchange, Frame, Plain, Read, Refused, Write
 from instruments.bath.register_semantics import Cells, Controller, Manners, Values, manners_of
 from instruments.bath.registers import Row
@@ -215,12 +215,12 @@ class BathEmulator(Server):
     kind: ClassVar[str] = "bath"
     known_faults: ClassVar[tuple[str, ...]] = FAULTS
     outage: ClassVar[str] = "controller reset"
-    profile: Profile
+    profile: RegisterProfile
 
     def __init__(
         self,
         plant: Plant,
-        profile: Profile,
+        profile: RegisterProfile,
         clock: Clock,
         *,
         unit_id: int | None = None,

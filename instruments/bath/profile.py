@@ -1,5 +1,5 @@
-"""A Modbus device of some make as data, read from a TOML file: how it is spoken to, its rows, and
-the checks of both. All faults of a file are reported at once, each with its key. Pure.
+"""A device of some make as data, read from a TOML file: how it is spoken to, its rows, and the
+checks of both. All faults of a file are reported at once, each with its key. Pure.
 
 A row is known to the driver and the emulator by its name (``temperature``, ``set_point``, ``run``
 ...); a family that lacks a row lacks the thing. What a code means is a label in the row, so the
@@ -13,11 +13,13 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
-from instruments.bath.registers import Evidence, Order, Row, Strict, Table
+from instruments.bath.lines import LineRow
+from instruments.bath.quantity import Evidence, Quantity, Strict
+from instruments.bath.registers import Order, Row, Table
 
 PUMP = "pump"  # the row of a pump that is switched by itself
 ReadFunction = Literal[1, 2, 3, 4]
@@ -31,7 +33,7 @@ READERS: dict[Table, tuple[ReadFunction, ...]] = {
     "discrete": (2,),
 }
 
-Made = TypeVar("Made", bound="Wiring")
+Made = TypeVar("Made", bound="Device")
 
 
 class ProfileError(ValueError):
@@ -55,30 +57,23 @@ class FaultsError(ValueError):
 Faults = Iterator[tuple[str, str]]
 
 
-class Wiring(Strict):
-    """A Modbus device of some make: how it is spoken to, and its rows.
+class Device(Strict):
+    """A device of some make: how it is spoken to, and its rows.
 
-    ``functions`` are the Modbus functions that it knows; with ``alike``, 3 and 4 read the same
-    registers. From address ``pairs_from`` on, registers are read and written in pairs only.
     ``timeout_s`` is the wait for an answer, and ``quiet_s`` how much later one may still come: the
     slowest that the family is known to be.
     """
 
     family: str
     source: str
-    transports: Annotated[tuple[Literal["tcp", "rtu"], ...], Field(min_length=1)]
-    functions: Functions = (3, 4, 6, 16)
-    alike: bool = False
-    pairs_from: Annotated[int, Field(ge=0, le=0xFFFE)] | None = None
-    unit_id: Annotated[int, Field(ge=1, le=254)] = 1
-    unit_id_evidence: Evidence = "INFERRED"
+    transports: Annotated[tuple[str, ...], Field(min_length=1)]
     baud: Annotated[int, Field(ge=300, le=921600)] = 9600
     parity: Literal["N", "E", "O"] = "N"
     stopbits: Literal[1, 2] = 1
+    bytesize: Literal[7, 8] = 8
     timeout_s: Annotated[float, Field(ge=0.05, le=10.0)] = 1.0
     quiet_s: Annotated[float, Field(ge=0.05, le=10.0)] = 0.5
-    order: Order = "ABCD"
-    rows: Annotated[tuple[Row, ...], Field(min_length=1)]
+    rows: Annotated[tuple[Quantity, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -90,10 +85,48 @@ class Wiring(Strict):
         """What is wrong with the rows, each and together."""
         names = [row.name for row in self.rows]
         for at, row in enumerate(self.rows):
-            for fault in (*row.faults(), *self._unreachable(row)):
+            for fault in row.faults():
                 yield f"rows.{at}", f"{row.name}: {fault}"
             if row.name in names[:at]:
                 yield f"rows.{at}.name", f"a second row '{row.name}'"
+
+    def find(self, name: str) -> Quantity | None:
+        """The row called ``name``, or None where the family has none."""
+        return next((row for row in self.rows if row.name == name), None)
+
+    def row(self, name: str) -> Quantity:
+        """The row called ``name``. Raises KeyError where the family has none."""
+        row = self.find(name)
+        if row is None:
+            raise KeyError(f"{self.family} has no row '{name}'")
+        return row
+
+
+class Wiring(Device):
+    """A Modbus device. ``functions`` are the Modbus functions that it knows; with ``alike``, 3 and
+    4 read the same registers. From address ``pairs_from`` on, registers are read and written in
+    pairs only.
+    """
+
+    transports: Annotated[tuple[Literal["tcp", "rtu"], ...], Field(min_length=1)]
+    functions: Functions = (3, 4, 6, 16)
+    alike: bool = False
+    pairs_from: Annotated[int, Field(ge=0, le=0xFFFE)] | None = None
+    unit_id: Annotated[int, Field(ge=1, le=254)] = 1
+    unit_id_evidence: Evidence = "INFERRED"
+    order: Order = "ABCD"
+    rows: Annotated[tuple[Row, ...], Field(min_length=1)]
+
+    if TYPE_CHECKING:  # its rows are of one kind
+
+        def find(self, name: str) -> Row | None: ...
+        def row(self, name: str) -> Row: ...
+
+    def faults(self) -> Faults:
+        yield from super().faults()
+        for at, row in enumerate(self.rows):
+            for fault in self._unreachable(row):
+                yield f"rows.{at}", f"{row.name}: {fault}"
         places = sorted(enumerate(self.rows), key=lambda place: (place[1].table, place[1].address))
         for (_, first), (at, row) in combinations(places, 2):
             if row.table == first.table and row.address < first.end:
@@ -109,17 +142,6 @@ class Wiring(Strict):
         pairs = self.pairs_from
         if pairs is not None and row.address >= pairs and (row.address % 2 or row.words != 2):
             yield f"from {pairs} on, rows take two registers at an even address"
-
-    def find(self, name: str) -> Row | None:
-        """The row called ``name``, or None where the family has none."""
-        return next((row for row in self.rows if row.name == name), None)
-
-    def row(self, name: str) -> Row:
-        """The row called ``name``. Raises KeyError where the family has none."""
-        row = self.find(name)
-        if row is None:
-            raise KeyError(f"{self.family} has no row '{name}'")
-        return row
 
     def read_function(self, table: Table) -> ReadFunction | None:
         """The function that reads ``table``, or None where the family has none."""
@@ -145,27 +167,8 @@ class RelayProfile(Wiring):
             yield at, "pump: access 'rw' and the labels 'on' and 'off' are needed"
 
 
-def _is_switch(row: Row) -> bool:
+def _is_switch(row: Quantity) -> bool:
     return row.access == "rw" and {"on", "off"} <= set(row.values)
-
-
-def load(path: Path, kind: type[Made], *, hint: str = "") -> Made:
-    """The file at ``path``. Raises ProfileError with all its faults; ``hint`` where it is none."""
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ProfileError(path, [("", f"can't be read: {error.strerror}{hint}")]) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ProfileError(path, [("", f"is no TOML: {error}")]) from error
-    try:
-        return kind.model_validate_json(json.dumps(content, default=str), strict=True)
-    except ValidationError as error:
-        faults: list[tuple[str, str]] = []
-        for fault in error.errors():
-            cause = fault.get("ctx", {}).get("error")
-            place = ".".join(str(part) for part in fault["loc"])
-            faults += cause.faults if isinstance(cause, FaultsError) else [(place, fault["msg"])]
-        raise ProfileError(path, faults) from error
 
 
 AlarmCause = Literal["level", "sensor", "over-temperature", "other"]
@@ -208,7 +211,7 @@ class Identity(Strict):
     differs: int | None = None
     otherwise: str = ""  # what it is when it is another
 
-    def fits(self, row: Row, value: float) -> bool:
+    def fits(self, row: Quantity, value: float) -> bool:
         """Whether a controller that shows ``value`` there may be of the family."""
         if self.equals is not None:
             return int(value) & self.mask == self.equals
@@ -217,10 +220,10 @@ class Identity(Strict):
         return row.is_known(value)
 
 
-class Profile(Wiring):
-    """One family of temperature controllers."""
+class Profile(Device):
+    """One family of temperature controllers, whatever it speaks."""
 
-    order_from: OrderFrom | None = None
+    remote_label: ClassVar[str] = "remote"  # of the row ``remote``: it obeys us
     comms_loss: CommsLoss
     comms_loss_evidence: Evidence
     plausible_c: tuple[float, float] = (-5.0, 60.0)
@@ -230,20 +233,24 @@ class Profile(Wiring):
     before_start: dict[str, str] = Field(default_factory=dict)
     alarms: tuple[AlarmCode, ...] = ()
 
-    def order_for(self, code: int) -> Order | None:
-        """The order that a code of the ``order_from`` row means; None for an unknown code."""
-        return self.order_from.codes.get(str(code)) if self.order_from else self.order
-
     def alarm_text(self, code: int) -> str:
         """What an alarm (``BathReading.alarm``) means, with a note where that is inferred."""
-        known = [alarm for alarm in self.alarms if alarm.code == code]
-        if not known and any(row.alarm == "bits" for row in self.rows):
-            known = [alarm for alarm in self.alarms if alarm.code & code]
+        known = self._alarms(code)
         if not known:
             return f"alarm {code}, see the controller's manual"
         inferred = any(alarm.evidence == "INFERRED" for alarm in known)
         doubt = " (meaning inferred)" if inferred else ""
         return f"alarm {code}, {' and '.join(alarm.text for alarm in known)}{doubt}"
+
+    def means(self, code: int, cause: AlarmCause) -> bool:
+        """Whether an alarm has this cause."""
+        return any(alarm.cause == cause for alarm in self._alarms(code))
+
+    def _alarms(self, code: int) -> list[AlarmCode]:
+        known = [alarm for alarm in self.alarms if alarm.code == code]
+        if not known and any(row.alarm == "bits" for row in self.rows):
+            known = [alarm for alarm in self.alarms if alarm.code & code]
+        return known
 
     def faults(self) -> Faults:
         yield from super().faults()
@@ -255,7 +262,7 @@ class Profile(Wiring):
             if self.row(name).access != "rw":
                 at = f"rows.{names.index(name)}.access"
                 yield at, f"{name}: the bench has to read and write it, so access must be 'rw'"
-        for name in {"unit", self.order_from.row if self.order_from else "unit"} & set(names):
+        for name in self.panel_rows() & set(names):
             if not self.row(name).poll:
                 at = f"rows.{names.index(name)}"
                 yield at, f"{name}: it may be changed at the panel, so it has to be polled"
@@ -268,12 +275,11 @@ class Profile(Wiring):
             yield at, "run: the labels 'standby' and 'started' are needed"
         yield from self._reference_faults()
 
+    def panel_rows(self) -> set[str]:
+        """Rows that say how the controller speaks and may be changed at its panel."""
+        return {"unit"}
+
     def _reference_faults(self) -> Faults:
-        if source := self.order_from:
-            row = self.find(source.row)
-            if row is None or row.order is None:
-                what = f"there is no row '{source.row}' with an order of its own"
-                yield "order_from.row", what
         for at, identity in enumerate(self.identity):
             if self.find(identity.row) is None:
                 yield f"identity.{at}.row", f"there is no row '{identity.row}'"
@@ -284,16 +290,111 @@ class Profile(Wiring):
                 yield f"before_start.{name}", what
 
 
+class RegisterProfile(Wiring, Profile):
+    """A family that speaks Modbus."""
+
+    remote_label: ClassVar[str] = "modbus"
+    order_from: OrderFrom | None = None
+
+    def order_for(self, code: int) -> Order | None:
+        """The order that a code of the ``order_from`` row means; None for an unknown code."""
+        return self.order_from.codes.get(str(code)) if self.order_from else self.order
+
+    def panel_rows(self) -> set[str]:
+        return super().panel_rows() | ({self.order_from.row} if self.order_from else set())
+
+    def _reference_faults(self) -> Faults:
+        if source := self.order_from:
+            row = self.find(source.row)
+            if row is None or row.order is None:
+                what = f"there is no row '{source.row}' with an order of its own"
+                yield "order_from.row", what
+        yield from super()._reference_faults()
+
+
+class LineProfile(Profile):
+    """A family that speaks lines of ASCII.
+
+    ``end`` ends a command and ``reply_end`` a reply. ``marker`` is the row whose reply can be no
+    other row's: it shows that no late reply is under way. ``confirm`` is the reply to a write, ""
+    where there is none; ``refusals`` are replies that refuse a command, with their meaning.
+    ``gap_s`` is the pause between a reply and the next command, ``port`` the TCP port.
+    """
+
+    kind: Literal["line"]
+    transports: Annotated[tuple[Literal["tcp", "serial"], ...], Field(min_length=1)]
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    handshake: Literal["none", "rtscts", "xonxoff"] = "none"
+    end: Annotated[str, Field(min_length=1, max_length=2)] = "\r"
+    reply_end: Annotated[str, Field(min_length=1, max_length=2)] = "\n"
+    marker: str
+    confirm: str = ""
+    refusals: dict[str, str] = Field(default_factory=dict)
+    gap_s: Annotated[float, Field(ge=0.0, le=2.0)] = 0.0
+    rows: Annotated[tuple[LineRow, ...], Field(min_length=1)]
+
+    if TYPE_CHECKING:
+
+        def find(self, name: str) -> LineRow | None: ...
+        def row(self, name: str) -> LineRow: ...
+
+    def faults(self) -> Faults:
+        yield from super().faults()
+        marker = next((row for row in self.rows if row.name == self.marker), None)
+        if marker is None or not marker.ask:
+            yield "marker", f"there is no row '{self.marker}' that can be asked"
+        elif marker.is_number:
+            yield "marker", f"the reply of '{self.marker}' is a number, as other rows' are"
+        for key in ("end", "reply_end"):
+            if getattr(self, key).strip("\r\n"):
+                yield key, "a carriage return, a line feed or both are needed"
+
+
 def load_profile(name_or_path: str | Path) -> Profile:
     """A shipped profile by its name, or any by its path (``*.toml``). Raises ProfileError."""
-    path = _path_of(name_or_path, SHIPPED)
-    return load(path, Profile, hint=f"; shipped profiles: {', '.join(profile_names())}")
+    path, content = _shipped(name_or_path)
+    return _checked(path, content, LineProfile if "kind" in content else RegisterProfile)
+
+
+def load_register_profile(name_or_path: str | Path) -> RegisterProfile:
+    """As `load_profile`, of a family that speaks Modbus. Raises ProfileError for another."""
+    path, content = _shipped(name_or_path)
+    return _checked(path, content, RegisterProfile)
 
 
 def load_relay(name_or_path: str | Path) -> RelayProfile:
     """As `load_profile`, for the relay of a pump."""
-    shipped = f"; shipped profiles of relays: {', '.join(relay_names())}"
-    return load(_path_of(name_or_path, RELAYS), RelayProfile, hint=shipped)
+    path = _path_of(name_or_path, RELAYS)
+    hint = f"; shipped profiles of relays: {', '.join(relay_names())}"
+    return _checked(path, _content(path, hint=hint), RelayProfile)
+
+
+def _shipped(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
+    path = _path_of(name_or_path, SHIPPED)
+    return path, _content(path, hint=f"; shipped profiles: {', '.join(profile_names())}")
+
+
+def _content(path: Path, *, hint: str = "") -> dict[str, Any]:
+    """The file at ``path``. Raises ProfileError; ``hint`` where there is none."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ProfileError(path, [("", f"can't be read: {error.strerror}{hint}")]) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ProfileError(path, [("", f"is no TOML: {error}")]) from error
+
+
+def _checked(path: Path, content: dict[str, Any], kind: type[Made]) -> Made:
+    """What the file at ``path`` says. Raises ProfileError with all its faults."""
+    try:
+        return kind.model_validate_json(json.dumps(content, default=str), strict=True)
+    except ValidationError as error:
+        faults: list[tuple[str, str]] = []
+        for fault in error.errors():
+            cause = fault.get("ctx", {}).get("error")
+            place = ".".join(str(part) for part in fault["loc"])
+            faults += cause.faults if isinstance(cause, FaultsError) else [(place, fault["msg"])]
+        raise ProfileError(path, faults) from error
 
 
 def _path_of(name_or_path: str | Path, shipped: Path) -> Path:

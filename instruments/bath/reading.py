@@ -1,26 +1,23 @@
-"""One poll of a controller: registers to a reading, and whether the reading is plausible. Pure."""
+"""One poll of a controller: values to a reading, and whether the reading is plausible. Pure."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import get_args
 
 from instruments.bath.profile import Profile
-from instruments.bath.registers import Order, Row, decode
-from instruments.bath.requests import blocks
+from instruments.bath.quantity import Quantity
 from instruments.errors import DeviceError, ProtocolError
 
 FULL_PERCENT = 100.0
 TINY_C = 1e-3  # no controller resolves this; words in the wrong order often give less
 
 Values = Mapping[str, float]
-Registers = Mapping[str, Sequence[int]]
 
 
-class OrderError(ProtocolError):
-    """The controller's order of bytes is not what it was; it has to be looked at anew."""
+class ChangedError(ProtocolError):
+    """How the controller speaks is not what it was; it has to be looked at anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,10 +25,10 @@ class BathReading:
     """One poll, at ``t_s`` of the clock. None where the family has no such row or the controller
     gave no number.
 
-    ``raw`` are the temperature's registers as they came, to tell a frozen value from a steady one.
-    ``alarm`` and ``warning`` are the controller's codes, 0 for none; `Profile.alarm_text` gives an
-    alarm's meaning. ``remote``: whether it accepts commands by Modbus; ``running``: whether it
-    heats, and turns its pump where ``pump == "with run"``.
+    ``raw`` is the temperature as it came (registers, or characters), to tell a frozen value from a
+    steady one. ``alarm`` and ``warning`` are the controller's codes, 0 for none;
+    `Profile.alarm_text` gives an alarm's meaning. ``remote``: whether it accepts commands from
+    here; ``running``: whether it heats, and turns its pump where ``pump == "with run"``.
     """
 
     t_s: float
@@ -47,92 +44,81 @@ class BathReading:
     set_point_c: float | None = None
 
 
-class Poll:
-    """The questions of a poll of ``profile``, and how to read the answers (`requests.blocks`)."""
+class Assembler:
+    """Makes the reading of a poll of ``rows``, and refuses what no bath can show."""
 
-    def __init__(
-        self, profile: Profile, order: Order, *, gaps: bool, inferred: bool = False, who: str
-    ) -> None:
-        self.blocks = blocks(profile, gaps=gaps, inferred=inferred)
+    def __init__(self, profile: Profile, rows: Sequence[Quantity], *, who: str) -> None:
+        self.rows = rows
         self._profile = profile
-        self._order = order
         self._who = who
-        self._places = [
-            (row, at, row.address - block.address)
-            for at, block in enumerate(self.blocks)
-            for row in block.rows
-        ]
         self._bits = sum({alarm.code for alarm in profile.alarms})
 
-    def reading(self, t_s: float, answers: Sequence[Sequence[int]]) -> BathReading:
-        """The reading in ``answers``, the registers of each block.
+    def reading(
+        self, t_s: float, values: Values, raw: Sequence[int], *, alarm: int, guess: str = ""
+    ) -> BathReading:
+        """The reading of ``values`` by row, where there is none not-a-number; ``raw`` is the
+        temperature's. ``guess``: what else an implausible temperature may mean.
 
-        Raises DeviceError when there is no temperature in it, ProtocolError when it is none that a
-        bath has.
+        Raises DeviceError when there is no temperature, ProtocolError when it is none that a bath
+        has.
         """
-        raw = {row.name: answers[at][start : start + row.words] for row, at, start in self._places}
-        values = {row.name: row.decode(raw[row.name], self._order) for row, *_ in self._places}
-        alarm = next(self._alarm_codes(values, raw), 0)
-        self._check_language(values)
-        self._check(values, raw, alarm)
+        self._check_unit(values)
+        self._check(values, alarm, guess)
         return BathReading(
             t_s=t_s,
             temp_c=values["temperature"],
-            raw=tuple(raw["temperature"]),
+            raw=tuple(raw),
             external_c=_number(values, "external"),
             power_percent=_number(values, "power"),
             safety_c=_number(values, "safety") or None,  # 0.0 stands where no sensor is fitted
             alarm=alarm,
-            warning=int(values.get("warning", 0)),
-            remote=self._shows(values, "remote", "modbus"),
+            warning=int(_number(values, "warning") or 0),
+            remote=self._shows(values, "remote", self._profile.remote_label),
             running=self._shows(values, "run", "started"),
             set_point_c=_number(values, "set_point"),
         )
 
+    def alarm_of(self, row: Quantity, value: float) -> int:
+        """The alarm that ``row`` shows; 0 for none, and for a row that reports none."""
+        if not row.alarm or math.isnan(value):
+            return 0
+        code = int(value)
+        return code & self._bits if row.alarm == "bits" else 0 if code in row.quiet else code
+
+    def is_plausible(self, temp_c: float) -> bool:
+        """Whether a bath may have this temperature."""
+        low, high = self._profile.plausible_c
+        return low <= temp_c <= high and (temp_c == 0.0 or abs(temp_c) > TINY_C)
+
+    def in_fahrenheit(self, shown: float) -> Iterator[str]:
+        """What to do where ``shown`` would be a bath's temperature in degF."""
+        metric_c = (shown - 32.0) / 1.8
+        if self.is_plausible(metric_c):
+            yield f"In degF it would be {metric_c:.1f} degC: set the controller to degC."
+
     def _shows(self, values: Values, name: str, label: str) -> bool | None:
-        if name not in values:
-            return None
-        return values[name] == self._profile.row(name).values.get(label)
+        value = values.get(name, math.nan)
+        return None if math.isnan(value) else value == self._profile.row(name).values.get(label)
 
-    def _alarm_codes(self, values: Values, raw: Registers) -> Iterator[int]:
-        for row, *_ in self._places:
-            if row.no_value:
-                code = raw[row.name][0]
-                active = code if code in row.no_value.values() else 0
-            elif row.alarm == "bits":
-                active = int(values[row.name]) & self._bits
-            elif row.alarm:
-                code = int(values[row.name])
-                active = 0 if code in row.quiet else code
-            else:
-                continue
-            if active:
-                yield active
-
-    def _check_language(self, values: Values) -> None:
-        """Unit and order of bytes may be changed at the panel while we are connected."""
+    def _check_unit(self, values: Values) -> None:
+        """It may be changed at the panel while we are connected."""
         if self._shows(values, "unit", "c") is False:
             seen = self._profile.row("unit").label(values["unit"])
             what, hint = "it does not speak degC", "Set the controller to degrees Celsius."
             raise DeviceError(self._who, what, asked="its unit", seen=seen, hint=hint)
-        source = self._profile.order_from
-        code = values.get(source.row) if source else None
-        if source and code is not None and self._profile.order_for(int(code)) != self._order:
-            what, seen = "its order of bytes has changed", f"{code:g}"
-            raise OrderError(self._who, what, asked=source.row, seen=seen, hint="Ask again.")
 
-    def _check(self, values: Values, raw: Registers, alarm: int) -> None:
+    def _check(self, values: Values, alarm: int, guess: str) -> None:
         if math.isnan(values["temperature"]):
             raise self._no_temperature("temperature", alarm)
-        for row, *_ in self._places:  # all: in another order of bytes, one in 20 is plausible
+        for row in self.rows:  # all: in another order of bytes, one in 20 is plausible
             value = values[row.name]
-            if row.unit == "degC" and not (math.isnan(value) or self._is_plausible(value)):
-                sensors = (known for known in self._profile.alarms if known.cause == "sensor")
-                if alarm and any(known.code & alarm for known in sensors):
+            if math.isnan(value):
+                continue
+            if row.unit == "degC" and not self.is_plausible(value):
+                if alarm and self._profile.means(alarm, "sensor"):
                     raise self._no_temperature(row.name, alarm)
                 low, high = self._profile.plausible_c
-                hint = " ".join(self._guesses(raw["temperature"]))
-                raise self._implausible(row, value, f"not within {low:g} to {high:g} degC", hint)
+                raise self._implausible(row, value, f"not within {low:g} to {high:g} degC", guess)
             if row.unit == "%" and abs(value) > FULL_PERCENT:
                 raise self._implausible(row, value, "not within -100 to 100 %")
             if row.values and not row.alarm and not row.is_known(value):
@@ -144,26 +130,10 @@ class Poll:
         hint = "Look at the sensor and its plug."
         return DeviceError(self._who, "it has no temperature", asked=name, seen=seen, hint=hint)
 
-    def _implausible(self, row: Row, value: float, why: str, hint: str = "") -> ProtocolError:
+    def _implausible(self, row: Quantity, value: float, why: str, hint: str = "") -> ProtocolError:
         hint = hint or "Another family than the profile's, or a broken sensor?"
         what, seen = f"its {row.name} can't be: {why}", f"{value:g} {row.unit}".rstrip()
         return ProtocolError(self._who, what, asked=row.name, seen=seen, hint=hint)
-
-    def _guesses(self, raw: Sequence[int]) -> Iterator[str]:
-        """What else the temperature's registers may mean, each where it would be a bath's."""
-        row = self._profile.row("temperature")
-        metric_c = (row.decode(raw, self._order) - 32.0) / 1.8
-        if self._is_plausible(metric_c):
-            yield f"In degF it would be {metric_c:.1f} degC: set the controller to degC."
-        for order in get_args(Order):
-            turned = decode(raw, row.type, order) * row.scale
-            if row.words > 1 and order != self._order and self._is_plausible(turned):
-                where = "set order in the profile, or at the controller"
-                yield f"In the order {order} it would be {turned:.1f} degC: {where}."
-
-    def _is_plausible(self, temp_c: float) -> bool:
-        low, high = self._profile.plausible_c
-        return low <= temp_c <= high and (temp_c == 0.0 or abs(temp_c) > TINY_C)
 
 
 def _number(values: Values, name: str) -> float | None:

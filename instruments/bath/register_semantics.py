@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from instruments.bath import protocol
-from instruments.bath.profile import Profile, Wiring
+from instruments.bath.profile import RegisterProfile, Wiring
 from instruments.bath.protocol import Read, Refused, Write
 from instruments.bath.registers import Order, Row, Table
 from instruments.world.plant import Plant
@@ -138,7 +138,7 @@ FAMILIES: Mapping[str, Manners] = {  # by how the name of the family begins
 }
 
 
-def manners_of(profile: Profile) -> Manners:
+def manners_of(profile: RegisterProfile) -> Manners:
     """The behaviour of the profile's family; of an unknown one, all that Modbus has."""
     name = profile.family.lower()
     known = (manners for begins, manners in FAMILIES.items() if name.startswith(begins))
@@ -182,7 +182,9 @@ class Controller(Values):
     a controller holds its output where it was.
     """
 
-    def __init__(self, plant: Plant, profile: Profile, manners: Manners, unit_id: int) -> None:
+    def __init__(
+        self, plant: Plant, profile: RegisterProfile, manners: Manners, unit_id: int
+    ) -> None:
         super().__init__(profile)
         self.plant = plant
         self.profile = profile

@@ -105,9 +105,8 @@ class Player:
         self._script = end.conversations[number]
         self._exchanges = self._script.exchanges
         self._connection = connection
-        self._ids = (
-            TransactionIds(self._script) if self._script.url.startswith(MODBUS_TCP) else None
-        )
+        modbus_tcp = self._script.url.startswith(MODBUS_TCP) and not speaks_lines(self._script)
+        self._ids = TransactionIds(self._script) if modbus_tcp else None
         self._turn = 0  # the exchange whose request was seen last
         self._asked_s = end.clock.now()  # when it was seen
         self._said = 0  # of what came of it
@@ -325,8 +324,16 @@ def _shown(data: bytes) -> str:
     )
 
 
+def speaks_lines(talk: Conversation) -> bool:
+    """Whether the host sent lines of ASCII."""
+    asked = b"".join(bytes(exchange.asked) for exchange in talk.exchanges)
+    return asked.isascii() and asked.endswith((b"\r", b"\n")) and b"\0" not in asked
+
+
 def _like(link: str, talk: Conversation, url: str) -> str:
     """``url`` in the recorded driver's form: a bath's has the framing, and the unit if not 1."""
+    if link == "bath" and speaks_lines(talk):
+        return url.replace("socket", "tcp", 1)
     if talk.url.startswith(MODBUS_TCP):
         scheme, place = "tcp", 6
     # on a serial port it is RTU

@@ -8,10 +8,12 @@ ones. A broken link is closed at once, which frees its port's name, and opened b
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Iterator, Sequence
 from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from instruments.clock import Clock
 from instruments.errors import InstrumentError, LimitError, LinkError, ProtocolError
@@ -45,6 +47,7 @@ _RETRY_S = 0.25
 _RETRY_SIGN_ON_S = 1.0  # a port that is back is noticed, and its arm signed on, well within 2 s
 _RATES = (115200, 38400, 57600, 19200, 9600, 28800, 14400)  # the likely ones first
 SYSFS = Path("/sys")
+FTDI_DEVICES = r"SYSTEM\CurrentControlSet\Enum\FTDIBUS"  # in the registry
 WANTED_MS = 1
 
 _CONFIRM_HINT = (
@@ -368,19 +371,49 @@ class MicroScribe:
 
 
 def latency_warning(port: str, sysfs: Path = SYSFS) -> str | None:
-    """Advice about a slow adapter behind a port's path or link; None when fine or unknown."""
-    if not port.startswith("/"):
+    """Advice about a slow adapter behind a port's path, link or name; None when fine or unknown."""
+    if re.fullmatch(r"COM\d+", port):
+        latency_ms, name = _windows_latency_ms(port), port
+        how = (
+            f"in Device Manager, Ports, {port}, Port Settings, Advanced: Latency Timer {WANTED_MS}"
+        )
+    elif port.startswith("/"):
+        name = Path(port).resolve().name
+        timer = sysfs / "bus" / "usb-serial" / "devices" / name / "latency_timer"
+        try:
+            latency_ms = int(timer.read_text(encoding="ascii"))
+        except (OSError, ValueError):  # no USB adapter, one without a timer, or no Linux
+            return None
+        how = f"with: echo {WANTED_MS} | sudo tee {timer.as_posix()} (until it is plugged in again)"
+    else:
         return None
-    name = Path(port).resolve().name
-    timer = sysfs / "bus" / "usb-serial" / "devices" / name / "latency_timer"
-    try:
-        latency_ms = int(timer.read_text(encoding="ascii"))
-    except (OSError, ValueError):  # no USB adapter, one without a timer, or no Linux
-        return None
-    if latency_ms <= WANTED_MS:
+    if latency_ms is None or latency_ms <= WANTED_MS:
         return None
     return (
         f"the USB adapter {name} holds bytes back for {latency_ms} ms, which every poll waits for."
-        f" Set it with: echo {WANTED_MS} | sudo tee {timer.as_posix()} (until it is plugged in"
-        " again), or stream instead of polling"
+        f" Set it {how}, or stream instead of polling"
     )
+
+
+def _windows_latency_ms(port: str) -> int | None:
+    """What FTDI's driver keeps in the registry for ``port``; None for another adapter."""
+    try:
+        registry: Any = import_module("winreg")
+    except ImportError:
+        return None
+    with contextlib.suppress(OSError):
+        for device in _subkeys(registry, FTDI_DEVICES):
+            for instance in _subkeys(registry, f"{FTDI_DEVICES}\\{device}"):
+                path = f"{FTDI_DEVICES}\\{device}\\{instance}\\Device Parameters"
+                with (
+                    contextlib.suppress(OSError),
+                    registry.OpenKey(registry.HKEY_LOCAL_MACHINE, path) as key,
+                ):
+                    if registry.QueryValueEx(key, "PortName")[0] == port:
+                        return int(registry.QueryValueEx(key, "LatencyTimer")[0])
+    return None
+
+
+def _subkeys(registry: Any, path: str) -> list[str]:
+    with registry.OpenKey(registry.HKEY_LOCAL_MACHINE, path) as key:
+        return [registry.EnumKey(key, at) for at in range(registry.QueryInfoKey(key)[0])]

@@ -28,7 +28,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import Profile, load_profile
+from instruments.bath.profile import RegisterProfile, load_register_profile
 from instruments.bath.registers import Row
 from instruments.bath.requests import Block, blocks, reader
 from instruments.clock import RealClock
@@ -51,7 +51,7 @@ class Served:
     """An emulated bath somewhere, and how pymodbus opens it."""
 
     url: str
-    profile: Profile
+    profile: RegisterProfile
     client: Callable[[], Client]
 
     @property
@@ -75,7 +75,7 @@ def served(kind: str, family: str, baud: int | None = None) -> Iterator[Served]:
     with ExitStack() as stack:
         clock = RealClock()
         stack.callback(clock.close)
-        profile = load_profile(family)
+        profile = load_register_profile(family)
         emulator = BathEmulator(Plant(1), profile, clock, framing="tcp" if kind == "tcp" else "rtu")
         lock = threading.RLock()
         if kind == "pty":

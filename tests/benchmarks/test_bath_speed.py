@@ -12,7 +12,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_profile
+from instruments.bath.profile import load_register_profile
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
@@ -22,7 +22,7 @@ from instruments.world.plant import Plant
 def served(request: pytest.FixtureRequest) -> Iterator[tuple[Clock, Listener]]:
     clock = request.param()
     listener = Listener(
-        BathEmulator(Plant(1), load_profile("julabo-presto"), clock),
+        BathEmulator(Plant(1), load_register_profile("julabo-presto"), clock),
         clock,
         lock=threading.RLock(),
         name="bath",
@@ -35,7 +35,7 @@ def served(request: pytest.FixtureRequest) -> Iterator[tuple[Clock, Listener]]:
 
 def test_poll(benchmark: BenchmarkFixture, served: tuple[Clock, Listener]) -> None:
     clock, listener = served
-    bath = Bath(f"tcp://127.0.0.1:{listener.port}", load_profile("julabo-presto"), clock)
+    bath = Bath(f"tcp://127.0.0.1:{listener.port}", load_register_profile("julabo-presto"), clock)
     assert benchmark(bath.read).temp_c > 19.0
     bath.close()
 

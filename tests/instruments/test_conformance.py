@@ -13,7 +13,7 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_profile
+from instruments.bath.profile import load_register_profile
 from instruments.camera.cameras import CameraSet
 from instruments.camera.emulator import EmulatedCameras
 from instruments.camera.frame import FrameError, FrameFault, FrameSet
@@ -156,7 +156,7 @@ class WaterBath(Wired):
     def __init__(self) -> None:
         clock = VirtualClock()
         self.plant = Plant(1)
-        self.profile = load_profile("julabo-presto")
+        self.profile = load_register_profile("julabo-presto")
         super().__init__(clock, BathEmulator(self.plant, self.profile, clock), "bath", late_s=1.0)
 
     def open(self) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
+from instruments.bath.connection import parse_line
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.link import Link
@@ -232,3 +234,69 @@ def test_a_conversation_that_was_interrupted_anywhere_goes_on(
         link.drain(2.0)
         link.write(b"still there\n")
         assert link.read_until(b"done\n", 5.0) == b"STILL THERE\ndone\n"
+
+
+# ---- the lines of a serial port
+
+
+class FakeSerial:
+    """Notes what is done to it, in order."""
+
+    done: list[Any]
+    baudrate: int
+
+    def __init__(self) -> None:
+        self.__dict__["done"] = []
+        self.__dict__["baudrate"] = 9600
+
+    def __setattr__(self, name: str, value: object) -> None:
+        self.done.append((name, value))
+
+    def __getattr__(self, name: str) -> object:
+        return lambda *given: self.done.append((name, *given))
+
+
+def done_by(url: str, data: bytes, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What the URL's settings do to a port that is opened and written to."""
+    port, given = FakeSerial(), {}
+
+    def open_it(_: str, **settings: object) -> FakeSerial:
+        given.update(settings)
+        return port
+
+    monkeypatch.setattr("serial.serial_for_url", open_it)
+    line = parse_line(url)
+    link = Link(line.url, RealClock(), who="bath", baud=line.baud or 0, port=line.port_settings)
+    link.write(data)
+    return [("given", given), *port.done]
+
+
+def test_dtr_and_rts_are_set_before_the_port_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    done = done_by("COM5?dtr=off&rts=off&baud=9600", b"x", monkeypatch)
+    assert done[1:4] == [("dtr", False), ("rts", False), ("open",)]
+    assert done[0][1]["do_not_open"] is True
+
+
+def test_without_a_key_the_lines_are_the_systems(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert done_by("COM5?baud=9600", b"x", monkeypatch)[1] == ("open",)
+
+
+def test_seven_even_one_and_eight_none_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    for url, frame in (
+        ("COM5?bytesize=7&parity=E&handshake=rtscts", (7, "E", 1, True)),
+        ("rfc2217://h:4001?bytesize=8&parity=n&stopbits=2", (8, "N", 2, False)),
+    ):
+        given = done_by(f"{url}&baud=4800", b"", monkeypatch)[0][1]
+        keys = ("bytesize", "parity", "stopbits", "rtscts")
+        assert tuple(given[key] for key in keys) == frame
+
+
+def test_rts_turns_the_direction_and_stays_up_while_bytes_leave(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    naps: list[float] = []
+    monkeypatch.setattr("instruments.link.sleep", naps.append)
+    done = done_by("COM5?rs485=on&baud=9600", b"status\r", monkeypatch)
+    assert done[1:3] == [("rts", False), ("open",)]
+    assert done[-4:] == [("rts", True), ("write", b"status\r"), ("flush",), ("rts", False)]
+    assert naps == [pytest.approx(7 * 10 / 9600, abs=0.003)]

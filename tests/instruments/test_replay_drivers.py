@@ -15,7 +15,7 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_profile
+from instruments.bath.profile import load_register_profile
 from instruments.captures.capture import Capture, CaptureFile, read_capture
 from instruments.captures.replay import Replay
 from instruments.clock import Clock, RealClock, VirtualClock
@@ -75,7 +75,7 @@ def stage_session(url: str, clock: Clock, tap: Tap | None) -> Found:
 
 
 def bath_session(url: str, clock: Clock, tap: Tap | None) -> Found:
-    with closing(Bath(url, load_profile("julabo-presto"), clock, tap=tap)) as bath:
+    with closing(Bath(url, load_register_profile("julabo-presto"), clock, tap=tap)) as bath:
         found: Found = [{key: value for key, value in bath.identity.items() if key != "url"}]
         bath.start(33.0)
         for _ in range(60):
@@ -94,7 +94,7 @@ def device(name: str, clock: Clock) -> Device:
         return ArmEmulator(Hand(), clock, seed=3)
     if name == "stage":
         return StageEmulator(clock)
-    return BathEmulator(Plant(3), load_profile("julabo-presto"), clock)
+    return BathEmulator(Plant(3), load_register_profile("julabo-presto"), clock)
 
 
 @contextmanager
@@ -169,7 +169,7 @@ def test_a_session_in_real_time_is_replayed_in_real_time(name: str, tmp_path: Pa
     def short(url: str, clock: Clock, tap: Tap | None) -> Found:
         if name == "arm":
             return arm_session(url, clock, tap)
-        with closing(Bath(url, load_profile("julabo-presto"), clock, tap=tap)) as bath:
+        with closing(Bath(url, load_register_profile("julabo-presto"), clock, tap=tap)) as bath:
             return [bath.read().temp_c for _ in range(20)]
 
     with closing(RealClock()) as clock, closing(RealClock()) as again:
@@ -212,7 +212,7 @@ def test_an_arm_with_a_fault_has_it_again(fault: Fault, tmp_path: Path) -> None:
 
 
 def test_a_bath_on_rtu_is_on_rtu_again(tmp_path: Path) -> None:
-    profile = load_profile("eurotherm-2400")
+    profile = load_register_profile("eurotherm-2400")
 
     def session(url: str, clock: Clock, tap: Tap | None) -> Found:
         rtu = f"rtu+tcp://{url.split('://')[1]}"
@@ -265,7 +265,7 @@ def test_a_bath_that_broke_off_is_met_anew_in_the_replay(tmp_path: Path) -> None
         "bath",
         tmp_path / "c",
         bath_session,
-        lambda clock: Shaky(Plant(3), load_profile("julabo-presto"), clock),
+        lambda clock: Shaky(Plant(3), load_register_profile("julabo-presto"), clock),
     )
     capture = read_capture(tmp_path / "c")
     assert len(capture.links["bath"]) > 2

@@ -9,7 +9,9 @@ import json
 import re
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -26,7 +28,8 @@ from bench.cli.bath import (
 )
 from bench.safety.stability import StabilityGate
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_profile
+from instruments.bath.line_emulator import LineEmulator
+from instruments.bath.profile import SHIPPED, LineProfile, load_profile, load_register_profile
 from instruments.bath.reading import BathReading
 from instruments.clock import RealClock
 from instruments.listener import Listener
@@ -45,7 +48,7 @@ class Served:
 def bath() -> Iterator[Served]:
     """``at`` are the arguments that lead to it."""
     clock, plant = RealClock(), Plant(1, start_c=25.0)
-    emulator = BathEmulator(plant, load_profile("julabo-presto"), clock)
+    emulator = BathEmulator(plant, load_register_profile("julabo-presto"), clock)
     listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
     try:
         yield Served(
@@ -73,6 +76,39 @@ def test_read_leaves_a_hot_bath_as_it_is(bath: Served, said: Said) -> None:
     bath.plant.run(33.0)
     assert json.loads(said(0, "bath read {} --json", bath.at).out)["run"] == "started"
     assert bath.plant.running
+
+
+def test_learn_says_row_by_row_what_answered_and_writes_nothing(tmp_path: Path, said: Said) -> None:
+    """A profile with one wrong command and one wrong form, on a JULABO that heats."""
+    profile, clock, plant = load_profile("julabo-ascii"), RealClock(), Plant(1, start_c=25.0)
+    assert isinstance(profile, LineProfile)
+    text = (SHIPPED / "julabo-ascii.toml").read_text(encoding="utf-8")
+    text = text.replace('ask = "in_pv_01"', 'ask = "in_pv_99"')
+    text = text.replace('reply = "<number> <text>"', 'reply = "<number>"')
+    mine = tmp_path / "mine.toml"
+    mine.write_text(text.replace("timeout_s = 1.0", "timeout_s = 0.3"), encoding="utf-8")
+    device = LineEmulator(plant, profile, clock)
+    plant.run(33.0)
+    with (
+        closing(clock),
+        closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener,
+    ):
+        at = ["--port", listener.url.replace("socket", "tcp"), "--profile", str(mine)]
+        out = said(0, "bath learn {}", at).out
+        rows = {one["row"]: one for one in json.loads(said(0, "bath learn {} --json", at).out)}
+    lines = {line.split()[1]: line for line in out.splitlines()}
+    assert re.match(r"\+ temperature +'in_pv_00': 2\d\.?\d* degC \(got '2\d\.\d\d'\)", out)
+    assert re.match(r"- power .*no answer", lines["power"])
+    assert re.search(r"expects .<number>. .*got 03 REMOTE START", lines["alarm"])
+    assert lines["run"].endswith("'in_mode_05': started (got '1')")
+    assert (rows["power"]["answered"], rows["version"]["answered"]) == (False, True)
+    assert (plant.running, plant.set_point_c) == (True, 33.0), "learning changes nothing"
+
+
+def test_learn_tries_a_modbus_profile_too(bath: Served, said: Said) -> None:
+    out = said(0, "bath learn {}", bath.at).out
+    assert re.search(r"\+ temperature +input 10, f32: 2\d\.?\d* degC \(got 41", out)
+    assert "- " not in out.replace("- bath", "")
 
 
 def test_set_changes_the_set_point_and_starts_nothing(bath: Served, said: Said) -> None:

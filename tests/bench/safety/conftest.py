@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_profile
+from instruments.bath.profile import load_register_profile
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
@@ -38,7 +38,7 @@ def measured(request: pytest.FixtureRequest) -> Measured:
 def hot(tmp_path: Path) -> Iterator[HotBath]:
     clock, plant = RealClock(), Plant(1, start_c=33.0)
     plant.run(33.0)
-    emulator = BathEmulator(plant, load_profile("julabo-presto"), clock)
+    emulator = BathEmulator(plant, load_register_profile("julabo-presto"), clock)
     listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
     try:
         url = listener.url.replace("socket://", "tcp://")

@@ -32,11 +32,11 @@ from bench.safety.bath_monitor import BathMonitor
 from bench.safety.interlocks import Interlocks, bath_of
 from bench.safety.stability import StabilityGate
 from instruments.bath.emulator import FAULTS, RELAY_FAULTS
-from instruments.bath.profile import profile_names
 from instruments.bath.sequence import heater_off, pump_on, start_bath
 from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError
 from tests.bench.rig.test_bath_profiles import rig_of
+from tests.instruments.bath.devices import REGISTER_FAMILIES
 
 NOT_TOLD = {"frozen sensor"}  # nobody can tell at once; its interlock takes two minutes
 HEARD_S = 10.0  # a reading a second, a slow answer, and standby
@@ -174,7 +174,7 @@ class WatchedBath(RuleBasedStateMachine):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", REGISTER_FAMILIES)
 def test_any_order(name: str, tmp_path: Path) -> None:
     machine = type("Machine", (WatchedBath,), {"rig": loaded(tmp_path, name)})
     run_state_machine_as_test(

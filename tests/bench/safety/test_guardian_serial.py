@@ -22,7 +22,7 @@ from bench.record.reader import read_run
 from bench.report.wording import guardian_text
 from bench.safety.guardian import DONE
 from instruments.bath.emulator import BathEmulator, RelayEmulator
-from instruments.bath.profile import load_profile, load_relay
+from instruments.bath.profile import load_register_profile, load_relay
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.world.plant import Plant
@@ -153,7 +153,7 @@ class Hot:
 @pytest.fixture
 def hot(tmp_path: Path) -> Iterator[Hot]:
     clock, plant, lock = RealClock(), Plant(1, start_c=33.0), threading.RLock()
-    family, relay_profile = load_profile(RTU_FAMILY), load_relay("modbus-relay")
+    family, relay_profile = load_register_profile(RTU_FAMILY), load_relay("modbus-relay")
     bath, relay = BathEmulator(plant, family, clock), RelayEmulator(plant, relay_profile, clock)
     arguments = [f"--profile={RTU_FAMILY}", "--pump-profile=modbus-relay"]
     listeners = []

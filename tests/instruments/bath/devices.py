@@ -11,7 +11,12 @@ from typing import Any
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator, Framing, Server
-from instruments.bath.profile import Profile, load_profile
+from instruments.bath.profile import (
+    RegisterProfile,
+    load_profile,
+    load_register_profile,
+    profile_names,
+)
 from instruments.bath.protocol import framed
 from instruments.clock import Clock, VirtualClock
 from instruments.listener import Connection, Listener
@@ -20,6 +25,9 @@ from instruments.world.plant import Plant, PlantConstants
 EUROTHERMS = ["eurotherm-2400", "eurotherm-3200"]
 WATLOWS = ["watlow-pm-map1", "watlow-pm-map2"]
 OMEGA = "omega-cn7"
+REGISTER_FAMILIES = [
+    name for name in profile_names() if isinstance(load_profile(name), RegisterProfile)
+]
 NO_PUMP = [*EUROTHERMS, *WATLOWS, OMEGA]
 MOST_LOOKS = 10_000  # at one moment of virtual time
 
@@ -74,7 +82,11 @@ class Asked:
     """
 
     def __init__(self, profile: str, *, as_shipped: bool = False, framing: Framing = "rtu") -> None:
-        self.clock, self.plant, family = VirtualClock(), calm_plant(), load_profile(profile)
+        self.clock, self.plant, family = (
+            VirtualClock(),
+            calm_plant(),
+            load_register_profile(profile),
+        )
         self.emulator = BathEmulator(
             self.plant, family, self.clock, unit_id=1, framing=framing, as_shipped=as_shipped
         )
@@ -103,7 +115,7 @@ class Watched(BathEmulator):
     """Notes who is connected, and function, address and time of every request."""
 
     def __init__(
-        self, plant: Plant, profile: Profile, clock: Clock, framing: Framing | None = None
+        self, plant: Plant, profile: RegisterProfile, clock: Clock, framing: Framing | None = None
     ) -> None:
         super().__init__(plant, profile, clock, framing=framing)
         self.clock = clock
@@ -141,7 +153,7 @@ class Stand:
 
     clock: VirtualClock = field(default_factory=VirtualClock)
     plant: Plant = field(default_factory=calm_plant)
-    profile: Profile = field(default_factory=lambda: load_profile("julabo-presto"))
+    profile: RegisterProfile = field(default_factory=lambda: load_register_profile("julabo-presto"))
 
     def __post_init__(self) -> None:
         self.emulator = Watched(self.plant, self.profile, self.clock)

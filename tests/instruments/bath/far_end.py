@@ -14,7 +14,7 @@ from threading import RLock
 
 from instruments.bath.connection import parse_line
 from instruments.bath.driver import Bath
-from instruments.bath.profile import load_profile
+from instruments.bath.profile import load_register_profile
 from instruments.bath.transactions import Transactions
 from instruments.clock import Clock, VirtualClock
 from instruments.listener import Connection, Listener
@@ -164,7 +164,7 @@ def bath_on(
 ) -> Iterator[tuple[FarEnd, Bath]]:
     """A driver with the profile ``name`` on a device that holds ``memory``."""
     with shown_by(memory) as (far_end, url):
-        bath = Bath(url, load_profile(name), far_end.clock, identify=identify)
+        bath = Bath(url, load_register_profile(name), far_end.clock, identify=identify)
         try:
             yield far_end, bath
         finally:

@@ -18,7 +18,7 @@ from typing import NoReturn
 import pytest
 
 from instruments.bath.emulator import BathEmulator, Framing, RelayEmulator
-from instruments.bath.profile import Profile, RelayProfile
+from instruments.bath.profile import RegisterProfile, RelayProfile
 from instruments.clock import RealClock
 from instruments.listener import Connection, Listener
 from instruments.pty_listener import PtyListener
@@ -80,7 +80,7 @@ def built(example: str, folder: Path, *, over_rtu: bool = False) -> Path:
     return target
 
 
-def memory_profile() -> Profile:
+def memory_profile() -> RegisterProfile:
     """A family without manners of its own: 100 coils and 100 registers that keep what is written,
     and a bath behind them.
     """
@@ -97,7 +97,7 @@ def memory_profile() -> Profile:
         *(row(f"r{n}", "holding", n, "u16", range=[0, 65535]) for n in range(100)),
         *(row(f"c{n}", "coil", n, "bit", values={"off": 0, "on": 1}) for n in range(100)),
     ]
-    return Profile.model_validate(
+    return RegisterProfile.model_validate(
         {
             "family": "memory",
             "source": "libmodbus's random-test-client",
@@ -115,7 +115,7 @@ Device = BathEmulator | RelayEmulator
 
 @contextmanager
 def real_time(
-    profile: Profile | RelayProfile,
+    profile: RegisterProfile | RelayProfile,
     transport: str,
     *,
     unit_id: int | None = None,

@@ -22,11 +22,18 @@ from hypothesis.stateful import (
 
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.emulator import FAULTS, POWER_CUT, RELAY_FAULTS, RelayEmulator
-from instruments.bath.profile import load_profile, load_relay, profile_names
+from instruments.bath.profile import load_register_profile, load_relay
 from instruments.bath.reading import BathReading
 from instruments.errors import InstrumentError
 from instruments.listener import Listener
-from tests.instruments.bath.devices import MovingClock, Stand, Watched, calm_plant, url_of
+from tests.instruments.bath.devices import (
+    REGISTER_FAMILIES,
+    MovingClock,
+    Stand,
+    Watched,
+    calm_plant,
+    url_of,
+)
 
 SET_POINTS = [20.0, 25.5, 33.0]
 FASTEST_K_PER_S = 1.9 / 60.0  # full power; a stuck heater is no faster
@@ -42,7 +49,7 @@ class BathInAnyOrder(RuleBasedStateMachine):
         super().__init__()
         self.clock = MovingClock()
         self.plant = calm_plant()
-        self.emulator = Watched(self.plant, load_profile(self.profile), self.clock)
+        self.emulator = Watched(self.plant, load_register_profile(self.profile), self.clock)
         self.faults = [
             fault for fault in FAULTS if fault != "bad CRC" or self.emulator.framing == "rtu"
         ]
@@ -251,7 +258,7 @@ class BathInAnyOrder(RuleBasedStateMachine):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", REGISTER_FAMILIES)
 def test_any_order(name: str) -> None:
     machine = type("Machine", (BathInAnyOrder,), {"profile": name})
     run_state_machine_as_test(
@@ -304,7 +311,7 @@ def test_words_turned_behind_our_back_are_never_a_value(name: str, temp_c: float
     """20.03 degC with its words the other way round is 0.06 degC, which a bath may have; the set
     point tells.
     """
-    with Stand(MovingClock(), profile=load_profile(name)) as stand:
+    with Stand(MovingClock(), profile=load_register_profile(name)) as stand:
         bath = stand.bath()
         bath.set_point(25.5)
         stand.plant.pv_c = temp_c

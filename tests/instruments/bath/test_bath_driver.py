@@ -189,7 +189,7 @@ def test_gaps_that_the_controller_refuses_are_left_out(stand: Stand) -> None:
 def test_a_url_that_is_none(stand: Stand) -> None:
     with pytest.raises(
         LinkError,
-        match=r'bath at tpc://h:1: "tpc://" is no link to a Modbus device; did you mean "tcp://"',
+        match=r'bath at tpc://h:1: "tpc://" is no link to a device; did you mean "tcp://"',
     ):
         Bath("tpc://h:1", stand.profile, stand.clock)
 

@@ -12,16 +12,20 @@ from pathlib import Path
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
+from instruments.bath.profile import (
+    ProfileError,
+    RegisterProfile,
+    load_register_profile,
+)
 from instruments.bath.registers import Row
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.listener import Listener
-from tests.instruments.bath.devices import Watched, calm_plant
+from tests.instruments.bath.devices import REGISTER_FAMILIES, Watched, calm_plant
 from tests.instruments.bath.far_end import bath_on, shown_by
 from tests.instruments.bath.test_bath_profile import BROWSED, EUROTHERM_MEMORY
 
-NAMES = profile_names()
+NAMES = REGISTER_FAMILIES
 BOTH = {"transports": ("tcp", "rtu")}  # so that any driver can meet any controller
 ALIKE = {  # nothing that may be read for certain tells them apart
     ("julabo-magio", "julabo-presto")
@@ -31,18 +35,18 @@ ALIKE = {  # nothing that may be read for certain tells them apart
 @contextmanager
 def met(
     name: str, other: str | None = None, *, fault: str = ""
-) -> Iterator[tuple[Watched, str, Profile, VirtualClock]]:
+) -> Iterator[tuple[Watched, str, RegisterProfile, VirtualClock]]:
     """A controller of the family ``other`` (its own by default), and the profile ``name`` to meet
     it with, over TCP.
     """
     clock, plant = VirtualClock(), calm_plant()
-    served = load_profile(other or name).model_copy(update=BOTH)
+    served = load_register_profile(other or name).model_copy(update=BOTH)
     emulator = Watched(plant, served, clock)
     plant.set_point_c = 25.0
     if fault:
         emulator.fault(fault)
     with closing(Listener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
-        profile = load_profile(name).model_copy(update=BOTH)
+        profile = load_register_profile(name).model_copy(update=BOTH)
         yield emulator, f"tcp://127.0.0.1:{listener.port}", profile, clock
 
 
@@ -51,7 +55,7 @@ def met(
 
 def doubtful(name: str) -> list[Row]:
     """The family's rows that might be written but for their evidence."""
-    rows = load_profile(name).rows
+    rows = load_register_profile(name).rows
     return [row for row in rows if row.evidence == "INFERRED" and row.access != "r"]
 
 
@@ -182,7 +186,7 @@ def test_a_unit_changed_behind_our_back_is_noticed_and_nothing_written(name: str
 
 # ---- order of words
 
-FLOATS = [name for name in NAMES if load_profile(name).row("temperature").words == 2]
+FLOATS = [name for name in NAMES if load_register_profile(name).row("temperature").words == 2]
 LEARNT = "julabo-presto"  # it tells its order, and the driver follows
 
 
@@ -290,7 +294,7 @@ def message_at_the_first_look(
 ) -> bool:
     with shown_by(memory) as (far_end, url):
         with pytest.raises(error, match=message):
-            Bath(url, load_profile(name), far_end.clock)
+            Bath(url, load_register_profile(name), far_end.clock)
         return all(pdu[0] not in (5, 6, 16) for pdu in far_end.asked)
 
 
@@ -407,4 +411,4 @@ def test_a_familys_rules_are_checked(
     path = tmp_path / "own.toml"
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(ProfileError, match=re.escape(message)):
-        load_profile(path)
+        load_register_profile(path)

@@ -12,11 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
-from instruments.bath.register_access import WiredRows
+from instruments.bath.profile import (
+    ProfileError,
+    RegisterProfile,
+    load_register_profile,
+)
+from instruments.bath.register_access import RegisterAccess
 from instruments.bath.registers import WORDS, Kind, Order, decode, encode
 from instruments.bath.requests import blocks, markers
-from tests.instruments.bath.devices import EUROTHERMS, WATLOWS
+from tests.instruments.bath.devices import EUROTHERMS, REGISTER_FAMILIES, WATLOWS
 from tests.instruments.bath.far_end import bath_on, rtu, shown_by
 
 ORDERS: list[Order] = ["ABCD", "CDAB", "BADC", "DCBA"]
@@ -60,13 +64,13 @@ def written(folder: Path, text: str) -> Path:
 
 def faults_of(folder: Path, text: str) -> tuple[tuple[str, str], ...]:
     with pytest.raises(ProfileError) as caught:
-        load_profile(written(folder, text))
+        load_register_profile(written(folder, text))
     assert str(written(folder, text)) in str(caught.value)
     return caught.value.faults
 
 
 def test_the_prestos_poll_is_three_questions_or_seven_without_gaps() -> None:
-    profile = load_profile("julabo-presto")
+    profile = load_register_profile("julabo-presto")
     asked = [(block.function, block.address, block.count) for block in blocks(profile, gaps=True)]
     assert asked == [(3, 0, 4), (3, 90, 4), (4, 5, 13)]
     asked_apart = [(block.address, block.count) for block in blocks(profile, gaps=False)]
@@ -116,7 +120,7 @@ def test_a_fault_is_reported_with_its_place(
     assert SMALL.count(old) >= 1
     text = SMALL.replace(old, new, 1)
     if not message:
-        assert load_profile(written(tmp_path, text))
+        assert load_register_profile(written(tmp_path, text))
         return
     faults = faults_of(tmp_path, text)
     assert any(place == key and message in said for place, said in faults), faults
@@ -150,13 +154,13 @@ evidence = "FIELD"
 
 def test_a_file_that_is_missing_or_no_toml_says_so(tmp_path: Path) -> None:
     with pytest.raises(ProfileError, match=r"can't be read.*shipped profiles: .*julabo-presto"):
-        load_profile("julabo-prest")
+        load_register_profile("julabo-prest")
     with pytest.raises(ProfileError, match="is no TOML"):
-        load_profile(written(tmp_path, "family = "))
+        load_register_profile(written(tmp_path, "family = "))
 
 
 def test_alarm_codes_are_reported_with_their_doubt() -> None:
-    profile = load_profile("julabo-presto")
+    profile = load_register_profile("julabo-presto")
     assert profile.alarm_text(1) == "alarm 1, low level (meaning inferred)"
     assert "manual" in profile.alarm_text(77)
 
@@ -268,8 +272,8 @@ alarm1_high 0x1024 i16 r FIELD | alarm1_low 0x1025 i16 r FIELD | lamps 0x102A u1
 
 
 def test_what_ships() -> None:
-    assert profile_names() == SHIPPED
-    assert all(load_profile(name).row("temperature").poll for name in SHIPPED)
+    assert REGISTER_FAMILIES == SHIPPED
+    assert all(load_register_profile(name).row("temperature").poll for name in SHIPPED)
 
 
 @pytest.mark.parametrize(
@@ -283,12 +287,12 @@ def test_what_ships() -> None:
     ],
 )
 def test_the_families_are_as_the_sheet_says(name: str, sheet: str, beside: set[str]) -> None:
-    profile = load_profile(name)
+    profile = load_register_profile(name)
     assert {row.name for row in profile.rows} == note(profile, sheet, "holding") | beside
 
 
 def test_the_magio_is_as_its_pages_say() -> None:
-    profile = load_profile("julabo-magio")
+    profile = load_register_profile("julabo-magio")
     note(profile, MAGIO, "holding")
     assert profile.find("encoding") is None
     assert profile.find("flow_set_point") is None
@@ -307,13 +311,13 @@ def test_the_magio_is_as_its_pages_say() -> None:
 
 
 def test_the_presto_is_as_its_manual_says() -> None:
-    profile = load_profile("julabo-presto")
+    profile = load_register_profile("julabo-presto")
     for name in note(profile, PRESTO, "holding") | note(profile, PRESTO_INPUT, "input"):
         row = profile.row(name)
         assert row.spacing_s == (0.25 if row.access == "rw" else 0.0)
 
 
-def note(profile: Profile, sheet: str, table: str) -> set[str]:
+def note(profile: RegisterProfile, sheet: str, table: str) -> set[str]:
     """Check each row of ``sheet``; their names."""
     names = set()
     for text in re.split(r"[|\n]", sheet.strip()):
@@ -345,7 +349,7 @@ def test_each_familys_ways(
     pump: str,
     comms_loss: str,
 ) -> None:
-    profile = load_profile(name)
+    profile = load_register_profile(name)
     seen = (profile.functions, profile.order, profile.transports)
     assert seen == (functions, order, transports)
     assert (profile.capabilities.pump, profile.comms_loss) == (pump, comms_loss)
@@ -361,30 +365,37 @@ def test_each_familys_ways(
 
 
 def test_no_code_of_a_mode_that_may_do_harm_can_be_written() -> None:
-    assert load_profile("eurotherm-3200").row("run").values == {"started": 0, "standby": 1}
-    assert load_profile("eurotherm-3200").row("run").refusal(2.0) is not None
-    assert load_profile("watlow-pm-map1").row("run").values == {"standby": 62, "started": 10}
-    assert load_profile("watlow-pm-map1").row("run").refusal(54.0) is not None
-    assert load_profile("omega-cn7").row("control").refusal(2.0) is not None
+    assert load_register_profile("eurotherm-3200").row("run").values == {"started": 0, "standby": 1}
+    assert load_register_profile("eurotherm-3200").row("run").refusal(2.0) is not None
+    assert load_register_profile("watlow-pm-map1").row("run").values == {
+        "standby": 62,
+        "started": 10,
+    }
+    assert load_register_profile("watlow-pm-map1").row("run").refusal(54.0) is not None
+    assert load_register_profile("omega-cn7").row("control").refusal(2.0) is not None
 
 
 def test_a_polls_questions() -> None:
     asked = {
-        name: [(b.function, b.address, b.count) for b in blocks(load_profile(name), gaps=True)]
+        name: [
+            (b.function, b.address, b.count) for b in blocks(load_register_profile(name), gaps=True)
+        ]
         for name in SHIPPED
     }
     assert asked["eurotherm-3200"] == [(3, 75, 1), (3, 199, 1), (3, 516, 1), (3, 0x8002, 10)]
     assert asked["omega-cn7"] == [(2, 0x0814, 1), (3, 0x1000, 2), (3, 0x1012, 1)]
     watlow = [(3, 360, 2), (3, 1880, 1), (3, 1904, 2), (3, 2160, 2), (3, 2490, 1)]
     assert asked["watlow-pm-map1"] == watlow
-    with_inferred = blocks(load_profile("watlow-pm-map1"), gaps=True, inferred=True)
+    with_inferred = blocks(load_register_profile("watlow-pm-map1"), gaps=True, inferred=True)
     assert [block.address for block in with_inferred] == [360, 1496, 1880, 1904, 2160, 2490]
 
 
 @pytest.mark.parametrize("name", [name for name in SHIPPED if "julabo" not in name])
 def test_there_are_shapes_enough_to_prove_a_line_clean(name: str) -> None:
     """Whatever one question is owed, another is left that can't be taken for it."""
-    assert len({(function, count) for function, _, count in markers(load_profile(name))}) >= 3
+    assert (
+        len({(function, count) for function, _, count in markers(load_register_profile(name))}) >= 3
+    )
 
 
 # ---- bytes, typed from the fact sheet: function, address, count; 33.0 is 4204 0000, 1.001 is 3F80 20C5, 75.0 is 4296 0000
@@ -393,7 +404,7 @@ def test_there_are_shapes_enough_to_prove_a_line_clean(name: str) -> None:
 def asked_by(name: str, row: str, answer: str) -> tuple[bytes, float]:
     """The one question that reads ``row``, and what the driver makes of the frame ``answer``."""
     with shown_by({}) as (far_end, url):
-        rows = WiredRows(url, load_profile(name), far_end.clock, who="bath")
+        rows = RegisterAccess(url, load_register_profile(name), far_end.clock, who="bath")
         rows.wire.connect()
         far_end.spoils = [lambda _: rtu(answer)]
         value = rows.value(rows.row(row))

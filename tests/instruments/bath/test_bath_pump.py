@@ -15,7 +15,7 @@ from instruments.bath.emulator import POWER_CUT, RELAY_FAULTS, BathEmulator, Fra
 from instruments.bath.profile import (
     ProfileError,
     RelayProfile,
-    load_profile,
+    load_register_profile,
     load_relay,
     relay_names,
 )
@@ -93,7 +93,7 @@ def bath_and_relay(
     family: str, framing: Framing
 ) -> Iterator[tuple[Bath, BathEmulator, RelayEmulator, VirtualClock]]:
     board = load_relay("modbus-relay")
-    with Stand(profile=load_profile(family)) as stand:
+    with Stand(profile=load_register_profile(family)) as stand:
         relay = RelayEmulator(stand.plant, board, stand.clock, framing=framing)
         listener = Listener(relay, stand.clock, lock=threading.RLock(), name="pump")
         with closing(listener):
@@ -207,7 +207,7 @@ def line(relay: RelayProfile) -> Iterator[tuple[Multidrop, Bath]]:
     far_end = Multidrop(VirtualClock())
     far_end.memory = dict(SHOWN)
     with served(far_end) as url:
-        pump, profile = PumpAt(f"{url}?unit=5", relay), load_profile("omega-cn7")
+        pump, profile = PumpAt(f"{url}?unit=5", relay), load_register_profile("omega-cn7")
         bath = Bath(url, profile, far_end.clock, pump=pump)
         yield far_end, bath
         bath.close()
@@ -253,7 +253,7 @@ def elsewhere(
     controller, box = FarEnd(clock), FarEnd(clock, framing="tcp")
     controller.memory = dict(SHOWN)
     with served(controller) as url, served(box) as pump_url:
-        pump, profile = PumpAt(pump_url, relay), load_profile("omega-cn7")
+        pump, profile = PumpAt(pump_url, relay), load_register_profile("omega-cn7")
         bath = Bath(url, profile, clock, pump=pump, allow_inferred=allow_inferred)
         yield bath, box
         bath.close()
@@ -285,7 +285,7 @@ def test_what_a_relay_does_not_do_is_reported(relay: RelayProfile) -> None:
 
 
 def test_a_family_with_a_pump_takes_no_relay(relay: RelayProfile) -> None:
-    pump, profile = PumpAt("tcp://127.0.0.1:2", relay), load_profile("julabo-presto")
+    pump, profile = PumpAt("tcp://127.0.0.1:2", relay), load_register_profile("julabo-presto")
     with pytest.raises(
         LimitError,
         match=r"JULABO PRESTO: its pump \(with run\) is the family's own, and no relay switches it",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from instruments.bath.profile import load_profile
-from instruments.bath.reading import BathReading, Poll
+from instruments.bath.profile import load_register_profile
+from instruments.bath.reading import BathReading
+from instruments.bath.register_access import Poll
 from instruments.bath.registers import Order
 from instruments.errors import DeviceError, ProtocolError
 
@@ -17,7 +18,7 @@ HEAD = "0004 0000 0002 0000 0000 "  # Modbus in charge, no alarm, warning 2, a g
 
 def read(registers: str, *, order: Order = "ABCD", gaps: bool = True) -> BathReading:
     """The reading at 7 s; blocks are cut apart by ``|``."""
-    poll = Poll(load_profile("julabo-presto"), order, gaps=gaps, who="bath")
+    poll = Poll(load_register_profile("julabo-presto"), order, gaps=gaps, who="bath")
     run = RUN if gaps else RUN_APART
     return poll.reading(
         7.0, [[int(word, 16) for word in block.split()] for block in (run + registers).split("|")]

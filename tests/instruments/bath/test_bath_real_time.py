@@ -15,7 +15,7 @@ import pytest
 
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
-from instruments.bath.profile import load_profile
+from instruments.bath.profile import load_register_profile
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.listener import Listener
@@ -31,7 +31,7 @@ pty = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals: POSI
 @contextmanager
 def terminal(family: str) -> Iterator[tuple[PtyListener, Watched, RealClock]]:
     with closing(RealClock()) as clock:
-        emulator = Watched(Plant(1), load_profile(family), clock, "rtu")
+        emulator = Watched(Plant(1), load_register_profile(family), clock, "rtu")
         with closing(PtyListener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
             yield listener, emulator, clock
 
@@ -49,7 +49,7 @@ def until(so: Callable[[], bool]) -> None:
 @pytest.mark.parametrize("family", ["eurotherm-3200", "watlow-pm-map1", "omega-cn7"])
 def test_a_serial_port_is_read_set_started_and_made_safe(family: str) -> None:
     with terminal(family) as (listener, emulator, clock):
-        bath = Bath(f"{listener.url}?baud=19200", load_profile(family), clock)
+        bath = Bath(f"{listener.url}?baud=19200", load_register_profile(family), clock)
         assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
         bath.start(33.0)
         assert emulator.runs()
@@ -63,7 +63,7 @@ def test_a_serial_port_is_read_set_started_and_made_safe(family: str) -> None:
 @pty
 def test_garbage_and_a_damaged_answer_on_a_serial_port() -> None:
     with terminal("omega-cn7") as (listener, emulator, clock):
-        bath = Bath(listener.url, load_profile("omega-cn7"), clock)
+        bath = Bath(listener.url, load_register_profile("omega-cn7"), clock)
         emulator.fault("garbage")
         for _ in range(5):
             assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
@@ -78,7 +78,7 @@ def test_garbage_and_a_damaged_answer_on_a_serial_port() -> None:
 @pty
 def test_an_adapter_that_is_unplugged_is_reported_and_the_next_one_is_found() -> None:
     with terminal("eurotherm-2400") as (listener, emulator, clock):
-        profile = load_profile("eurotherm-2400")
+        profile = load_register_profile("eurotherm-2400")
         bath = Bath(listener.url, profile, clock)
         until(lambda: bool(emulator.hosts))
         # as long as it is open, the name goes to no other program's terminal
@@ -98,7 +98,7 @@ def test_an_adapter_that_is_unplugged_is_reported_and_the_next_one_is_found() ->
 def test_at_exit_standby_needs_no_look_and_no_second() -> None:
     with terminal("eurotherm-2400") as (listener, emulator, clock):
         emulator.plant.run(33.0)
-        bath = Bath(listener.url, load_profile("eurotherm-2400"), clock, identify=False)
+        bath = Bath(listener.url, load_register_profile("eurotherm-2400"), clock, identify=False)
         start = clock.now()
         clock.call_at(start + 0.3, lambda: stands.append(not emulator.runs()))
         stands: list[bool] = []
@@ -117,7 +117,7 @@ def test_a_tap_sees_every_byte_garbage_too() -> None:
     far_end = FarEnd(clock)
     far_end.memory = {0x1000: 200, 0x1001: 200}
     with served(far_end) as url:
-        bath = Bath(url, load_profile("omega-cn7"), clock, tap=tap)
+        bath = Bath(url, load_register_profile("omega-cn7"), clock, tap=tap)
         assert tap.text[0] == ("opened", url)
         del tap.text[:]
         far_end.spoils = [lambda frame: b"\xff" + frame]
@@ -156,7 +156,7 @@ def test_a_setting_that_the_port_does_not_have_is_reported() -> None:
         pytest.raises(LinkError, match=r"the port can't be opened in 6 tries"),
     ):
         # pseudo-terminals have no parity
-        Bath(f"{listener.url}?parity=E", load_profile("omega-cn7"), clock)
+        Bath(f"{listener.url}?parity=E", load_register_profile("omega-cn7"), clock)
 
 
 # ---- trouble under way
@@ -165,7 +165,7 @@ def test_a_setting_that_the_port_does_not_have_is_reported() -> None:
 @contextmanager
 def over_tcp() -> Iterator[tuple[Bath, BathEmulator, RealClock]]:
     with closing(RealClock()) as clock:
-        emulator = BathEmulator(Plant(1), load_profile("julabo-presto"), clock)
+        emulator = BathEmulator(Plant(1), load_register_profile("julabo-presto"), clock)
         with closing(Listener(emulator, clock, lock=threading.RLock(), name="bath")) as listener:
             bath = Bath(f"tcp://127.0.0.1:{listener.port}", emulator.profile, clock)
             yield bath, emulator, clock

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 
 from instruments.bath.connection import Line, LineError, parse_line
 from instruments.bath.driver import Bath
-from instruments.bath.profile import load_profile
-from instruments.bath.transactions import FORGET_S, BrokenError, Transactions
+from instruments.bath.profile import load_register_profile
+from instruments.bath.session import BrokenError
+from instruments.bath.transactions import FORGET_S, Transactions
 from instruments.clock import Clock, RealClock
 from instruments.errors import InstrumentError, LinkError, ProtocolError
 from instruments.listener import Listener
@@ -304,7 +305,7 @@ def test_a_cut_answer_is_never_completed_by_the_next(cut: str) -> None:
     """At every place: the right reading or an error, and the right one again soon after."""
     with virtual("tcp") as (far_end, url):
         far_end.memory = dict(PRESTO)
-        bath = Bath(url, load_profile("julabo-presto"), far_end.clock)
+        bath = Bath(url, load_register_profile("julabo-presto"), far_end.clock)
         whole = replace(bath.read(), t_s=0.0)
         assert (whole.temp_c, whole.external_c, whole.safety_c) == (33.125, 30.5, 33.25)
         assert (whole.power_percent, whole.set_point_c) == (37.0, 33.0)
@@ -334,7 +335,7 @@ def test_a_cut_answer_is_never_completed_by_the_next(cut: str) -> None:
 
 
 def test_where_every_shape_of_an_answer_is_owed_a_call_waits_and_says_so() -> None:
-    with Stand(profile=load_profile("omega-cn7")) as stand:
+    with Stand(profile=load_register_profile("omega-cn7")) as stand:
         bath = stand.bath()
         stand.emulator.fault("silence")
         said = []
@@ -480,7 +481,10 @@ def test_what_a_url_says(url: str, line: Line) -> None:
         ("ttyUSB0", 'did you mean "/dev/ttyUSB0"?'),
         ("com5:", 'did you mean "COM5"?'),
         ("10.0.0.7:502", 'did you mean "tcp://10.0.0.7:502"?'),
-        ("", 'allowed: "tcp://host:port", "rtu+tcp://host:port", "/dev/ttyUSB0", "COM5"'),
+        (
+            "",
+            'allowed: "tcp://host:port", "rtu+tcp://host:port", "rfc2217://host:port", "/dev/ttyUSB0"',
+        ),
         ("tcp://", 'write "tcp://host:port"'),
         ("tcp://:502", 'write "tcp://host:port"'),
         ("tcp://h:1/x", "nothing behind it"),
@@ -489,7 +493,7 @@ def test_what_a_url_says(url: str, line: Line) -> None:
         ("tcp://h:x", "not a link"),
         ("rtu+tcp://h", "the port is missing"),
         ("tcp://h:1?unti=1", 'no setting of tcp://; did you mean "unit"?'),
-        ("tcp://h:1?baud=9600", '"baud" is no setting of tcp:// (allowed: unit)'),
+        ("tcp://h:1?baud=9600", '"baud" is no setting of tcp:// (allowed: unit, gap_ms)'),
         ("/dev/ttyS0?bauds=9600", 'no setting of a serial port; did you mean "baud"?'),
         ("/dev/ttyS0?9600", "is no list of settings"),
         ("tcp://h:1?unit=x", "unit=x: a whole number from 1 to 255"),

@@ -12,8 +12,8 @@ from contextlib import suppress
 import pytest
 
 from instruments.bath.driver import Bath
-from instruments.bath.profile import load_profile
-from instruments.bath.transactions import BrokenError
+from instruments.bath.profile import load_register_profile
+from instruments.bath.session import BrokenError
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
 from instruments.listener import Connection, Listener
@@ -195,7 +195,7 @@ def test_answers_that_are_none(reply: Callable[[bytes], bytes], message: str) ->
     clock = VirtualClock()
     listener = Listener(Liar(reply), clock, lock=threading.RLock(), name="liar")
     with pytest.raises(ProtocolError, match=message):
-        Bath(f"tcp://127.0.0.1:{listener.port}", load_profile("julabo-presto"), clock)
+        Bath(f"tcp://127.0.0.1:{listener.port}", load_register_profile("julabo-presto"), clock)
     listener.close()
 
 
@@ -210,7 +210,7 @@ FAMILIES = ["julabo-presto", "eurotherm-3200"]
 
 
 def stand_of(family: str) -> Stand:
-    return Stand(profile=load_profile(family))
+    return Stand(profile=load_register_profile(family))
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -249,7 +249,7 @@ def test_a_session_that_is_closed_while_it_waits_is_reported_as_a_broken_link(fa
         stand.emulator.fault("silence")
         stand.clock.call_at(stand.clock.now() + 0.5, bath.close)
         with pytest.raises(BrokenError, match="the link broke"):
-            bath._wire.read(3, 0, 1)
+            bath._wire.read(3, 0, 1)  # type: ignore[attr-defined]
         stand.emulator.fault("silence", on=False)
         assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
 

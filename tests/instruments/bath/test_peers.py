@@ -25,12 +25,14 @@ import pytest
 
 from instruments.bath.connection import parse_line
 from instruments.bath.emulator import BathEmulator, RelayEmulator
-from instruments.bath.profile import load_profile, load_relay, profile_names, relay_names
-from instruments.bath.transactions import RefusedError, Transactions
+from instruments.bath.profile import load_register_profile, load_relay, relay_names
+from instruments.bath.session import RefusedError
+from instruments.bath.transactions import Transactions
 from instruments.clock import RealClock
 from instruments.errors import InstrumentError, ProtocolError
 from instruments.listener import Listener
 from instruments.world.plant import Plant
+from tests.instruments.bath.devices import REGISTER_FAMILIES
 from tests.instruments.bath.peers import (
     Bridge,
     Device,
@@ -245,7 +247,7 @@ RELAYS = {"modbus-relay": ("0", 0)}  # ``-t`` type and address of the contact
 
 
 def test_every_shipped_profile_has_its_witness() -> None:
-    assert set(SEEN) == set(profile_names())
+    assert set(SEEN) == set(REGISTER_FAMILIES)
     assert set(RELAYS) == set(relay_names())
 
 
@@ -284,7 +286,7 @@ class Polled:
 @contextmanager
 def polled(name: str, transport: str) -> Iterator[Polled]:
     program("mbpoll")
-    profile = load_relay(name) if name in RELAYS else load_profile(name)
+    profile = load_relay(name) if name in RELAYS else load_register_profile(name)
     with real_time(profile, transport) as (emulator, listener):
         if isinstance(listener, Listener):
             where = ["-m", "tcp", "-p", str(listener.port), "127.0.0.1"]
@@ -353,7 +355,7 @@ def instrument(profile: str, *, baud: int | None = None) -> Iterator[Instrument]
     if importlib.util.find_spec("minimalmodbus") is None:
         absent("needs minimalmodbus: pip install minimalmodbus")
     library: Any = importlib.import_module("minimalmodbus")
-    with real_time(load_profile(profile), "pty", baud=baud) as (emulator, listener):
+    with real_time(load_register_profile(profile), "pty", baud=baud) as (emulator, listener):
         client = library.Instrument(listener.url, 1)
         client.serial.baudrate = baud or 19200
         client.serial.timeout = 5.0  # for a machine with too much to do

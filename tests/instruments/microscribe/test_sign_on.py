@@ -9,6 +9,7 @@ import dataclasses
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -290,6 +291,44 @@ def test_a_slow_adapter_behind_a_link_is_reported_with_the_command_that_helps(
     assert "ttyUSB3 holds bytes back for 16 ms" in warning
     timer = f"{tmp_path.as_posix()}/sys/bus/usb-serial/devices/ttyUSB3/latency_timer"
     assert f"echo 1 | sudo tee {timer}" in warning
+
+
+class Registry:
+    """Windows's, with one FTDI adapter; what `winreg` does of it."""
+
+    HKEY_LOCAL_MACHINE = 0
+    KEYS: ClassVar[dict[str, Any]] = {
+        r"SYSTEM\CurrentControlSet\Enum\FTDIBUS": ["VID_0403+PID_6001+A1"],
+        r"SYSTEM\CurrentControlSet\Enum\FTDIBUS\VID_0403+PID_6001+A1": ["0000"],
+        r"SYSTEM\CurrentControlSet\Enum\FTDIBUS\VID_0403+PID_6001+A1\0000\Device Parameters": {
+            "PortName": "COM5",
+            "LatencyTimer": 16,
+        },
+    }
+
+    def OpenKey(self, _: int, path: str) -> Any:  # noqa: N802
+        if path not in self.KEYS:
+            raise FileNotFoundError(path)
+        return contextlib.nullcontext(self.KEYS[path])
+
+    def QueryInfoKey(self, key: list[str]) -> tuple[int, int, int]:  # noqa: N802
+        return len(key), 0, 0
+
+    def EnumKey(self, key: list[str], at: int) -> str:  # noqa: N802
+        return key[at]
+
+    def QueryValueEx(self, key: dict[str, Any], name: str) -> tuple[Any, int]:  # noqa: N802
+        return key[name], 0
+
+
+def test_a_slow_adapter_on_windows_is_reported_with_the_way_to_its_setting(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "winreg", Registry())
+    warning = str(latency_warning("COM5"))
+    assert "COM5 holds bytes back for 16 ms" in warning
+    assert "Device Manager, Ports, COM5, Port Settings, Advanced: Latency Timer 1" in warning
+    assert latency_warning("COM6") is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,223 @@
+"""Emulated circulators that speak lines of ASCII, over a plant.
+
+A dialect is written from the maker's manual and not from the profile that the driver uses, so that
+the two can't be wrong together. Only a family without a dialect here, a lab's own, is emulated by
+its own profile, for a rehearsal: that proves nothing about its commands.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import ClassVar, Literal
+
+from instruments.bath.emulator import LATE_S, PLANT_FAULTS
+from instruments.bath.line_dialects import DIALECTS, Dialect
+from instruments.bath.lines import LineRow
+from instruments.bath.profile import LineProfile
+from instruments.clock import Clock
+from instruments.listener import Connection
+from instruments.world.plant import Plant
+
+WIRE_FAULTS = ("silence", "late answer", "garbage", "cut answer", "doubled answer")
+OUTAGE, RESET_S = "controller reset", 5.0
+SETTINGS = ("fahrenheit", "manual mode")
+LINE_FAULTS = (*WIRE_FAULTS, OUTAGE, *SETTINGS, *PLANT_FAULTS, "low level")
+LONGEST = 256  # bytes of a command, then they are dropped
+
+Damage = Callable[[bytes], bytes]
+DAMAGES: Mapping[str, Damage] = {
+    "garbage": lambda line: b"\xff" + line,
+    "cut answer": lambda line: line[: len(line) // 2],
+    "doubled answer": lambda line: line * 2,
+}
+
+
+class LineEmulator:
+    """Serves ``plant`` as a circulator of ``profile``'s family, at the bytes of its serial port or
+    of a socket. A late answer takes ``late_s``; the fault "controller reset" ends by itself.
+    """
+
+    kind: ClassVar[str] = "bath"
+    framing: ClassVar[Literal["line"]] = "line"
+    known_faults: ClassVar[tuple[str, ...]] = LINE_FAULTS
+
+    def __init__(self, plant: Plant, profile: LineProfile, clock: Clock) -> None:
+        self.plant = plant
+        self.profile = profile
+        self.late_s = LATE_S
+        self.silent_until_s = -math.inf
+        self.dialect: Dialect = dialect_of(profile)(plant)
+        self._clock = clock
+        self._faults: set[str] = set()
+        self._buffers: dict[Connection, bytes] = {}
+        self._last_answer_s = 0.0
+        plant.fit(circulator=profile.capabilities.pump == "with run")
+
+    @property
+    def faults(self) -> frozenset[str]:
+        """What is broken at the moment."""
+        return frozenset(self._faults | ({OUTAGE} if self._without_power else set()))
+
+    def check_fault(self, name: str) -> None:
+        """Raise ValueError for an unknown fault, or one that lines can't have."""
+        if name not in LINE_FAULTS:
+            what = f"no fault '{name}' of a bath that speaks lines of ASCII"
+            raise ValueError(f"{what}; there are {', '.join(LINE_FAULTS)}")
+
+    def fault(self, name: str, *, on: bool = True) -> None:
+        """Break something, or mend it. Raises ValueError as `check_fault` does."""
+        self.check_fault(name)
+        if name == OUTAGE:
+            self.silent_until_s = self._clock.now() + (RESET_S if on else 0.0)
+            if on:
+                self.dialect.reset()
+                self.hang_up()
+            return
+        (self._faults.add if on else self._faults.discard)(name)
+        if name in SETTINGS:
+            setattr(self.dialect, name.replace(" ", "_"), on)
+        elif name in PLANT_FAULTS:
+            setattr(self.plant, PLANT_FAULTS[name], on)
+        elif name == "low level":
+            k = self.plant.constants
+            self.plant.fill(k.volume_min_l - 0.5 if on else k.volume_l)
+
+    def connect(self, connection: Connection) -> None:
+        """A host has connected; nothing is said unasked."""
+        self._buffers[connection] = b""
+
+    def disconnect(self, connection: Connection) -> None:
+        """The host has gone; the device carries on as it is."""
+        self._buffers.pop(connection, None)
+
+    def hang_up(self) -> None:
+        """Lose all hosts, as without power."""
+        for connection in list(self._buffers):
+            connection.hang_up()
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        """Answer every command that ``data`` completes."""
+        buffer = self._buffers.get(connection, b"") + data
+        end = self.dialect.end
+        *commands, rest = buffer.split(end)
+        self._buffers[connection] = rest[-LONGEST:]
+        for command in commands:
+            if "silence" in self._faults or self._without_power:
+                continue
+            self.plant.advance_to(self._clock.now())
+            answer = self.dialect.answer(command.decode("ascii", errors="replace").strip("\r\n"))
+            if answer is not None:
+                self._send(connection, answer.encode("ascii") + self.dialect.reply_end)
+
+    @property
+    def _without_power(self) -> bool:
+        return self._clock.now() < self.silent_until_s
+
+    def _send(self, connection: Connection, line: bytes) -> None:
+        for name, damage in DAMAGES.items():
+            if name in self._faults:
+                line = damage(line)
+        now_s = self._clock.now()
+        at_s = now_s + (self.late_s if "late answer" in self._faults else 0.0)
+        at_s = self._last_answer_s = max(at_s, self._last_answer_s)  # never out of order
+        if at_s > now_s:
+            connection.after(at_s - now_s, lambda: connection.send(line))
+        else:
+            connection.send(line)
+
+
+def dialect_of(profile: LineProfile) -> Callable[[Plant], Dialect]:
+    """How the profile's family answers; a family without a dialect answers by its own profile."""
+    name = profile.family.lower()
+    known = (dialect for begins, dialect in DIALECTS.items() if name.startswith(begins))
+    found = next(known, None)
+    return found or (lambda plant: ByProfile(plant, profile))
+
+
+class ByProfile(Dialect):
+    """A family that nobody has written a dialect for: it answers as its profile says."""
+
+    def __init__(self, plant: Plant, profile: LineProfile) -> None:
+        super().__init__(plant)
+        self._profile = profile
+        self._memory: dict[str, float] = {}
+        self.end = profile.end.encode("ascii")
+        self.reply_end = profile.reply_end.encode("ascii")
+
+    def answer(self, command: str) -> str | None:
+        for row in self._profile.rows:
+            if row.ask and row.ask.lower() == command.lower():
+                return self._said(row)
+        for row in self._profile.rows:
+            value = _told(row, command)
+            if value is not None:
+                self._take(row, value)
+                confirm = self._profile.confirm if row.confirm is None else row.confirm
+                return confirm or None
+        return next(iter(self._profile.refusals), None)
+
+    def _said(self, row: LineRow) -> str:
+        value = self._value(row)
+        for label, forms in row.shows.items():
+            if {**row.seen, **row.values}[label] == value:
+                return forms[0].replace("<text>", "OK").replace("<number>", f"{value:g}")
+        raw = value / row.scale
+        decimals = 0 if row.values or row.alarm else row.decimals
+        fields = {
+            "<number>": f"{raw:.{decimals}f}",
+            "<hex>": f"{round(raw) & 0xFFFF:04X}",
+            "<bits>": f"{int(value):08b}"[::-1],
+            "<text>": self._profile.family,
+        }
+        said = row.reply
+        for field, text in fields.items():
+            said = said.replace(field, text)
+        return said
+
+    def _value(self, row: LineRow) -> float:
+        plant = self.plant
+        alarm = next((a.code for a in self._profile.alarms if a.cause == plant.alarm), None)
+        known: dict[str, float] = {
+            "temperature": self.temperature_c(),
+            "set_point": plant.set_point_c,
+            "external": float(plant.teat_c.mean()),
+            "safety": plant.bath_c,
+            "cut_out": plant.constants.cut_out_c,
+            "power": plant.power_percent,
+        }
+        if row.name in known:
+            return self.shown(known[row.name]) if row.unit == "degC" else known[row.name]
+        if row.alarm:
+            quiet = 0 if row.alarm == "bits" or not row.quiet else row.quiet[0]
+            return quiet if alarm is None else alarm
+        labels = {
+            "run": "started" if plant.running else "standby",
+            "remote": "manual" if self.manual_mode else "remote",
+            "unit": "f" if self.fahrenheit else "c",
+        }
+        label = labels.get(row.name, "")
+        if label in row.values:
+            return row.values[label]
+        first = next(iter(row.values.values()), row.range[0] if row.range else 0.0)
+        return self._memory.get(row.name, first)
+
+    def _take(self, row: LineRow, value: float) -> None:
+        if row.name == "run":
+            self.run(on=value == row.values["started"])
+        elif row.name == "set_point":
+            self.plant.set_point_c = self.meant_c(value)
+        else:
+            self._memory[row.name] = value
+
+
+def _told(row: LineRow, command: str) -> float | None:
+    """The value that ``command`` writes to ``row``; None where it is none of its commands."""
+    if not isinstance(row.tell, str):
+        words = {told.lower(): label for label, told in row.tell.items()}
+        label = words.get(command.lower())
+        return None if label is None else float(row.values[label])
+    if not row.tell:
+        return None
+    written = row.model_copy(update={"reply": row.tell, "shows": {}, "absent": ()})
+    return written.decode(command) if written.understands(command) else None

@@ -1,0 +1,149 @@
+"""One connection to a bath's controller or to a relay: opened with patience, read in pieces.
+
+What comes is taken in by whoever speaks the protocol (``take``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from instruments.bath.connection import BAUD, Line
+from instruments.clock import Clock, VirtualClock
+from instruments.errors import DeviceError, LinkError
+from instruments.link import SLICE_S, Link
+from instruments.tap import NoTap, Tap
+
+CONNECT_TIMEOUT_S = 1.0
+CONNECT_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts; then we give up
+
+
+class RefusedError(DeviceError):
+    """The device refused a question, with a Modbus exception or a word; ``code`` of the former."""
+
+    code = 0
+
+
+class BrokenError(LinkError):
+    """The link broke under a question, which may be asked again over a new one."""
+
+
+class Session:
+    """One connection to one device, and its only owner. Calls come one at a time: whoever shares it
+    holds a lock. Not opened at first.
+    """
+
+    def __init__(self, line: Line, clock: Clock, *, who: str, tap: Tap | None = None) -> None:
+        self.who = who
+        self.line = line
+        self.clock = clock
+        self._tap = tap or NoTap()
+        self._link: Link | None = None
+        self.heard_s = 0.0
+
+    @property
+    def connected(self) -> bool:
+        """Whether the link is up, as far as anybody has noticed."""
+        return self._link is not None and self._link.connected
+
+    @property
+    def place(self) -> str:
+        """The line that it is on, whatever the unit."""
+        return self.line.url
+
+    def connect(self) -> None:
+        """Open the link, trying again with growing pauses. Raises LinkError when it is not taken in
+        the end.
+        """
+        start, why, line = self.clock.now(), "", self.line
+        for pause_s in (0.0, *CONNECT_PAUSES_S):
+            if pause_s:
+                self.clock.sleep(pause_s)
+            self.close()
+            try:
+                self._link = Link(
+                    line.url,
+                    self.clock,
+                    who=self.who,
+                    baud=line.baud or BAUD,
+                    port=line.port_settings,
+                    connect_timeout_s=CONNECT_TIMEOUT_S,
+                    tap=self._tap,
+                )
+            except LinkError as error:
+                cause = error.__cause__
+                why = "no answer" if isinstance(cause, TimeoutError) else str(cause or error.what)
+                if isinstance(cause, ConnectionError) and cause.strerror:
+                    why = cause.strerror
+                continue
+            self.begin()
+            return
+        what = "nothing took the connection"
+        hint = f"Is the controller on, on this network, and set to {self.speech}?"
+        if line.device:
+            what = "the port can't be opened"
+            hint = (
+                "Is the adapter plugged in, and is it yours to open? 'python -m"
+                " serial.tools.list_ports' lists the ports."
+            )
+        what = f"{what} in {len(CONNECT_PAUSES_S) + 1} tries: {why}"
+        raise LinkError(self.who, what, seconds=self.clock.now() - start, hint=hint)
+
+    @property
+    def speech(self) -> str:
+        """What the device has to be set to."""
+        raise NotImplementedError
+
+    def begin(self) -> None:
+        """The link has just been opened: what comes at first may answer another host."""
+        raise NotImplementedError
+
+    def take(self, data: bytes) -> None:
+        """Bytes came."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Drop the link; once more is no error."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+
+    def up(self) -> Link:
+        """The link. Raises BrokenError where it is down."""
+        if self._link is None or not self._link.connected:
+            raise BrokenError(self.who, "the link is down", hint="Check cable and power.")
+        return self._link
+
+    def receive_until(self, until_s: float, done: Callable[[], bool]) -> None:
+        """Take in what comes until ``done``, the clock shows ``until_s``, or the link breaks.
+
+        Under virtual time an event may use this link, or close it, while time moves. An exception
+        closes the link. Raises TimeoutError when an emulator's thread hangs.
+        """
+        link, clock = self.up(), self.clock
+        virtual = clock if isinstance(clock, VirtualClock) else None
+        moves_time = virtual is not None and not self.line.device
+        try:
+            while not done() and link.connected:
+                left_s = max(0.0, until_s - clock.now())
+                if self.receive(link, 0.0 if moves_time else min(left_s, SLICE_S)):
+                    continue
+                if clock.now() >= until_s or not link.connected:
+                    return
+                if virtual:
+                    virtual.step(until_s)
+        except BaseException:
+            link.close()
+            raise
+
+    def receive(self, link: Link, timeout_s: float) -> bool:
+        """Take in what has come; whether anything has."""
+        try:
+            data = link.receive(timeout_s)
+        except LinkError as error:
+            if link.connected:
+                raise TimeoutError(error.what) from error
+            return False
+        if data:
+            self.heard_s = self.clock.now()
+            self.take(data)
+        return bool(data)

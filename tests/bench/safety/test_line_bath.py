@@ -1,0 +1,80 @@
+"""A bath that speaks lines of ASCII under the bench's own care: a run whose cable is out for some
+seconds, and a bench that died.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from bench.cli.main import main
+from instruments.bath.line_emulator import LineEmulator
+from instruments.bath.profile import LineProfile, load_profile
+from instruments.clock import RealClock
+from instruments.listener import Listener
+from instruments.world.plant import Plant
+from tests.bench.test_config import rig_with
+
+ROOT = Path(__file__).parents[3]
+FAULT = (
+    '\n[emulation]\nfaults = [{ instrument = "bath", name = "silence", at_s = 200.0, for_s = 8.0 }]'
+)
+SCRIPT = """
+title = "One pose"
+detectors = ["thesis"]
+[bath]
+set_point_c = 33.0
+[[requirements]]
+kind = "bath_in_band"
+name = "bath in band"
+band_k = 0.15
+[[trials]]
+name = "p"
+situation = "one"
+layout = "single"
+set_up = "One teat."
+poses = [{ x_mm = 0.0, y_mm = 0.0 }]
+"""
+
+
+@pytest.mark.slow
+def test_a_run_on_a_julabo_whose_cable_is_out_ends_in_standby(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rig = rig_with(tmp_path, {'profile = "julabo-presto"': 'profile = "julabo-ascii"'})
+    rig.write_text(rig.read_text(encoding="utf-8") + FAULT, encoding="utf-8")
+    script = tmp_path / "one.toml"
+    script.write_text(SCRIPT, encoding="utf-8")
+    assert main(["run", str(script), "--rig", str(rig)]) == 3
+    said = capsys.readouterr().out
+    assert "interlock communications lost" in said
+    assert "heater is in standby" in said
+
+
+@pytest.mark.slow
+def test_the_guardian_puts_a_julabo_into_standby(tmp_path: Path) -> None:
+    plant, profile = Plant(1, start_c=33.0), load_profile("julabo-ascii")
+    assert isinstance(profile, LineProfile)
+    with closing(RealClock()) as clock:
+        device = LineEmulator(plant, profile, clock)
+        plant.run(33.0)
+        with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
+            record, url = tmp_path / "guardian.json", listener.url.replace("socket", "tcp")
+            command = [sys.executable, "-m", "bench.safety.guardian", "--profile=julabo-ascii"]
+            command += [f"--url={url}", "--record", str(record), "--bench", "1"]
+            pipe = subprocess.PIPE
+            with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe) as process:
+                assert process.stdin is not None
+                assert process.stdout is not None
+                assert process.stdout.readline().strip() == b"ready"
+                process.stdin.close()
+                assert process.wait(60) == 0
+    assert not plant.running
+    assert json.loads(record.read_text(encoding="utf-8"))["cause"] == "died"

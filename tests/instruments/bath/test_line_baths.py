@@ -1,0 +1,603 @@
+"""Baths that speak lines of ASCII: replies typed from the makers' manuals, and no wrong value from
+late, doubled, cut or garbled lines. CERTAIN lines are from a maker's manual; FIELD ones from
+drivers that run against real circulators.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+import serial
+from hypothesis import HealthCheck, assume, example, given, settings
+from hypothesis import strategies as st
+
+from bench.rig.emulated_rig import AS_A_PTY
+from instruments.bath.driver import Bath
+from instruments.bath.line_emulator import LineEmulator
+from instruments.bath.profile import LineProfile, Profile, ProfileError, load_profile, profile_names
+from instruments.clock import Clock, RealClock, VirtualClock
+from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
+from instruments.listener import Connection, Listener
+from instruments.pty_listener import PtyListener
+from instruments.world.plant import Plant
+from tests.instruments.bath.devices import calm_plant
+
+JULABO = "julabo-ascii"
+LINE_FAMILIES = [name for name in profile_names() if isinstance(load_profile(name), LineProfile)]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What becomes of one reply: it comes late, twice (the second one late), cut, or changed."""
+
+    late_s: float = 0.0
+    lost: bool = False
+    again_s: float | None = None
+    spoil: Callable[[bytes], bytes] = bytes
+
+
+@dataclass
+class Typed:
+    """A controller whose replies are typed by hand: command to reply, both without their ends. It
+    answers in order; each reply takes the next of ``faults``. A write is kept in ``told``.
+    """
+
+    clock: Clock
+    replies: dict[str, str]
+    end: bytes = b"\r"
+    reply_end: bytes = b"\r\n"
+    confirm: str = ""
+    latency_s: float = 0.0
+    faults: list[Fault] = field(default_factory=list)
+    told: list[str] = field(default_factory=list)
+    acts: Callable[[Typed, str], None] = lambda *_: None
+    _rest: bytes = b""
+    _free_s: float = 0.0
+
+    def connect(self, connection: Connection) -> None:
+        self._rest = b""
+
+    def disconnect(self, connection: Connection) -> None:
+        pass
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        *commands, self._rest = (self._rest + data).split(self.end)
+        for command in (one.decode("ascii") for one in commands):
+            if command not in self.replies:
+                self.told.append(command)
+                self.acts(self, command)
+            reply = self.replies.get(command, self.confirm)
+            if reply:
+                self._send(connection, reply.encode("ascii") + self.reply_end)
+
+    def _send(self, connection: Connection, line: bytes) -> None:
+        fault = self.faults.pop(0) if self.faults else Fault()
+        if fault.lost:
+            return
+        line, now_s = fault.spoil(line), self.clock.now()
+        self._free_s = max(self._free_s, now_s + self.latency_s + fault.late_s)
+        self._put(connection, line, self._free_s - now_s)
+        if fault.again_s is not None:
+            self._free_s += fault.again_s
+            self._put(connection, line, self._free_s - now_s)
+
+    def _put(self, connection: Connection, line: bytes, after_s: float) -> None:
+        if after_s > 0.0:
+            connection.after(after_s, lambda: connection.send(line))
+        else:
+            connection.send(line)
+
+
+@contextmanager
+def served(typed: Typed, profile: str | Profile = JULABO) -> Iterator[tuple[Typed, Bath]]:
+    """A driver on it, under its clock."""
+    family = load_profile(profile) if isinstance(profile, str) else profile
+    with (
+        closing(Listener(typed, typed.clock, lock=threading.RLock(), name="bath")) as listener,
+        closing(Bath(f"tcp://127.0.0.1:{listener.port}", family, typed.clock)) as bath,
+    ):
+        yield typed, bath
+
+
+# JULABO. CERTAIN: the commands and the texts of status (SL/HL manual, 12.3; FLW and CF manuals, 10.4
+# and 10.5); a number has a period, and LF ends a reply. FIELD: CR LF, and ---.-- for no sensor.
+JULABO_REPLIES = {
+    "version": "JULABO FL1703",  # FIELD
+    "status": "02 REMOTE STOP",
+    "in_pv_00": "20.00",
+    "in_pv_01": "45",
+    "in_pv_02": "31.00",
+    "in_pv_03": "21.50",
+    "in_pv_04": "40.0",
+    "in_sp_00": "33.00",
+    "in_mode_05": "0",
+}
+
+
+def julabo(**replies: str) -> Typed:
+    return Typed(VirtualClock(), {**JULABO_REPLIES, **replies})
+
+
+def test_a_julabos_replies() -> None:
+    with served(julabo()) as (_, bath):
+        reading = bath.read()
+        assert (reading.temp_c, reading.set_point_c, reading.power_percent) == (20.0, 33.0, 45.0)
+        assert (reading.external_c, reading.safety_c) == (31.0, 21.5)
+        assert (reading.alarm, reading.warning, reading.remote, reading.running) == (
+            0,
+            0,
+            True,
+            False,
+        )
+        assert bath.identity["version"] == "JULABO FL1703"
+
+
+@pytest.mark.parametrize(
+    ("status", "alarm", "warning", "remote", "text"),
+    [
+        ("00 MANUAL STOP", 0, 0, False, ""),
+        ("01 MANUAL START", 0, 0, False, ""),
+        ("03 REMOTE START", 0, 0, True, ""),
+        ("-01 LOW LEVEL ALARM", -1, 0, None, "low level"),
+        ("-03 EXCESS TEMPERATURE WARNING", 0, 3, None, ""),
+        ("-05 WORKING SENSOR ALARM", -5, 0, None, "working sensor"),
+        ("-08 INVALID COMMAND", 0, 0, None, ""),
+        ("-13 WARNING : VALUE EXCEEDS TEMPERATURE LIMITS", 0, 0, None, ""),
+        ("-14 TEMPERATURE/LEVEL ALARM", -14, 0, None, "safety temperature"),
+        ("-33 SAFETY SENSOR ALARM", -33, 0, None, "see the controller's manual"),
+    ],
+)
+def test_a_julabos_status(
+    status: str, alarm: int, warning: int, remote: bool | None, text: str
+) -> None:
+    with served(julabo(status=status)) as (_, bath):
+        reading = bath.read()
+        assert (reading.alarm, reading.warning, reading.remote) == (alarm, warning, remote)
+        assert text in bath.profile.alarm_text(reading.alarm)
+
+
+def test_a_reply_may_end_with_a_line_feed_alone_and_a_sensor_may_be_absent() -> None:
+    """The manual's line end (CERTAIN), its own example 55.5, and no external sensor (FIELD)."""
+    typed = julabo(in_sp_00="35.5", in_pv_02="---.--")
+    typed.reply_end = b"\n"
+    with served(typed) as (_, bath):
+        assert (bath.read().set_point_c, bath.read().external_c) == (35.5, None)
+
+
+def test_what_a_julabo_is_told() -> None:
+    """CERTAIN: command, space, parameter; out_mode_05 1 starts and 0 stops; 250 ms apart."""
+
+    def act(typed: Typed, command: str) -> None:
+        word, _, parameter = command.partition(" ")
+        read = {"out_sp_00": "in_sp_00", "out_mode_05": "in_mode_05"}[word]
+        typed.replies[read] = parameter
+        times_s.append(typed.clock.now())
+
+    times_s: list[float] = []
+    typed = julabo()
+    typed.acts = act
+    with served(typed) as (_, bath):
+        bath.start(35.25)
+        bath.standby()
+    assert typed.told == ["out_sp_00 35.25", "out_mode_05 1", "out_mode_05 0"]
+    assert min(b - a for a, b in pairwise(times_s)) >= 0.25
+
+
+def test_a_write_that_is_not_done_is_reported_with_the_cause() -> None:
+    with (
+        served(julabo(status="00 MANUAL STOP")) as (_, bath),
+        pytest.raises(DeviceError, match=r"did not do it.*'manual': set it to remote control"),
+    ):
+        bath.set_point(25.0)
+
+
+def test_what_some_models_do_not_answer_is_left_out() -> None:
+    """A FL has no external, no safety sensor and no power to show (CERTAIN: its list)."""
+    typed = julabo()
+    for command in ("in_pv_01", "in_pv_02", "in_pv_03", "in_pv_04"):
+        del typed.replies[command]
+    with served(typed) as (_, bath):
+        reading = bath.read()
+        assert (reading.temp_c, reading.external_c, reading.power_percent) == (20.0, None, None)
+        assert bath.identity["not answered"] == "cut_out, external, power, safety"
+
+
+@pytest.mark.parametrize(
+    ("replies", "said"),
+    [
+        ({"version": "20.00"}, "may be the answer to"),
+        ({"in_pv_00": "91.40"}, "In degF it would be 33.0 degC"),
+        ({"in_mode_05": "7"}, "it is no JULABO circulator"),
+        ({"status": "0"}, "what came is no answer to this"),
+        ({"in_pv_00": ""}, "no answer"),
+    ],
+)
+def test_what_no_julabo_answers_is_refused(replies: dict[str, str], said: str) -> None:
+    with pytest.raises(InstrumentError, match=said), served(julabo(**replies)):
+        pass
+
+
+# LAUDA. CERTAIN: commands, OK and ERR_X, XXX.XX, CR LF (LOOP 100 manual, 5.11), and the characters of
+# STAT (ECO Gold manual, p. 125); IN_MODE_02 is 1 in standby.
+LAUDA_REPLIES = {
+    "TYPE": "BC_LOOP",
+    "VERSION_R": "1.10",
+    "IN_PV_00": "020.50",
+    "IN_PV_03": "ERR_3",
+    "IN_SP_00": "033.00",
+    "IN_SP_03": "040.00",
+    "IN_MODE_02": "1",
+    "STAT": "0000000",
+}
+
+
+@pytest.mark.parametrize(
+    ("stat", "alarm", "text"),
+    [
+        ("0000000", 0, ""),
+        ("0010000", 0, ""),  # a warning is no alarm
+        ("0100100", 18, "low level"),
+        ("0001000", 8, "over-temperature"),
+        ("1000000", 1, "error"),
+    ],
+)
+def test_a_laudas_replies(stat: str, alarm: int, text: str) -> None:
+    typed = Typed(VirtualClock(), {**LAUDA_REPLIES, "STAT": stat}, confirm="OK")
+    with served(typed, "lauda-ascii") as (_, bath):
+        reading = bath.read()
+        assert (reading.temp_c, reading.set_point_c, reading.external_c) == (20.5, 33.0, None)
+        assert (reading.running, reading.alarm) == (False, alarm)
+        assert text in bath.profile.alarm_text(alarm)
+        assert bath.profile.means(alarm, "level") == (stat[4] == "1")
+
+
+def test_what_a_lauda_is_told() -> None:
+    """CERTAIN: its example sets 30.5 degC by OUT_SP_00_30.5, answered with OK."""
+
+    def act(typed: Typed, command: str) -> None:
+        changed = {"START": ("IN_MODE_02", "0"), "STOP": ("IN_MODE_02", "1")}
+        read, shown = changed.get(command, ("IN_SP_00", f"0{command[-5:]}"))
+        typed.replies[read] = shown
+
+    typed = Typed(VirtualClock(), dict(LAUDA_REPLIES), confirm="OK", acts=act)
+    with served(typed, "lauda-ascii") as (_, bath):
+        bath.start(30.5)
+        bath.safe()
+        assert typed.told == ["OUT_SP_00_30.50", "START", "STOP"]
+        typed.confirm = "ERR_6"
+        with pytest.raises(DeviceError, match="refused: impermissible value"):
+            bath.set_point(31.0)
+
+
+# ---- late, doubled, cut and garbled
+
+
+def cut(count: int, *, head: bool) -> Fault:
+    return Fault(spoil=lambda line: line[count:] if head else line[: max(0, len(line) - count)])
+
+
+def changed(at: int, into: int) -> Fault:
+    def spoil(line: bytes) -> bytes:
+        place = at % len(line)
+        return line[:place] + bytes((into,)) + line[place + 1 :]
+
+    return Fault(spoil=spoil)
+
+
+FAULTS = st.one_of(
+    st.builds(Fault, late_s=st.sampled_from([0.01, 0.5, 1.2, 3.0, 6.0])),
+    st.builds(Fault, lost=st.just(True)),
+    st.builds(Fault, again_s=st.sampled_from([0.0, 0.005, 0.02, 0.03, 1.5])),
+    st.builds(cut, st.integers(1, 4), head=st.booleans()),
+    st.builds(changed, st.integers(0, 4), st.sampled_from(list(b"0123456789.-x\x00\r\n"))),
+)
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@given(faults=st.dictionaries(st.integers(0, 40), FAULTS, min_size=1, max_size=4))
+# both replies to one command come twice, each late enough to answer the next command: they agree
+@example(faults={10: Fault(again_s=0.012), 11: Fault(again_s=0.012)})
+def test_no_wrong_value_from_a_bad_line(faults: dict[int, Fault]) -> None:
+    """Right within what two replies may differ by, or an error; never another row's value. Two
+    replies in a row that are damaged in the same way can't be told from sound ones.
+    """
+    assume(
+        all(
+            faults[at].spoil is bytes or faults[at + 1].spoil is bytes
+            for at in faults
+            if at + 1 in faults
+        )
+    )
+    with served(julabo()) as (typed, bath):
+        typed.latency_s = 0.02
+        typed.faults = [faults.get(at, Fault()) for at in range(41)]
+        for _ in range(4):
+            try:
+                reading = bath.read()
+                external_c = bath.get("external")
+            except InstrumentError:
+                continue
+            assert reading.temp_c == pytest.approx(20.0, abs=0.1)
+            assert reading.set_point_c == 33.0
+            assert reading.external_c in (None, pytest.approx(31.0, abs=0.1))
+            assert reading.safety_c in (None, pytest.approx(21.5, abs=0.1))
+            assert external_c == pytest.approx(31.0, abs=0.1)
+            assert (reading.running, reading.alarm) == (False, 0)
+        typed.faults.clear()
+        typed.clock.sleep(10.0)
+        assert bath.read().temp_c == 20.0, "it recovers"
+
+
+def test_standby_is_sent_at_once_on_a_line_that_is_out_of_step() -> None:
+    typed = julabo(in_mode_05="1", status="03 REMOTE START")
+
+    def act(on: Typed, command: str) -> None:
+        on.replies["in_mode_05"] = command[-1]
+
+    typed.acts = act
+    with served(typed) as (_, bath):
+        typed.faults = [Fault(late_s=3.0)] * 3
+        with pytest.raises(InstrumentError):
+            bath.read()
+        asked_s, typed.told = typed.clock.now(), []
+        bath.safe()
+        assert typed.told[0] == "out_mode_05 0"
+        assert typed.clock.now() - asked_s < 10.0
+
+
+# ---- an independent client, and the driver, on a serial port
+
+
+class ManualClient:
+    """A host written from the SL manual's chapter 12 alone: CR ends a command, a reply ends with LF,
+    10 ms to the next command, 250 ms after an out command.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._port = serial.serial_for_url(url, baudrate=4800, bytesize=7, parity="E", timeout=5.0)
+
+    def ask(self, command: str) -> str:
+        self._port.write(command.encode() + b"\x0d")
+        line: bytes = self._port.read_until(b"\x0a")
+        time.sleep(0.01)
+        return line.decode().strip()
+
+    def tell(self, command: str) -> None:
+        self._port.write(command.encode() + b"\x0d")
+        time.sleep(0.25)
+
+    def close(self) -> None:
+        self._port.close()
+
+
+@contextmanager
+def in_real_time(name: str) -> Iterator[tuple[LineEmulator, str]]:
+    """An emulated circulator on a pseudo-terminal, or on TCP where there is none; its URL."""
+    profile = load_profile(name)
+    assert isinstance(profile, LineProfile)
+    plant, lock = calm_plant(), threading.RLock()
+    with closing(RealClock()) as clock:
+        device = LineEmulator(plant, profile, clock)
+        kind = PtyListener if os.name == "posix" else Listener
+        with closing(kind(device, clock, lock=lock, name="bath")) as listener:
+            yield device, listener.url
+
+
+def test_a_client_written_from_the_julabo_manual_alone() -> None:
+    with in_real_time(JULABO) as (device, url), closing(ManualClient(url)) as client:
+        assert client.ask("version").startswith("JULABO")
+        assert client.ask("status") == "02 REMOTE STOP"
+        client.tell("out_sp_00 34.5")
+        assert float(client.ask("in_sp_00")) == 34.5
+        client.tell("out_mode_05 1")
+        assert client.ask("in_mode_05") == "1"
+        assert client.ask("status") == "03 REMOTE START"
+        assert float(client.ask("in_pv_00")) == pytest.approx(20.0, abs=0.2)
+        client.tell("out_mode_05 7")
+        assert client.ask("status") == "-08 INVALID COMMAND"
+        client.tell("out_mode_05 0")
+        assert client.ask("status") == "02 REMOTE STOP"
+        assert not device.plant.running
+
+
+def test_a_client_written_from_the_lauda_manual_alone() -> None:
+    """CR ends a command; each has an answer."""
+    with in_real_time("lauda-ascii") as (device, url), closing(ManualClient(url)) as client:
+        for command, answer in (
+            ("OUT_SP_00_30.5", "OK"),
+            ("IN_SP_00", "030.50"),
+            ("out_sp_00 -5", "OK"),
+            ("IN_SP_00", "-005.00"),
+            ("START", "OK"),
+            ("IN_MODE_02", "0"),
+            ("STAT", "0000000"),
+            ("OUT_SP_00_x", "ERR_5"),
+            ("OUT_SP_00_900", "ERR_6"),
+            ("STRAT", "ERR_3"),
+            ("STOP", "OK"),
+        ):
+            assert client.ask(command) == answer
+        assert not device.plant.running
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LINE_FAMILIES)
+def test_the_driver_on_a_serial_port(name: str) -> None:
+    with in_real_time(name) as (device, url), closing(RealClock()) as clock:
+        # a pseudo-terminal has no parity
+        url = url.replace("socket", "tcp") if "://" in url else f"{url}{AS_A_PTY}"
+        with closing(Bath(url, load_profile(name), clock)) as bath:
+            bath.start(33.0)
+            assert device.plant.running
+            assert bath.read().set_point_c == pytest.approx(33.0)
+            bath.safe()
+            assert not device.plant.running
+
+
+# ---- each family and its emulator
+
+
+@contextmanager
+def emulated(name: str, fault: str = "") -> Iterator[tuple[LineEmulator, Bath]]:
+    profile, clock = load_profile(name), VirtualClock()
+    assert isinstance(profile, LineProfile)
+    device = LineEmulator(calm_plant(), profile, clock)
+    with (
+        closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener,
+        closing(Bath(f"tcp://127.0.0.1:{listener.port}", profile, clock)) as bath,
+    ):
+        if fault:
+            device.fault(fault)
+        yield device, bath
+
+
+@pytest.mark.parametrize("name", LINE_FAMILIES)
+def test_each_family_heats_and_stands_by(name: str) -> None:
+    with emulated(name) as (device, bath):
+        bath.start(33.0)
+        assert device.plant.set_point_c == pytest.approx(33.0)
+        device.plant.advance_to(1800.0)
+        reading = bath.read()
+        assert reading.temp_c == pytest.approx(device.plant.pv_c, abs=0.06)
+        assert reading.running
+        bath.safe()
+        assert bath.read().running is False
+
+
+@pytest.mark.parametrize("name", LINE_FAMILIES)
+@pytest.mark.parametrize("fault", ["silence", "late answer", "garbage", "cut answer"])
+def test_each_family_with_a_bad_line_gives_an_error_and_recovers(name: str, fault: str) -> None:
+    with emulated(name, fault) as (device, bath):
+        with pytest.raises(InstrumentError):
+            bath.read()
+        device.fault(fault, on=False)
+        bath.read()
+        device.fault("doubled answer")
+        assert bath.read().temp_c == pytest.approx(20.0, abs=0.1)
+
+
+@pytest.mark.parametrize("name", LINE_FAMILIES)
+def test_each_family_after_a_power_cut_stands_by(name: str) -> None:
+    with emulated(name) as (device, bath):
+        bath.start(33.0)
+        device.fault("controller reset")
+        with pytest.raises(LinkError):
+            bath.read()
+        device._clock.sleep(6.0)
+        with pytest.raises(DeviceError, match="stopped by itself"):
+            bath.read()
+
+
+# ---- profiles
+
+
+OWN = """
+kind = "line"
+family = "OUR OLD BATH"
+source = "the sticker on its back"
+transports = ["serial", "tcp"]
+marker = "version"
+comms_loss = "unknown"
+comms_loss_evidence = "INFERRED"
+refusals = { "ERR" = "it does not know this" }
+confirm = "OK"
+[[rows]]
+name = "temperature"
+ask = "T?"
+reply = "T=<number> C"
+unit = "degC"
+poll = true
+evidence = "CERTAIN"
+[[rows]]
+name = "set_point"
+ask = "S?"
+reply = "S=<number>"
+tell = "S <number>"
+unit = "degC"
+access = "rw"
+range = [5.0, 36.0]
+poll = true
+evidence = "CERTAIN"
+[[rows]]
+name = "run"
+ask = "H?"
+values = { standby = 0, started = 1 }
+shows = { standby = ["OFF"], started = ["ON", "HOLD"] }
+tell = { standby = "HEAT OFF", started = "HEAT ON" }
+access = "rw"
+poll = true
+evidence = "CERTAIN"
+[[rows]]
+name = "version"
+ask = "V?"
+reply = "<text>"
+evidence = "CERTAIN"
+"""
+
+
+def own(folder: Path, old: str = "", new: str = "") -> Path:
+    path = folder / "own.toml"
+    assert old in OWN
+    path.write_text(OWN.replace(old, new, 1), encoding="utf-8")
+    return path
+
+
+def test_a_labs_own_profile_needs_no_python(tmp_path: Path) -> None:
+    profile, clock = load_profile(own(tmp_path)), VirtualClock()
+    assert isinstance(profile, LineProfile)
+    device = LineEmulator(Plant(1), profile, clock)
+    with closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener:
+        url = f"tcp://127.0.0.1:{listener.port}"
+        with closing(Bath(url, profile, clock)) as bath:
+            bath.start(30.0)
+            assert (device.plant.running, device.plant.set_point_c) == (True, 30.0)
+            bath.safe()
+            assert bath.read().running is False
+    with pytest.raises(LinkError, match="the port is missing"):
+        Bath("tcp://127.0.0.1", profile, clock)
+    with pytest.raises(LinkError, match="has no unit"):
+        Bath("COM9?unit=3", profile, clock)
+
+
+def test_a_word_that_refuses_is_told(tmp_path: Path) -> None:
+    typed = Typed(VirtualClock(), {"V?": "v1", "T?": "T=20.0 C", "S?": "S=20.0", "H?": "HOLD"})
+    with served(typed, load_profile(own(tmp_path))) as (_, bath):
+        assert bath.read().running is True
+        typed.confirm = "ERR"
+        with pytest.raises(DeviceError, match="refused: it does not know this"):
+            bath.set_point(25.0)
+        with pytest.raises(LimitError, match="takes 5 to 36 degC"):
+            bath.set_point(50.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "message"),
+    [
+        ('kind = "line"', 'kind = "lines"', "kind", "Input should be 'line'"),
+        ('marker = "version"', 'marker = "verson"', "marker", "no row 'verson'"),
+        ('marker = "version"', 'marker = "temperatur"', "marker", "no row"),
+        ('ask = "S?"\n', "", "rows.1", "needs 'ask'"),
+        ('tell = "S <number>"\n', "", "rows.1", "needs 'tell'"),
+        ('"S <number>"', '"S <nummer>"', "rows.1", "has the field <nummer>"),
+        ('"S=<number>"', '"S=<number> <hex>"', "rows.1", "more than one value"),
+        ('standby = ["OFF"]', 'off = ["OFF"]', "rows.2", "shows.off is no label"),
+        ('standby = "HEAT OFF", ', "", "rows.2", "a command for each label"),
+        ('ask = "V?"', 'ask = "V?\\r"', "rows.3", "no printable ASCII"),
+        ('confirm = "OK"', 'end = "!"', "end", "a carriage return, a line feed"),
+        ('reply = "<text>"', 'reply = "<number>"', "marker", "is a number"),
+    ],
+)
+def test_a_fault_of_a_profile_is_reported_with_its_place(
+    tmp_path: Path, old: str, new: str, key: str, message: str
+) -> None:
+    with pytest.raises(ProfileError) as caught:
+        load_profile(own(tmp_path, old, new))
+    assert any(at == key and message in said for at, said in caught.value.faults), caught.value
