@@ -16,15 +16,27 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
-from reports.frames import MARKS, ImageView, answer_mark, layers
+from reports.frames import (
+    MARKS,
+    Circle,
+    Ellipse,
+    ImageView,
+    Label,
+    Overlay,
+    Polyline,
+    Rect,
+    Shape,
+    answer_mark,
+    layers,
+)
 from reports.glossary import Explained, style_rules
 from reports.page import Cell, Figure, Page, Part, Table, TrialPart, Verdict
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
 
-IN_PAGE = 40  # trials: more get a file each
+IN_PAGE = 40  # trials, each counted once a detector: more get a file each
 TRIALS = "trials"  # their folder
 _TEMPLATES = Path(__file__).parent / "templates"
 SIGNS: dict[Verdict, str] = {
@@ -123,7 +135,8 @@ class Press:
             page=self._page,
             place=place,
             layers=layers(shown),
-            answer_mark=answer_mark,
+            shapes=_shapes,
+            answer_mark=lambda who: _shape(answer_mark(who, 10, 10, 5)),
             view_name=lambda image: views[_view(image)],
             row_id=row_id,
             lone=_lone,
@@ -205,7 +218,8 @@ def _link(href: str, place: Place, away: set[str]) -> str:
 
 
 def _own(page: Page) -> Place:
-    return Place(page.trials if len(page.trials) <= IN_PAGE else ())
+    most = IN_PAGE // max(1, len(page.detectors))
+    return Place(page.trials if len(page.trials) <= most else ())
 
 
 def _lone(parts: Sequence[Part]) -> set[int]:
@@ -262,6 +276,40 @@ def _printable(value: Any) -> Any:
 
 def _drawing(figure: Figure) -> Markup:
     return Markup(figure.svg)  # noqa: S704 page.Figure has checked every element and attribute
+
+
+def _shapes(layer: Overlay) -> Markup:
+    """In Python, not in the template: the shapes of 1 000 trials are most of a report's text."""
+    return Markup("").join(map(_shape, layer.shapes))
+
+
+def _shape(it: Shape) -> Markup:
+    n = _number
+    if isinstance(it, Label):
+        text = escape(sanitized(it.text))
+        return Markup(f'<text x="{n(it.x_px)}" y="{n(it.y_px)}">{text}</text>')  # noqa: S704 escaped
+    if isinstance(it, Circle):
+        drawn = f'<circle cx="{n(it.x_px)}" cy="{n(it.y_px)}" r="{n(it.radius_px)}"'
+    elif isinstance(it, Ellipse):
+        x, y = n(it.x_px), n(it.y_px)
+        drawn = f'<ellipse cx="{x}" cy="{y}" rx="{n(it.major_px)}" ry="{n(it.minor_px)}"'
+        drawn += f' transform="rotate({n(it.turn_deg)} {x} {y})"'
+    elif isinstance(it, Rect):
+        drawn = f'<rect x="{n(it.x_px)}" y="{n(it.y_px)}" width="{n(it.width_px)}"'
+        drawn += f' height="{n(it.height_px)}"'
+    elif isinstance(it, Polyline):
+        line = "L".join(f"{n(x)} {n(y)}" for x, y in it.points_px)
+        drawn = f'<path d="M{line}{"z" if it.closed else ""}"'
+    elif it.turned:
+        a, b = n(it.arm_px * 0.7071), n(it.arm_px * 1.4142)
+        drawn = f'<path d="M{n(it.x_px)} {n(it.y_px)}m-{a} -{a}l{b} {b}m-{b} 0l{b} -{b}"'
+    else:
+        a, b = n(it.arm_px), n(it.arm_px * 2)
+        drawn = f'<path d="M{n(it.x_px)} {n(it.y_px)}m-{a} 0h{b}m-{a} -{a}v{b}"'
+    if not it.title:
+        return Markup(f"{drawn}/>")  # noqa: S704 numbers
+    tag = drawn[1 : drawn.index(" ")]
+    return Markup(f"{drawn}><title>{escape(sanitized(it.title))}</title></{tag}>")  # noqa: S704 escaped
 
 
 def _number(value: float) -> str:
