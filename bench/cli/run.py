@@ -53,7 +53,14 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int:
-    from bench.run.estimate import estimate_text, figures, needs, read_learnt, took, write_learnt
+    from bench.run.estimate import (
+        estimate_text,
+        figures,
+        needs,
+        read_durations,
+        took,
+        write_durations,
+    )
     from bench.run.start import RunOptions, run_script
 
     console = Terminal()
@@ -79,8 +86,8 @@ def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int
     spent = took(record)
     # the next estimate is better by what this run took; one that stopped shows nothing
     if record.ending == "finished" and "total_s" in spent:
-        expected = needs(rig, script, read_learnt(given.out, rig)).time
-        write_learnt(folder, rig, expected, spent, figures(record, rig, script, spent))
+        expected = needs(rig, script, read_durations(given.out, rig)).time
+        write_durations(folder, rig, expected, spent, figures(record, rig, script, spent))
         print(estimate_text(expected, spent))
     if given.open:
         open_report(written[0])

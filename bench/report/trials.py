@@ -113,11 +113,12 @@ def looks_of(
             break
     by_id = {part.id: part for part in parts}
     return tuple(
-        _look(trial, why, by_id[trial_id(trial)], calibration) for trial, why in chosen.values()
+        look_at(trial, why, by_id[trial_id(trial)], calibration) for trial, why in chosen.values()
     )
 
 
-def _look(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Look:
+def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Look:
+    """Its views cut to the teats, with truth and answers drawn in."""
     ends = np.array([[r["x_mm"], r["y_mm"], r["z_mm"]] for r in trial.truth]).reshape(-1, 3)
     images = []
     for camera, truth_px in project_all(calibration, ends).items():

@@ -80,7 +80,7 @@ def error_strips(
                 linked(axes, one, rows, drawn, of, role=role, size=11, alpha=0.7, marker=form)
         axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.4)
         axes.set(xlim=(0, 1.06 * max(limit_mm, *largest)), xlabel="distance to the teat end (mm)")
-        _rows(axes, situations)
+        family_rows(axes, situations)
         entries: list[LegendEntry] = [
             (plain(detector, 20), *detector_look(place, len(arrays)))
             for place, detector in enumerate(arrays)
@@ -123,7 +123,7 @@ def outcome_bars(
                 text = " · ".join(map(str, one))
                 axes.text(left[-1] + 0.02 * most, y, text, va="center", fontsize=7.5)
         axes.set(xlim=(-0.06 * most, 1.3 * most), xlabel="teats, and answers where there is none")
-        _rows(axes, situations)
+        family_rows(axes, situations)
         entries: list[LegendEntry] = [
             *(("found", "good", "patch"), ("missed", "muted", "patch")),
             ("false", "limit", "patch"),
@@ -141,7 +141,8 @@ def _inches(situations: Sequence[str], detectors: int) -> tuple[float, float]:
     return HALF_INCHES, min(1.1 + each * max(len(situations), 3), 6.0)
 
 
-def _rows(axes: Axes, situations: Sequence[str]) -> None:
+def family_rows(axes: Axes, situations: Sequence[str]) -> None:
+    """A row each, the first above."""
     axes.set_yticks(range(len(situations)), [plain(text, 24) for text in situations])
     axes.set_ylim(len(situations) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")

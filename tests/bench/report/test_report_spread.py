@@ -44,9 +44,8 @@ Kind = TypeVar("Kind", Figure, Paragraph, Table)
 
 def message(parts: Sequence[Part], kind: type[Kind], start: str) -> Kind:
     """The part of that kind whose caption or text begins so."""
-    folds = [part for part in parts if isinstance(part, Fold)]
-    every: list[Part] = [*parts, *(inner for fold in folds for inner in fold.parts)]
-    of_kind = [part for part in every if isinstance(part, kind)]
+    folded: list[Part] = [inner for part in parts if isinstance(part, Fold) for inner in part.parts]
+    of_kind = [part for part in (*parts, *folded) if isinstance(part, kind)]
     heads = [part.text if isinstance(part, Paragraph) else part.caption for part in of_kind]
     return next(p for p, head in zip(of_kind, heads, strict=True) if head.startswith(start))
 
