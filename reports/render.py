@@ -9,23 +9,39 @@ in the page; many get a file each.
 import base64
 import hashlib
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
-from reports.frames import MARKS, ImageView, answer_mark, layers
+from reports.frames import (
+    MARKS,
+    Circle,
+    Ellipse,
+    ImageView,
+    Label,
+    Overlay,
+    Polyline,
+    Rect,
+    Shape,
+    answer_mark,
+    layers,
+)
 from reports.glossary import Explained, style_rules
-from reports.page import Cell, Figure, Page, Part, Table, TrialPart, Verdict
+from reports.page import Cell, Figure, Page, Part, Section, Table, TrialPart, Verdict
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
 
-IN_PAGE = 40  # trials: more get a file each
+IN_PAGE = 40  # trials, each counted once a detector: more get a file each
 TRIALS = "trials"  # their folder
+MOST_BYTES = 1_000_000  # of a page: where it is larger its folded chapters get a file each
+GLOSSARY = "glossary.html"
+WHOLE = "whole.html"  # all of them in one, for paper
 _TEMPLATES = Path(__file__).parent / "templates"
 SIGNS: dict[Verdict, str] = {
     "met": "✓",
@@ -51,6 +67,8 @@ class Place:
     trials: tuple[TrialPart, ...]
     base: str = ""  # from this file to the report's folder
     embedded: Mapping[str, str] | None = None
+    file: str = "index.html"
+    apart: Mapping[str, str] = field(default_factory=dict)  # files of chapters, by the ids in them
 
     @property
     def files(self) -> bool:
@@ -77,7 +95,7 @@ class Press:
                 f".who-{who}{{color:var(--who-{(who - 1) % len(MARKS) + 1})}}\n"
                 f"body:has(#who-{who}:not(:checked)) .pane .who-{who}{{display:none}}\n"
             )
-        self._explained = {base: Explained(page.glossary, base) for base in ("", "../index.html")}
+        self._explained: dict[str, Explained] = {}
         self._script = assets("frames.js", "script.js")
         self._environment = environment()
 
@@ -87,24 +105,31 @@ class Press:
         rows = (row for table in tables if table.searchable for row in table.rows)
         listed = {trial.id for trial in place.trials} | {_trial_of(row) for row in rows}
         lost = [trial.id for trial in self._page.trials if trial.id not in listed]
-        if lost and place.files:
+        if lost and place.files and not place.apart:
             raise PageError(
                 f"page {self._page.title!r}: no searchable table begins a row with a link to"
                 f" {lost[:5]}; list every trial"
             )
         return self._fill("page.html.j2", place)
 
-    def trial(self, number: int) -> str:
+    def chapter(self, place: Place, section: Section | None) -> str:
+        """The file of a folded chapter, where each has one; of the glossary for None."""
+        named = section.title if section else "Glossary"
+        return self._fill("page.html.j2", place, only=section or "glossary", named=named)
+
+    def trial(self, number: int, apart: Mapping[str, str]) -> str:
         """The file of the trial at `number`, from 0 in the page's order, in the folder `trials`."""
         before, trial, after = (None, *self._page.trials, None)[number : number + 3]
-        place = Place((self._page.trials[number],), base="../")
+        own = self._page.trials[number]
+        place = Place((own,), base="../", file=f"{TRIALS}/{own.id}.html", apart=apart)
         return self._fill("trial.html.j2", place, trial=trial, before=before, after=after)
 
     def _fill(self, template: str, place: Place, **values: Any) -> str:
         shown = [image for trial in place.trials for image in trial.images]
-        looks = self._page.looks() if template == "page.html.j2" else ()
+        looks = self._page.looks() if template == "page.html.j2" and not values.get("only") else ()
         cut = [image for look in looks for image in look.images]
         away = {trial.id for trial in self._page.trials} - {trial.id for trial in place.trials}
+        away -= place.apart.keys()
         named: set[str] = set()
 
         def row_id(row: Sequence[str | Cell]) -> str:
@@ -115,6 +140,9 @@ class Press:
             named.add(name)
             return name
 
+        def to(href: str) -> str:
+            return _link(href, place, away)
+
         different = dict.fromkeys(map(_view, (*cut, *shown)))
         views = {view: f"v{number}" for number, view in enumerate(different)}
         style = self._style + "".join(_view_rule(name, view) for view, name in views.items())
@@ -123,12 +151,16 @@ class Press:
             page=self._page,
             place=place,
             layers=layers(shown),
-            answer_mark=answer_mark,
+            shapes=_shapes,
+            answer_mark=lambda who: _shape(answer_mark(who, 10, 10, 5)),
             view_name=lambda image: views[_view(image)],
             row_id=row_id,
             lone=_lone,
-            explain=self._explained["" if template == "page.html.j2" else "../index.html"],
-            link=lambda href: _link(href, place, away),
+            explain=self._terms(place),
+            drawing=lambda figure: _drawing(figure, to if place.apart else None),
+            index=f"{place.base}index.html",
+            listed=place.base + place.apart.get(self._page.trials_in, "index.html"),
+            link=to,
             signs=SIGNS,
             style=Markup(style),  # noqa: S704 our own file and numbers
             script=Markup(self._script),  # noqa: S704 our own file
@@ -137,8 +169,13 @@ class Press:
                 f"style-src '{by_style}'; script-src '{by_script}'; "
                 "base-uri 'none'; form-action 'none'"
             ),
-            **values,
+            **{"only": None, "named": "", **values},
         )
+
+    def _terms(self, place: Place) -> Explained:
+        file = place.apart.get("glossary", "index.html")
+        base = "" if file == place.file else place.base + file
+        return self._explained.setdefault(base, Explained(self._page.glossary, base))
 
 
 def _trial_of(row: Sequence[str | Cell]) -> str:
@@ -163,12 +200,39 @@ def write_report(page: Page, folder: Path) -> Path:
     refuse_missing(page.images(), folder)
     press = Press(page)
     place = _own(page)
+    whole = press.page(place)
+    chapters = {f"{section.id}.html": section for section in page.sections if section.folded}
+    for name in (*chapters, GLOSSARY, WHOLE):
+        (folder / name).unlink(missing_ok=True)  # of a longer report that stood here
+    apart = _apart(page) if chapters and len(whole.encode()) > MOST_BYTES else {}
     if len(place.trials) < len(page.trials):
         (folder / TRIALS).mkdir(exist_ok=True)
         for number, trial in enumerate(page.trials):
             target = folder / TRIALS / f"{trial.id}.html"
-            target.write_text(press.trial(number), encoding="utf-8", newline="\n")
-    return write_whole(folder / "index.html", press.page(place))
+            target.write_text(press.trial(number, apart), encoding="utf-8", newline="\n")
+    if not apart:
+        return write_whole(folder / "index.html", whole)
+    write_whole(folder / WHOLE, whole)
+    for name, section in chapters.items():
+        trials = place.trials if section.id == page.trials_in else ()
+        there = replace(place, file=name, apart=apart, trials=trials)
+        write_whole(folder / name, press.chapter(there, section))
+    if page.glossary:
+        there = replace(place, file=GLOSSARY, apart=apart, trials=())
+        write_whole(folder / GLOSSARY, press.chapter(there, None))
+    return write_whole(folder / "index.html", press.page(replace(place, apart=apart, trials=())))
+
+
+def _apart(page: Page) -> dict[str, str]:
+    """Each folded chapter's file, by its id and those of the sections in it."""
+    files = {section.id: f"{section.id}.html" for section in page.sections if section.folded}
+    for section in page.sections:
+        if section.folded:
+            inner = (part for part in section.parts if isinstance(part, Section))
+            files |= {part.id: files[section.id] for part in inner}
+    if page.trials_in in files and len(_own(page).trials) == len(page.trials):
+        files |= {trial.id: files[page.trials_in] for trial in page.trials}
+    return files | {"glossary": GLOSSARY}
 
 
 def write_whole(target: Path, html: str) -> Path:
@@ -197,6 +261,9 @@ def refuse_missing(images: Iterable[ImageView], folder: Path) -> None:
 
 
 def _link(href: str, place: Place, away: set[str]) -> str:
+    file = place.apart.get(href[1:], place.file) if href.startswith("#") else place.file
+    if file != place.file:
+        return f"{place.base}{file}{href}"
     if href.startswith("#") and href[1:] in away:
         return f"{place.base}{TRIALS}/{href[1:]}.html" if place.files else ""
     if not place.files and not href.startswith("#"):
@@ -205,7 +272,8 @@ def _link(href: str, place: Place, away: set[str]) -> str:
 
 
 def _own(page: Page) -> Place:
-    return Place(page.trials if len(page.trials) <= IN_PAGE else ())
+    most = IN_PAGE // max(1, len(page.detectors))
+    return Place(page.trials if len(page.trials) <= most else ())
 
 
 def _lone(parts: Sequence[Part]) -> set[int]:
@@ -238,7 +306,7 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters.update(drawing=_drawing, number=_number, slug=lambda word: word.replace(" ", "-"))
+    made.filters.update(number=_number, slug=lambda word: word.replace(" ", "-"))
     return made
 
 
@@ -260,8 +328,47 @@ def _printable(value: Any) -> Any:
     return value if isinstance(value, Markup) or not isinstance(value, str) else sanitized(value)
 
 
-def _drawing(figure: Figure) -> Markup:
-    return Markup(figure.svg)  # noqa: S704 page.Figure has checked every element and attribute
+def _drawing(figure: Figure, link: Callable[[str], str] | None) -> Markup:
+    """Its links lead through `link`; without one to the page's own rows."""
+    svg = figure.svg
+    if link is not None:
+        hrefs = {one: link(one) or one for one in figure.facts.links}
+        svg = re.sub(r'<a href="([^"]*)"', lambda a: f'<a href="{escape(hrefs[a[1]])}"', svg)
+    return Markup(svg)  # noqa: S704 page.Figure has checked every element and attribute
+
+
+def _shapes(layer: Overlay) -> Markup:
+    """In Python, not in the template: the shapes of 1 000 trials are most of a report's text."""
+    return Markup("").join(map(_shape, layer.shapes))
+
+
+def _shape(it: Shape) -> Markup:
+    n = _number
+    if isinstance(it, Label):
+        text = escape(sanitized(it.text))
+        return Markup(f'<text x="{n(it.x_px)}" y="{n(it.y_px)}">{text}</text>')  # noqa: S704 escaped
+    if isinstance(it, Circle):
+        drawn = f'<circle cx="{n(it.x_px)}" cy="{n(it.y_px)}" r="{n(it.radius_px)}"'
+    elif isinstance(it, Ellipse):
+        x, y = n(it.x_px), n(it.y_px)
+        drawn = f'<ellipse cx="{x}" cy="{y}" rx="{n(it.major_px)}" ry="{n(it.minor_px)}"'
+        drawn += f' transform="rotate({n(it.turn_deg)} {x} {y})"'
+    elif isinstance(it, Rect):
+        drawn = f'<rect x="{n(it.x_px)}" y="{n(it.y_px)}" width="{n(it.width_px)}"'
+        drawn += f' height="{n(it.height_px)}"'
+    elif isinstance(it, Polyline):
+        line = "L".join(f"{n(x)} {n(y)}" for x, y in it.points_px)
+        drawn = f'<path d="M{line}{"z" if it.closed else ""}"'
+    elif it.turned:
+        a, b = n(it.arm_px * 0.7071), n(it.arm_px * 1.4142)
+        drawn = f'<path d="M{n(it.x_px)} {n(it.y_px)}m-{a} -{a}l{b} {b}m-{b} 0l{b} -{b}"'
+    else:
+        a, b = n(it.arm_px), n(it.arm_px * 2)
+        drawn = f'<path d="M{n(it.x_px)} {n(it.y_px)}m-{a} 0h{b}m-{a} -{a}v{b}"'
+    if not it.title:
+        return Markup(f"{drawn}/>")  # noqa: S704 numbers
+    tag = drawn[1 : drawn.index(" ")]
+    return Markup(f"{drawn}><title>{escape(sanitized(it.title))}</title></{tag}>")  # noqa: S704 escaped
 
 
 def _number(value: float) -> str:

@@ -168,6 +168,7 @@ def report(given: argparse.Namespace) -> int:
     from bench.report.page import PDF, REPORT, write_run_report
     from bench.report.thesis import is_offset_run
     from reports.pdf import find_browser, print_pdf
+    from reports.render import WHOLE
     from reports.trust import PageError
 
     if given.appendix and given.no_pdf:
@@ -196,7 +197,7 @@ def report(given: argparse.Namespace) -> int:
     if browser:
         folder = given.run / REPORT
         try:
-            page = folder / "index.html"
+            page = folder / WHOLE if (folder / WHOLE).is_file() else folder / "index.html"
             printed = print_pdf(page, folder / PDF, browser, appendix=given.appendix)
             print(f"PDF: {printed}")
         except (PageError, OSError) as error:

@@ -69,6 +69,8 @@
       return;
     }
     const trial = trials.find((one) => "#" + one.id === location.hash);
+    const elsewhere = document.body.dataset.list;
+    if (elsewhere && location.hash.startsWith("#trial-") && !document.querySelector(location.hash)) return location.replace(elsewhere + location.hash);
     if (trial && trial.hidden) clear();
     mark(trial || null);
     if (trial) trial.scrollIntoView({ behavior: "instant", block: "start" });
@@ -126,7 +128,8 @@
   all(".filter input").forEach((input) => input.addEventListener("input", () => sift(input)));
 
   const find = () => {
-    if (alone) location.href = "../index.html#filter";
+    const list = alone ? document.querySelector("a[rel=up]").getAttribute("href").split("#")[0] : document.body.dataset.list;
+    if (list && !filter) location.href = list + "#filter";
     else if (filter) { filter.scrollIntoView({ block: "center" }); filter.focus(); filter.select(); }
   };
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 
+from reports.glossary import Term
 from reports.page import Page, Part, Section, Table
 from reports.render import IN_PAGE, render, write_report
 from reports.trust import PageError
@@ -115,6 +116,38 @@ def test_two_writings_give_the_same_bytes(page: tuple[Page, Path], tmp_path: Pat
 def test_worst_trials_have_to_be_trials_of_the_page(page: tuple[Page, Path]) -> None:
     with pytest.raises(PageError, match=r"\['trial-999'\] in 'worst' are no trials of it"):
         dataclasses.replace(page[0], worst=("trial-999",))
+
+
+def test_a_large_page_s_folded_chapters_get_files_that_lead_to_each_other(
+    page: tuple[Page, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("reports.render.MOST_BYTES", 1)
+    write_report(sample_page(tmp_path, REPEATS), tmp_path)
+    assert not (tmp_path / "whole.html").exists(), "nothing is folded"
+    folded = {"trial-list", "accuracy"}
+    sections = tuple(dataclasses.replace(one, folded=one.id in folded) for one in page[0].sections)
+    terms = (Term("rms", "Root mean square."),)
+    made = dataclasses.replace(page[0], sections=sections, trials_in="trial-list", glossary=terms)
+    write_report(made, tmp_path)
+    names = {"index.html", "trial-list.html", "accuracy.html", "glossary.html"}
+    assert {path.name for path in tmp_path.glob("*.html")} == names | {"whole.html"}
+    for path in [*map(tmp_path.joinpath, names), tmp_path / "trials" / "trial-007.html"]:
+        text = read(path.read_text(encoding="utf-8"))
+        assert text.misplaced == []
+        links = [value.partition("#") for value in text.values("href")]
+        for file, _, fragment in links:
+            if file.endswith((".csv", ".json")):
+                continue  # the bench writes them
+            there = path.parent / file if file else path
+            assert there.is_file(), (path.name, file)
+            if fragment:
+                assert f'id="{fragment}"' in there.read_text(encoding="utf-8"), (
+                    path.name,
+                    fragment,
+                )
+    monkeypatch.undo()
+    write_report(made, tmp_path)
+    assert [path.name for path in tmp_path.glob("*.html")] == ["index.html"]
 
 
 @pytest.mark.browser
