@@ -25,8 +25,9 @@ from detector.protocol import Detector, Outcome, Teat
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import TruthRow
 from instruments.clock import processor_s, stopwatch_s
+from instruments.world.draws import Parameter
 from instruments.world.scene import Renderer
-from instruments.world.situations import Parameter, Situation
+from instruments.world.setups import Situation
 from instruments.world.situations import member as member_of
 
 LIMIT_MM = 5.0  # of the error of each teat; thesis, section 1.4.3

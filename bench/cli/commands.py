@@ -118,7 +118,7 @@ COMPARED = (
 )
 SITUATIONS = (
     CAMERAS_OF,
-    option("--situation NAME", "may be given several times (default: all eleven)", many=True),
+    option("--situation NAME", "may be given several times (default: all)", many=True),
 )
 FIRST_SEEDS = (
     option("--first N", "the first member's seed", whole(0), 0),
@@ -275,6 +275,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             flag("--pdf", "fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)"),
             flag("--no-pdf", "print no report.pdf, though a browser is installed"),
         ),
+        flag("--appendix", "print what is folded in the page too: report.pdf is the whole report"),
     ),
     "console": (
         "a page in the browser: what a run is doing, what it asks, and a button that ends it",
@@ -437,7 +438,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option(
             "plan PLAN", "a .toml file that says all of it (docs/campaigns.md)", Path, nargs="?"
         ),
-        option("--family NAME", "may be given several times (default: all eleven)", many=True),
+        option("--family NAME", "may be given several times (default: all)", many=True),
         option("--scenes N", "of each family (default: 100)", whole(1, 10_000_000)),
         option(
             "--half-width W",
@@ -478,7 +479,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option(
             "plan PLAN", "a .toml file that says all of it (docs/campaigns.md)", Path, nargs="?"
         ),
-        option("--family NAME", "may be given several times (default: all eleven)", many=True),
+        option("--family NAME", "may be given several times (default: all)", many=True),
         option("--scenes N", "tried around each member (default: 100)", whole(1, 10_000_000)),
         option("--members N", "searched around, of each family", whole(1, 10_000), 1),
         option("--rate-scenes N", "weighted scenes for each family's rate", whole(0, 1_000_000), 0),

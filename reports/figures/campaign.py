@@ -17,6 +17,7 @@ from reports.figures.drawing import (
     COLOURS,
     HALF_INCHES,
     LegendEntry,
+    detector_look,
     draw,
     finite,
     legend,
@@ -24,7 +25,7 @@ from reports.figures.drawing import (
     not_measured,
     plain,
 )
-from reports.figures.situations import DETECTORS, family_rows
+from reports.figures.situations import family_rows
 
 T = TypeVar("T")
 Rate = tuple[float, float, float]  # a share and its interval
@@ -64,7 +65,7 @@ def rate_intervals(
             if rate is None:
                 axes.text(0.0, y, " not measured", va="center", color=COLOURS["muted"], fontsize=7)
                 continue
-            role, form = DETECTORS[place % len(DETECTORS)]
+            role, form = detector_look(place, len(rates))
             value, low, high = rate
             axes.plot([low, high], [y, y], color=COLOURS[role], linewidth=1.6)
             marks(axes, [value], [y], role, 5, form, clip_on=False)
@@ -108,7 +109,7 @@ def error_spreads(
                     fontsize=7,
                 )  # fmt: skip
                 continue
-            role, form = DETECTORS[place % len(DETECTORS)]
+            role, form = detector_look(place, len(spreads))
             axes.plot([one[0], one[4]], [y, y], color=COLOURS[role], linewidth=1)
             axes.plot([one[1], one[3]], [y, y], color=COLOURS[role], linewidth=3.2)
             marks(axes, [one[2]], [y], "ink", 4, form)
@@ -210,7 +211,7 @@ def _inches(families: Sequence[str], detectors: Mapping[str, object]) -> tuple[f
 
 def _key(figure: Figure, detectors: Mapping[str, object], *more: LegendEntry) -> None:
     entries: list[LegendEntry] = [
-        (plain(detector, 20), *DETECTORS[place % len(DETECTORS)])
+        (plain(detector, 20), *detector_look(place, len(detectors)))
         for place, detector in enumerate(detectors)
     ]
     legend(figure, [*entries, *more])

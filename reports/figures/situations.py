@@ -16,7 +16,7 @@ from reports.figures.drawing import (
     HALF_INCHES,
     MOST_POINTS,
     LegendEntry,
-    Marker,
+    detector_look,
     draw,
     finite,
     legend,
@@ -28,10 +28,6 @@ from reports.figures.drawing import (
     telling,
 )
 
-# a detector's colour and marker, by its place
-DETECTORS: tuple[tuple[str, Marker], ...] = (
-    *(("ours", "o"), ("theirs", "s"), ("accept", "^"), ("good", "D")),
-)
 OUTCOMES = ("good", "muted", "limit")  # colours of found, missed, false
 _WIDTH = 0.8  # of the rows of a situation
 Floats = NDArray[np.float64]
@@ -71,7 +67,7 @@ def error_strips(
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
         for place, (detector, each) in enumerate(arrays.items()):
-            role, form = DETECTORS[place % len(DETECTORS)]
+            role, form = detector_look(place, len(arrays))
             step = _WIDTH / len(arrays)
             for k, one in enumerate(each):
                 y = k + (place - (len(arrays) - 1) / 2) * step
@@ -86,7 +82,7 @@ def error_strips(
         axes.set(xlim=(0, 1.06 * max(limit_mm, *largest)), xlabel="distance to the teat end (mm)")
         family_rows(axes, situations)
         entries: list[LegendEntry] = [
-            (plain(detector, 20), *DETECTORS[place % len(DETECTORS)])
+            (plain(detector, 20), *detector_look(place, len(arrays)))
             for place, detector in enumerate(arrays)
         ]
         legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])
@@ -122,7 +118,7 @@ def outcome_bars(
                 colours = [COLOURS[role] for role in OUTCOMES]
                 axes.barh(y, one, left=left[:-1], height=step * 0.78, color=colours)
                 if len(counts) > 1:
-                    role, form = DETECTORS[place % len(DETECTORS)]
+                    role, form = detector_look(place, len(counts))
                     marks(axes, -0.03 * most, y, role, 4, form, clip_on=False)
                 text = " · ".join(map(str, one))
                 axes.text(left[-1] + 0.02 * most, y, text, va="center", fontsize=7.5)
@@ -134,7 +130,7 @@ def outcome_bars(
         ]
         if len(counts) > 1:
             for place, detector in enumerate(counts):
-                entries.append((plain(detector, 20), *DETECTORS[place % len(DETECTORS)]))
+                entries.append((plain(detector, 20), *detector_look(place, len(counts))))
         legend(figure, entries)
 
     return draw(name, inches, plot)
