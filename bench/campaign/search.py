@@ -1,5 +1,6 @@
 """Looks for scenes on which a detector fails: evenly over a member's parameters first, then uphill
-from the worst of these.
+from the worst of these; and from each failure on to others, by drawing anew what does not matter to
+it.
 
 What it finds are failures, not how often they come: their share among what it tried says nothing.
 """
@@ -33,6 +34,10 @@ EVEN_SHARE = 0.3  # of a search's scenes, before it goes uphill
 STEP = 0.3  # of the parameters' ranges, at first
 POPULATION = 8  # points of a generation
 STALE = 3  # generations of a climb that bring nothing new, until it ends
+BARREN = 8  # scenes beside failures that bring no new one, until it climbs again
+LEG = 20  # scenes beside failures at most, until a generation of a climb
+SURE = 3.0  # how much what was seen decides which parameters are drawn anew
+FURTHER = 1.05  # than apart
 ASKED = 1000  # points for one that can be set up
 RATE_FIRST = 500_000_000  # the first member of which a rate is measured
 GATE_MM = 25.0  # a missed or false teat is as bad as an error so large
@@ -100,59 +105,145 @@ def search(
     evaluate: Evaluate, dimensions: int, scenes: int, seed: int, apart: float = APART
 ) -> Iterator[Tried]:
     """So many scenes, each as soon as it was scored. Raises NothingFitsError."""
-    chance = np.random.default_rng([seed, *b"search"])
-    tried: list[Tried] = []
-    failures: list[Tried] = []
-    even = islice(_tried(evaluate, _sobol(chance, dimensions)), max(1, round(EVEN_SHARE * scenes)))
-    for one in even:
-        tried.append(one)
-        failures += distinct([*failures, one], apart)[len(failures) :]
-        yield one
-    climbed: list[Tried] = []
-    while len(tried) < scenes:
-        new = [one for one in tried if not _near(one.point, climbed, apart)]
-        start = max(new or tried, key=lambda one: one.grade_mm)
-        climbed.append(start)
-        for one in _climb(evaluate, start, failures, chance, apart):
-            tried.append(one)
-            yield one
-            if len(tried) == scenes:
-                return
+    return islice(_Search(evaluate, dimensions, scenes, seed, apart).scenes(), scenes)
 
 
-def _climb(
-    evaluate: Evaluate,
-    start: Tried,
-    failures: list[Tried],
-    chance: np.random.Generator,
-    apart: float,
-) -> Iterator[Tried]:
-    """Scenes uphill by CMA-ES (Hansen, The CMA Evolution Strategy: A Tutorial, 2016). A failure
-    beside one that is known counts for nothing, so that it goes on to others; new ones are added.
+@dataclass(slots=True, eq=False)
+class _Kind:
+    """Failures of one origin. ``redrawn`` and ``kept`` count (d,): how often a parameter was drawn
+    anew, and how often it failed all the same.
     """
-    box = np.tile([0.0, 1.0], (len(start.point), 1))
-    steps = CMA(
-        start.point, STEP, bounds=box, seed=int(chance.integers(2**31)), population_size=POPULATION
-    )
-    best, stale = start.grade_mm, 0
-    while stale < STALE:
-        asked = (steps.ask() for _ in count())
-        told, found = [], False
-        for _ in range(steps.population_size):
-            try:
-                one = next(_tried(evaluate, asked))
-            except NothingFitsError:
-                return
+
+    failures: list[Tried]
+    redrawn: Floats
+    kept: Floats
+    found: int = 0
+    lost: int = 0
+
+
+class _Search:
+    """What a search around one member has tried so far."""
+
+    def __init__(
+        self, evaluate: Evaluate, dimensions: int, scenes: int, seed: int, apart: float
+    ) -> None:
+        self._evaluate, self._dimensions, self._apart = evaluate, dimensions, apart
+        self._even = max(1, round(EVEN_SHARE * scenes))
+        self._chance = np.random.default_rng([seed, *b"search"])
+        self._tried: list[Tried] = []
+        self._known: list[Tried] = []
+        self._climbed: list[Tried] = []
+        self._kinds: list[_Kind] = []
+
+    def scenes(self) -> Iterator[Tried]:
+        """Without an end."""
+        evenly = _tried(self._evaluate, _sobol(self._chance, self._dimensions))
+        for one in islice(evenly, self._even):
+            if self._add(one):
+                self._new_kind(one)
             yield one
-            new = one.failed and not _near(one.point, failures, apart)
-            if new:
-                failures.append(one)
-            worth = one.grade_mm if new or not one.failed else 0.0
-            found |= new or worth > best
-            best = max(best, worth)
-            told.append((one.point, -worth))
-        steps.tell(told)
-        stale = 0 if found else stale + 1
+        climb: Iterator[Tried] | None = None
+        while True:
+            before = len(self._tried)
+            yield from self._spread()
+            climb = climb or self._climb(self._start())
+            between = len(self._tried)
+            yield from islice(climb, POPULATION)
+            if len(self._tried) < between + POPULATION:
+                climb = None
+            if len(self._tried) == before:  # nothing fits near what was tried
+                one = next(evenly)
+                self._add(one)
+                yield one
+
+    def _start(self) -> Tried:
+        """The worst success apart from those that were climbed from before."""
+        new = [one for one in self._tried if not _near(one.point, self._climbed, self._apart)]
+        start = max(new or self._tried, key=lambda one: 0.0 if one.failed else one.grade_mm)
+        self._climbed.append(start)
+        return start
+
+    def _add(self, one: Tried) -> bool:
+        """Whether it is a failure apart from all that are known; then it is one of them."""
+        self._tried.append(one)
+        new = one.failed and not _near(one.point, self._known, self._apart)
+        if new:
+            self._known.append(one)
+        return new
+
+    def _new_kind(self, one: Tried) -> None:
+        nothing = np.zeros(self._dimensions)
+        self._kinds.append(_Kind([one], nothing, nothing.copy()))
+
+    def _spread(self) -> Iterator[Tried]:
+        """From known failures to others beside them, until `BARREN` scenes bring none, or `LEG` are
+        done: other kinds are to be found too, by a generation of a climb.
+        """
+        barren = done = 0
+        while self._kinds and barren < BARREN and done < LEG:
+            done += 1
+            kind = max(
+                self._kinds, key=lambda one: self._chance.beta(1.0 + one.found, 1.0 + one.lost)
+            )
+            for _ in range(ASKED):
+                point, changed = self._beside(kind)
+                if _near(point, self._known, self._apart):
+                    continue
+                if (one := self._evaluate(point)) is not None:
+                    break
+            else:
+                return
+            kind.redrawn[changed] += 1.0
+            kind.kept[changed] += one.failed
+            kind.found, kind.lost = kind.found + one.failed, kind.lost + (not one.failed)
+            if self._add(one):
+                kind.failures.append(one)
+                barren = 0
+            else:
+                barren += 1
+            yield one
+
+    def _beside(self, kind: _Kind) -> tuple[Floats, NDArray[np.intp]]:
+        """A failure with parameters drawn anew until it is apart from what it was, and which ones;
+        those first that seem not to matter to it.
+        """
+        whole = kind.failures[self._chance.integers(len(kind.failures))].point
+        matters_not = (1.0 + kind.kept) / (2.0 + kind.redrawn)
+        order = np.argsort(-SURE * np.log(matters_not) - self._chance.gumbel(size=len(whole)))
+        drawn = self._chance.random(len(whole))
+        moved = np.cumsum((drawn[order] - whole[order]) ** 2) / len(whole)
+        changed = order[: 1 + int(np.searchsorted(moved, (FURTHER * self._apart) ** 2))]
+        point = whole.copy()
+        point[changed] = drawn[changed]
+        return point, changed
+
+    def _climb(self, start: Tried) -> Iterator[Tried]:
+        """Scenes uphill by CMA-ES (Hansen, The CMA Evolution Strategy: A Tutorial, 2016) to the
+        first failure that isn't known. One beside a known failure counts for nothing.
+        """
+        box = np.tile([0.0, 1.0], (len(start.point), 1))
+        seed = int(self._chance.integers(2**31))
+        steps = CMA(start.point, STEP, bounds=box, seed=seed, population_size=POPULATION)
+        best, stale = start.grade_mm, 0
+        while stale < STALE:
+            asked = (steps.ask() for _ in count())
+            told, better = [], False
+            for _ in range(steps.population_size):
+                try:
+                    one = next(_tried(self._evaluate, asked))
+                except NothingFitsError:
+                    return
+                new = self._add(one)
+                yield one
+                if new:
+                    self._new_kind(one)
+                    return
+                worth = 0.0 if one.failed else one.grade_mm
+                better |= worth > best
+                best = max(best, worth)
+                told.append((one.point, -worth))
+            steps.tell(told)
+            stale = 0 if better else stale + 1
 
 
 def evaluate_around(bench: Bench, around: Around) -> Evaluate:

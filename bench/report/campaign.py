@@ -85,12 +85,38 @@ def campaign_page(
         )
         aside = (Section("aside", "Scenes set aside", (rows,)),)
     behind = (
-        Section("rates", "Failures by family", (_rates(numbers, plan),)),
-        Section("worst", "Worst scenes", (_worst(numbers, folder, drawn),)),
-        Section("depends", "Failures and parameters", _depends(numbers)),
-        Section("sure", "How sure they are", (_sure(numbers),)),
-        Section("made", "Made with", (key_values("Plan and program", {**asked, **made_by}),)),
+        Section(
+            "rates",
+            "Failures by family",
+            (_rates(numbers, plan),),
+            about="each family's rate, interval, kinds of failures",
+        ),
+        Section(
+            "worst",
+            "Worst scenes",
+            (_worst(numbers, folder, drawn),),
+            about="by name, with the command that draws each",
+        ),
+        Section(
+            "depends",
+            "Failures and parameters",
+            _depends(numbers),
+            about="the parameters on which failures depend",
+        ),
+        Section(
+            "sure",
+            "How sure they are",
+            (_sure(numbers),),
+            about="NEES, 95 % regions, ends that are sure and wrong",
+        ),
+        Section(
+            "made",
+            "Made with",
+            (key_values("Plan and program", {**asked, **made_by}),),
+            about="plan, program, detectors",
+        ),
     )
+    folded = (replace(section, folded=True) for section in behind)
     strip = (Section("looks", "Where to look first", (Looks(looks),)),) if looks else ()
     first = (
         Section("families", "What each detector shows", (_scoreboard(numbers, plan),)),
@@ -102,9 +128,9 @@ def campaign_page(
         plan.title or "Campaign",
         "Simulated scenes, scored without instruments",
         _banner(folder, plan, numbers),
-        (*first, *(replace(section, folded=True) for section in behind)),
+        (*first, *folded),
         trials=parts,
-        trials_title="Scenes drawn again",
+        trials_in="worst" if parts else "",
         trials_note="Truth is drawn as the cameras see it by the calibration that detectors got.",
         worst=tuple(part.id for part in parts[:LOOKED_AT]),
     )

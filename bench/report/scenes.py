@@ -17,15 +17,14 @@ from bench.config import ConfigError
 from bench.files import write_pictures
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.trials import trial_parts
-from bench.report.wording import key_values
 from bench.results.answers import close_detectors, examine
 from bench.run.rows import judged, truth_row
 from bench.scoring.comparison import why_failed
 from bench.scoring.rates import plural
 from detector.calibration import Calibration
-from instruments.world.situations import SITUATIONS, member, spoken
+from instruments.world.situations import SITUATIONS, member
 from reports.frames import ImageView
-from reports.page import Banner, Page, Section, TrialPart
+from reports.page import Banner, Page, TrialPart
 from reports.render import write_report
 
 SCENES = "scenes"  # in a campaign's folder: the frames of each scene that was drawn again
@@ -148,7 +147,6 @@ def _page(
     outcomes: Sequence[tuple[str, str, str]],
 ) -> Page:
     lines = [f"{scene}, {detector}: {outcome}." for scene, detector, outcome in outcomes]
-    families = dict.fromkeys(spoken(str(trial.head["situation"])) for trial in run.trials)
     banner = Banner(
         kind="emulated",
         verdict="no verdict",
@@ -159,17 +157,18 @@ def _page(
         ),
         next_action="Switch layers off to see the frames; a click on one opens it whole.",
     )
-    asked = {"families": ", ".join(families), "seed": plan.seed, "limit": f"{plan.limit_mm:g} mm"}
+    made = {"seed": plan.seed, "limit": f"{plan.limit_mm:g} mm"}
     if plan.perturbations:
-        asked["perturbations"] = ", ".join(
+        made["perturbations"] = ", ".join(
             f"{one.name} {one.amount:g}" for one in plan.perturbations
         )
-    section = Section("made", "Made with", (key_values("Plan and program", asked | plan.made_by),))
+    made |= plan.made_by
     return Page(
         ", ".join(trial.id for trial in run.trials[:3]),
         f"{run.facts['title']}: frames, truth and answers",
         banner,
-        (section,),
+        (),
         trials=parts,
         trials_title="Frames",
+        footer=("; ".join(f"{name} {value}" for name, value in made.items()),),
     )

@@ -178,12 +178,12 @@ def _root(values: ArrayLike) -> ArrayLike:
 
 
 def _apart(ticks: Sequence[float], reach: float) -> list[float]:
-    """Those ticks that stand clear of each other, the largest first."""
+    """Those ticks that stand clear of each other, the smallest first."""
     kept: list[float] = []
-    for tick in sorted(ticks, reverse=True):
-        if not kept or (kept[-1] ** 0.5 - tick**0.5) > 0.11 * reach**0.5:
+    for tick in ticks:
+        if not kept or (tick**0.5 - kept[-1] ** 0.5) > 0.09 * reach**0.5:
             kept.append(tick)
-    return kept[::-1]
+    return kept
 
 
 def _one_a_family(

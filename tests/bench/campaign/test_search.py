@@ -43,7 +43,7 @@ def rarely_failing(member: int) -> Evaluate:
     return evaluate
 
 
-def test_a_search_finds_more_than_twice_as_many_distinct_failures_as_chance() -> None:
+def test_a_search_finds_several_times_as_many_distinct_failures_as_chance() -> None:
     found = chance = 0
     for member in range(10):
         evaluate = rarely_failing(member)
@@ -54,7 +54,7 @@ def test_a_search_finds_more_than_twice_as_many_distinct_failures_as_chance() ->
             found += len(distinct(tried))
             chance += len(distinct(evenly))
     assert chance > 0
-    assert found >= 2 * chance
+    assert found >= 5 * chance  # 8 times; by climbing alone 2
 
 
 def test_a_search_is_the_same_each_time_and_ends_where_nothing_can_be_set_up() -> None:
