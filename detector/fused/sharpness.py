@@ -21,18 +21,20 @@ from detector.geometry import Array
 _X_PX = np.arange(-6.0, 6.5, 0.5)
 _LEVEL_PX, _SLOPE_PX = 4.0, 3.0  # levels are beyond, the greatest slope within
 _LEAST_LINES = 4
-_SHARP_PX, _MOST_PX = 2.0, 6.0  # wider edges widen covariances; beyond that there are no ends
-_MOST_UNLIKE_PX = 3.0  # an end's edges over its sides': the whole end is smeared
-# sd along the teat and across it, px: a px of width, a px^2 of what motion adds, a share clipped
-_BLUR, _MOTION, _CLIPPED = (0.35, 0.06), (0.7, 0.25), (0.45, 0.17)
+# contrast, in noises and as a share of the profile's range: or it is paint, texture or a limb
+_CLEAR_STEP, _MONOTONOUS = 15.0, 0.7
+_SHARP_PX, _MOST_PX = 2.0, 4.2  # wider edges widen covariances; beyond that there are no ends
+_MOST_UNLIKE_PX = 1.6  # an end's edges over its sides': the whole end is smeared
+# sd along the teat and across it, px: a px of width, a px that motion adds, a share clipped
+_BLUR, _MOTION, _CLIPPED = (0.35, 0.06), (2.0, 0.4), (0.5, 0.17)
 _CLIPPED_DISPARITY_PX = 0.09
 _CLIPPED_LEVEL = 0.996  # of the greatest intensity
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sharpness:
-    """Widths px of sides and ends, medians of a frame; shares (m, 2) of each teat's lines (sides,
-    end) that are clipped outside.
+    """Widths px of sides and ends, medians of a frame, 0 if unknown; shares (m, 2) of each teat's
+    lines (sides, end) that are clipped, inside or outside.
     """
 
     side_px: float
@@ -44,7 +46,10 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
     """Of the edges that the fits found in both optical pictures."""
     n, m = len(FINE_OUTLINE.part), len(fitted.teats)
     parts = (FINE_OUTLINE.part != END, FINE_OUTLINE.part == END)
-    seen, outer = fitted.seen, _X_PX > 0.25 * _X_PX[-1]
+    if m == 0:
+        return Sharpness(0.0, 0.0, np.zeros((0, 2)))
+    seen, outer = fitted.seen, _X_PX > 1.5  # clear of the edge
+    inner = outer[::-1]
     widths, clipped = np.full((m, 2, 2), np.nan), np.zeros((m, 2, 2))
     for number, view in enumerate(views):
         at = slice(number * n, (number + 1) * n)
@@ -59,8 +64,9 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
             for i in range(m):
                 which = usable[i] & part
                 if which.sum() >= _LEAST_LINES:
-                    widths[i, number, k] = _width(lines[i, which].mean(axis=0))
-                    clipped[i, number, k] = white[i, which][:, outer].mean()
+                    widths[i, number, k] = _width(lines[i, which].mean(axis=0), view.noise)
+                    shares = [white[i, which][:, beyond].mean() for beyond in (inner, outer)]
+                    clipped[i, number, k] = max(shares)
     side, end = (
         float(np.median(w[np.isfinite(w)])) if np.isfinite(w).any() else 0.0
         for w in (widths[..., 0], widths[..., 1])
@@ -68,16 +74,21 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
     return Sharpness(side, end, clipped.max(axis=1))
 
 
-def _width(profile: NDArray[np.float32]) -> float:
+def _width(profile: NDArray[np.float32], noise: float) -> float:
+    """Contrast over greatest slope, px; NaN where it is no clear step from level to level."""
     high, low = profile[_X_PX >= _LEVEL_PX].mean(), profile[_X_PX <= -_LEVEL_PX].mean()
     slope = np.abs(profile[2:] - profile[:-2]) / (_X_PX[2] - _X_PX[0])
-    return float(abs(high - low) / max(slope[np.abs(_X_PX[1:-1]) <= _SLOPE_PX].max(), 1e-6))
+    contrast = float(abs(high - low))
+    width = contrast / max(float(slope[np.abs(_X_PX[1:-1]) <= _SLOPE_PX].max()), 1e-6)
+    step = contrast > max(_CLEAR_STEP * noise, _MONOTONOUS * float(np.ptp(profile)))
+    return width if step and width > 1.0 else np.nan
 
 
 def too_blurred(found: Sharpness) -> str | None:
     """Why no end can be given, or None."""
     width = max(found.side_px, found.end_px)
-    if width <= _MOST_PX and found.end_px - found.side_px <= _MOST_UNLIKE_PX:
+    smeared = found.side_px > 0 and found.end_px - found.side_px > _MOST_UNLIKE_PX
+    if width <= _MOST_PX and not smeared:
         return None
     way = (
         "by motion along the rows"
@@ -93,8 +104,9 @@ def blur_covariances(found: Sharpness, teats: Array, px_a_mm: Array, baseline_mm
     """(m, 3, 3) mm^2 of the ends of teats (m, 8), right camera's frame: what width and clipping of
     edges add. ``px_a_mm`` (m,): at the ends.
     """
-    wide = max(min(found.side_px, found.end_px) - _SHARP_PX, 0.0)
-    motion = max(found.end_px - max(found.side_px, _SHARP_PX), 0.0) ** 2
+    known = [width for width in (found.side_px, found.end_px) if width]
+    wide = max(min(known, default=0.0) - _SHARP_PX, 0.0)
+    motion = max(found.end_px - max(found.side_px, _SHARP_PX), 0.0) if found.side_px else 0.0
     along, across = (
         np.hypot(blur * wide, by_motion * motion) ** 2 + (clip * share) ** 2
         for blur, by_motion, clip, share in zip(
