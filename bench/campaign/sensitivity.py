@@ -425,7 +425,9 @@ def before_arm(gap_mm: float, seed: int, _renderer: Renderer) -> Situation:
     found = situation(FAMILY, seed)
     ends = found.phantom.ends_mm
     farthest = max(
-        hull.radius_b_mm + max(hull.a_mm[1], hull.b_mm[1]) for hull in found.phantom.teat_hulls()
+        hull.radius_b_mm + max(hull.a_mm[1], hull.b_mm[1])
+        for hulls in found.phantom.teat_hulls()
+        for hull in hulls
     )
     arm = make_object(
         "warm_arm",

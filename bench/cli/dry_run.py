@@ -17,7 +17,7 @@ from bench.results.answers import close_detectors
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import open_instruments
 from bench.rig.urls import PEOPLE
-from bench.run.estimate import needs, read_learnt
+from bench.run.estimate import needs, read_durations
 from bench.run.lock import RigInUseError, lock_path, locked
 from bench.run.trial import refuse_carry
 from bench.safety.latch import latch_path, read_latch
@@ -119,9 +119,11 @@ def _rehearsed(
 
 def _print_needs(rig: LoadedRig, script: LoadedScript, out: Path) -> None:
     """Time, room and prompts; a warning where the room is not there."""
-    learnt = read_learnt(out, rig)
-    by = "by what earlier runs took" if learnt else "by assumed times, see 'teatbench trials show'"
-    wanted = needs(rig, script, learnt)
+    measured = read_durations(out, rig)
+    by = (
+        "by what earlier runs took" if measured else "by assumed times, see 'teatbench trials show'"
+    )
+    wanted = needs(rig, script, measured)
     parts = ", ".join(
         f"{kind.removesuffix('_s').replace('_', '-')} {_time(seconds)}"
         for kind, seconds in asdict(wanted.time).items()

@@ -53,7 +53,14 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int:
-    from bench.run.estimate import estimate_text, figures, needs, read_learnt, took, write_learnt
+    from bench.run.estimate import (
+        estimate_text,
+        figures,
+        needs,
+        read_durations,
+        took,
+        write_durations,
+    )
     from bench.run.start import RunOptions, run_script
 
     console = Terminal()
@@ -79,8 +86,8 @@ def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int
     spent = took(record)
     # the next estimate is better by what this run took; one that stopped shows nothing
     if record.ending == "finished" and "total_s" in spent:
-        expected = needs(rig, script, read_learnt(given.out, rig)).time
-        write_learnt(folder, rig, expected, spent, figures(record, rig, script, spent))
+        expected = needs(rig, script, read_durations(given.out, rig)).time
+        write_durations(folder, rig, expected, spent, figures(record, rig, script, spent))
         print(estimate_text(expected, spent))
     if given.open:
         open_report(written[0])
@@ -163,8 +170,11 @@ def report(given: argparse.Namespace) -> int:
     from reports.pdf import find_browser, print_pdf
     from reports.trust import PageError
 
+    if given.appendix and given.no_pdf:
+        raise ConfigError.plain("--appendix is about the PDF, and --no-pdf prints none. Give one.")
+    wanted = given.pdf or given.appendix
     browser = None if given.no_pdf else find_browser()
-    if given.pdf and browser is None:
+    if wanted and browser is None:
         raise ConfigError.plain(
             "no Chromium, Chrome or Edge was found to print a PDF with. Install one, or print"
             " index.html by hand."
@@ -186,9 +196,11 @@ def report(given: argparse.Namespace) -> int:
     if browser:
         folder = given.run / REPORT
         try:
-            print(f"PDF: {print_pdf(folder / 'index.html', folder / PDF, browser)}")
+            page = folder / "index.html"
+            printed = print_pdf(page, folder / PDF, browser, appendix=given.appendix)
+            print(f"PDF: {printed}")
         except (PageError, OSError) as error:
-            if given.pdf:
+            if wanted:
                 raise ConfigError.plain(str(error)) from error
             print(f"no PDF: {error}", file=sys.stderr)
     return code

@@ -2,9 +2,9 @@
 its events; and what runs really took, kept in their folders, so that the next estimate is better
 than what is assumed.
 
-What a rig file doesn't say is assumed, and told with the figure; a figure learnt is a running mean
-over the last runs on the same rig, the newest counting most. A person is slower than an emulated
-one; time is the bench's own, so an emulated run is over much sooner.
+What a rig file doesn't say is assumed, and told with the figure. A measured figure is a running
+mean over the last runs on the same rig, the newest counting most. A person is slower than
+an emulated one; time is the bench's own, so an emulated run is over much sooner.
 """
 
 from __future__ import annotations
@@ -220,11 +220,11 @@ class Forecast:
 
 
 def needs(
-    rig: LoadedRig, script: LoadedScript, learnt: Mapping[str, float] | None = None
+    rig: LoadedRig, script: LoadedScript, measured: Mapping[str, float] | None = None
 ) -> Forecast:
-    """By what is ``learnt`` of the rig, else by what is assumed; nothing of what is emulated."""
-    learnt, emulated = learnt or {}, bool(rig.rig.emulated)
-    figures = {**ASSUMED, **learnt}
+    """From what was ``measured`` on the rig, else from what is assumed (emulated parts: none)."""
+    measured, emulated = measured or {}, bool(rig.rig.emulated)
+    figures = {**ASSUMED, **measured}
     if emulated:
         figures |= {"homing": 0.0, "capture": 0.0}
     if rig.rig.operator.url not in PEOPLE:
@@ -232,7 +232,7 @@ def needs(
             ("set-up", "placing", "touch"), rig.rig.emulation.prompt_s if emulated else 0.0
         )
     time = estimate(rig, script, figures)
-    if emulated or "heating" not in learnt:
+    if emulated or "heating" not in measured:
         time = replace(time, settling_s=settling_of(rig, script))
     arm, touches = rig.rig.arm, _touches(rig, script)
     checks = 2 * arm.check_touches if arm.check_point_mm else 0
@@ -268,24 +268,24 @@ def figures(
     run: RunRecord, rig: LoadedRig, script: LoadedScript, spent: Mapping[str, float]
 ) -> dict[str, float]:
     """What ``spent`` says of the figures that estimates assume, by their names."""
-    learnt: dict[str, float] = {}
+    measured: dict[str, float] = {}
     gate = script.script.bath
     rise_k = gate.set_point_c - float(run.bath[0, 1]) if len(run.bath) else 0.0
     heating_s = spent.get("settling_s", 0.0) - gate.window_s
     if rise_k >= LEAST_RISE_K and heating_s > 0.0:
-        learnt["heating"] = 60.0 * rise_k / heating_s
+        measured["heating"] = 60.0 * rise_k / heating_s
     if "touch_s" in spent:
-        learnt["touch"] = spent["touch_s"]
+        measured["touch"] = spent["touch_s"]
     assumed_s = estimate(rig, script).set_ups_s
     if "set_ups_s" in spent and assumed_s > 0.0:
         # both in the proportion that is assumed of them
         share = spent["set_ups_s"] / assumed_s
-        learnt |= {name: ASSUMED[name] * share for name in ("set-up", "placing")}
-    return learnt
+        measured |= {name: ASSUMED[name] * share for name in ("set-up", "placing")}
+    return measured
 
 
-def read_learnt(folder: Path, rig: LoadedRig) -> dict[str, float]:
-    """The figures learnt of ``rig`` from the last runs in ``folder``; the newest counts half."""
+def read_durations(folder: Path, rig: LoadedRig) -> dict[str, float]:
+    """The figures measured of ``rig`` from the last runs in ``folder``; the newest counts half."""
     known: dict[str, float] = {}
     for path in sorted(folder.glob(f"*/{FILE}"))[-LOOKS_BACK:]:
         # another rig's run, or a file that can't be understood: an estimate isn't worth a fault
@@ -298,7 +298,7 @@ def read_learnt(folder: Path, rig: LoadedRig) -> dict[str, float]:
     return known
 
 
-def write_learnt(
+def write_durations(
     run: Path,
     rig: LoadedRig,
     expected: TimeEstimate,

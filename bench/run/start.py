@@ -21,7 +21,7 @@ from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.run.context import RunContext
 from bench.run.engine import Ending, Engine
-from bench.run.estimate import needs, read_learnt
+from bench.run.estimate import needs, read_durations
 from bench.run.events import Events, Progress
 from bench.run.lock import lock_path, locked, run_lock
 from bench.run.recordings import RECORDED, Recorder, recorder_again
@@ -193,7 +193,7 @@ def _run(
     """From open files to an ended run; closes store and detectors."""
     try:
         current().check_interrupts()
-        expected = needs(rig, script, read_learnt(store.folder.parent, rig)).time
+        expected = needs(rig, script, read_durations(store.folder.parent, rig)).time
         trials = len(script.planned)
         to_do = trials - len(left.done) if left else trials
         note = time_left(expected.settling_s + to_do * expected.each_s(trials))

@@ -1,5 +1,5 @@
 """Families of scenes with what a cowshed shows and the thesis's six leave out: quarters of unlike
-warmth, a warm room, straw, legs and a tail.
+warmth, a warm room, straw, legs and a tail, teats of a cow, wet skin, pipes and hoses.
 
 Ranges are our choice where no source is named.
 """
@@ -11,10 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from instruments.world.draws import Draw, plain, udder
+from instruments.world.draws import PLACES, Draw, plain, udder
 from instruments.world.objects import SceneObject, make_object
-from instruments.world.phantom import Phantom
+from instruments.world.phantom import Phantom, Spots, Teat, TeatForm, TeatShape, Udder
 from instruments.world.setups import EYES_MM, Situation, collisions, hidden_ways
+from instruments.world.shading import Paint
 
 
 def cool_quarters(draw: Draw) -> Situation:
@@ -107,4 +108,220 @@ def _straw(draw: Draw, phantom: Phantom) -> SceneObject:
         turn_deg=draw.between("straw_turn_deg", -25.0, 25.0),
         offset_k=draw.between("straw_offset_k", -0.5, 1.0),
         albedo=draw.between("straw_albedo", 0.25, 0.6),
+    )
+
+
+FORMS = ("cylinder", "funnel", "bottle")  # of the barrel, as breeders class them
+ENDS = ("round", "flat", "flat", "pointed")
+# radius at the base, and near the end, as shares of the barrel's
+BASE = {"cylinder": (1.0, 1.12), "funnel": (1.2, 1.45), "bottle": (0.78, 0.92)}
+NEAR_END = {"cylinder": (0.92, 1.0), "funnel": (0.70, 0.85), "bottle": (1.04, 1.18)}
+
+
+def cow_teats(draw: Draw) -> Situation:
+    """Teats of a cow's length and shape on a warm udder, each end 0 to 2.5 K cooler than its base.
+
+    Lengths of 35 to 70 mm are our choice for dairy cows (Zwertvaegher et al., J. Dairy Sci.
+    95, 2012: front teats longer and wider than hind ones), barrels 18 to 27 mm across. A quarter of
+    ends is round, half flat within a round rim, a quarter pointed (after Appleman, J. Dairy Sci.
+    56, 1973, 411; his discs count as flat, his cones as pointed: a dish hides its own apex). Bends
+    of 0 to 12 degrees, leans and the udder are our choice. The end is where the axis leaves it.
+    """
+    x, y = draw.between("udder_x_mm", -165.0, -95.0), draw.between("udder_y_mm", 215.0, 265.0)
+    wide = (
+        draw.between("near_half_width_mm", 28.0, 42.0),
+        draw.between("far_half_width_mm", 52.0, 75.0),
+    )
+    deep, height = draw.between("half_depth_mm", 30.0, 48.0), draw.between("udder_mm", 60.0, 88.0)
+    feet = [
+        (
+            x + across * wide[int(away > 0.0)] + draw.between("teat_x_mm", -7.0, 7.0),
+            y + away * deep + draw.between("teat_y_mm", -8.0, 8.0),
+        )
+        for across, away in PLACES
+    ]
+    teats = tuple(_teat(draw, foot, height) for foot in feet)
+    found = plain(draw, Phantom(teats, udder=Udder(tuple(feet), height)))
+    # an udder faces up, to lamps and ceiling, and gets twice a teat's light
+    paint = replace(found.teat_paint, albedo=0.65 * found.teat_paint.albedo)
+    cooler_k = draw.between("ends_cooler_k", 0.0, 2.5)
+    return replace(found, teat_paint=paint, ends_cooler_k=cooler_k)
+
+
+def _teat(draw: Draw, foot_mm: tuple[float, float], height_mm: float) -> Teat:
+    """Out of the udder there, where that is so high."""
+    long = draw.between("teat_length_mm", 35.0, 70.0)
+    radius = draw.between("teat_radius_mm", 9.0, 13.5)
+    lean = math.radians(draw.between("lean_deg", 0.0, 12.0))
+    way = draw.between("lean_way_rad", 0.0, 2.0 * math.pi)
+    slope = math.tan(lean) * math.cos(way), math.tan(lean) * math.sin(way)
+    base = foot_mm[0] - slope[0] * height_mm, foot_mm[1] - slope[1] * height_mm
+    whole_mm = height_mm * math.hypot(1.0, *slope) + long
+    shape = TeatShape(whole_mm, radius, _form(draw, long, radius))
+    return Teat(base, shape, (math.atan(slope[0]), math.atan(slope[1])))
+
+
+def _form(draw: Draw, long_mm: float, radius_mm: float) -> TeatForm:
+    """Of a teat that stands out so far, its foot 12 mm within the udder. A pointed end is half an
+    ellipsoid; the barrel's radius is a quadratic curve from there to the base.
+    """
+    kind, end = FORMS[draw.count(0, 2)], ENDS[draw.count(0, 3)]
+    base = radius_mm * draw.between("base_share", *BASE[kind])
+    last = radius_mm * draw.between("end_share", *NEAR_END[kind])
+    flat = last * draw.between("flat_share", 0.5, 0.75) if end == "flat" else 0.0
+    tall = last * (draw.between("point_share", 1.25, 1.8) if end == "pointed" else 1.0)
+    focus2 = tall**2 - last**2
+    balls = [(tall, last)]
+    if focus2:
+        aways = np.linspace(focus2 / tall, 0.0, 5)
+        balls = [(tall - away, last * math.sqrt(1.0 - away**2 / focus2)) for away in aways]
+    start = balls[-1][0]
+    for part in np.linspace(0.0, 1.0, 6)[1:].tolist():
+        radius = (1.0 - part) ** 2 * last + 2.0 * part * (1.0 - part) * radius_mm + part**2 * base
+        balls.append((start + part * (long_mm - start), radius))
+    balls.append((long_mm + 12.0, 1.15 * base))
+    bend = math.radians(draw.between("bend_deg", 0.0, 12.0)) / long_mm
+    way = draw.between("bend_way_rad", 0.0, 2.0 * math.pi)
+    return TeatForm(tuple((float(at), float(r)) for at, r in balls), flat, bend, way)
+
+
+WATER = Paint(albedo=0.04, gloss=0.9, emissivity=0.96, gloss_exponent=300.0)
+DIRT = Paint(albedo=0.09, gloss=0.0, emissivity=0.95), Paint(0.45, 0.0, 0.94)  # muck, dried clay
+BARE_MM = 6.0  # from the end, where neither drop nor dirt hides it
+
+
+def wet(draw: Draw) -> Situation:
+    """Wet teats: narrow highlights, darker paint, drops and dirt, and skin that evaporation cools.
+
+    A film at 33 degC in a room of 20 degC and 60 % humidity loses some 60 K times the coefficient
+    of convection (Lewis relation, 16.5 K/kPa): 200 to 700 W/m2 for 3 to 12 W/(m2 K). The phantom's
+    water heats skin by some 200 W/(m2 K), so that it is 1 to 4 K cooler; its end up to 3 K more
+    than its base (our choice). Water has an emissivity of 0.96. A film takes 10 to 40 % of the
+    light (Lekner and Dorf, Applied Optics 27, 1988).
+    """
+    found = plain(draw, udder(draw, lean_deg=(0.0, 5.0)))
+    paint = Paint(
+        found.teat_paint.albedo * draw.between("wet_albedo_share", 0.6, 0.9),
+        draw.between("wet_gloss", 0.15, 0.9),
+        draw.between("wet_emissivity", 0.955, 0.98),
+        draw.between("wet_gloss_exponent", 60.0, 400.0),
+    )
+    drop_mm, cooler_k = draw.between("drop_mm", 0.9, 2.2), draw.between("wet_cooler_k", 1.0, 4.0)
+    drops = _scattered(draw, draw.count(4, 16), (0.7 * drop_mm, drop_mm))
+    dirt = [_scattered(draw, draw.count(0, 5), (4.0, 8.5)) for _ in DIRT]
+    spots = (
+        Spots("drops", WATER, drops, 0.6 * drop_mm, draw.between("drop_cooler_k", 0.0, 1.5)),
+        *(Spots("dirt", *each, 0.6) for each in zip(DIRT, dirt, strict=True)),
+    )
+    return replace(
+        found,
+        phantom=replace(found.phantom, spots=tuple(each for each in spots if each.places)),
+        teat_paint=paint,
+        cooler_k=(cooler_k,) * len(found.phantom.teats),
+        ends_cooler_k=draw.between("ends_cooler_k", 0.0, 3.0),
+    )
+
+
+def _scattered(
+    draw: Draw, most: int, radius_mm: tuple[float, float]
+) -> tuple[tuple[int, float, float, float], ...]:
+    """Up to so many places on each teat, by a seed of their own."""
+    rng = np.random.Generator(np.random.PCG64(draw.count(0, 2**31)))
+    return tuple(
+        (
+            teat,
+            float(rng.uniform(BARE_MM + radius_mm[1], 100.0)),
+            float(rng.uniform(0.0, 2.0 * np.pi)),
+            float(rng.uniform(*radius_mm)),
+        )
+        for teat in range(len(PLACES))
+        for _ in range(int(rng.integers(0, most + 1)))
+    )
+
+
+def cluttered(draw: Draw) -> Situation | None:
+    """A pipe or two across behind the teats, about as high as their ends, posts behind it, teat
+    cups and hoses beside and behind; no end hidden.
+
+    Milk leaves the udder at some 38 degC and wash water is warmer, cold water and steel as cold as
+    the room: 10 K cooler to 8 K warmer than the teats (our choice). Bare stainless steel has an
+    emissivity of 0.15 to 0.35 and mirrors the room, painted or dirty things 0.85 to 0.96.
+    """
+    phantom = udder(draw, lean_deg=(0.0, 4.0))
+    cups = tuple(_cup(draw) for _ in range(draw.count(0, 2)))
+    alone = Situation("", 0, "", phantom, cups)
+    if any(collisions(alone)) or hidden_ways(alone).any():
+        return None
+    pipes = tuple(_pipe(draw, number) for number in range(draw.count(1, 2)))
+    posts = tuple(_post(draw) for _ in range(draw.count(0, 3)))
+    hoses = tuple(_hose(draw) for _ in range(draw.count(0, 2)))
+    return plain(draw, phantom, *cups, *pipes, *posts, *hoses)
+
+
+def _metal(draw: Draw, name: str) -> dict[str, float]:
+    """What pipes and posts look like, bare or painted."""
+    bare = draw.chance(0.4)
+    return {
+        "offset_k": draw.between(f"{name}_offset_k", -10.0, 8.0),
+        "albedo": draw.between(f"{name}_albedo", 0.12, 0.65),
+        "gloss": draw.between(f"{name}_gloss", *((0.15, 0.5) if bare else (0.0, 0.1))),
+        "emissivity": draw.between(f"{name}_emissivity", *((0.15, 0.35) if bare else (0.85, 0.96))),
+    }
+
+
+def _pipe(draw: Draw, number: int) -> SceneObject:
+    """The second above the first."""
+    return make_object(
+        "pipe",
+        x_mm=draw.between("pipe_x_mm", -300.0, 50.0),
+        y_mm=draw.between("pipe_y_mm", 360.0, 450.0),
+        z_mm=draw.between("pipe_z_mm", *((90.0, 190.0), (240.0, 330.0))[number]),
+        length_mm=draw.between("pipe_length_mm", 700.0, 1300.0),
+        radius_mm=draw.between("pipe_radius_mm", 9.0, 25.0),
+        rise_deg=draw.between("pipe_rise_deg", -3.0, 3.0),
+        turn_deg=draw.between("pipe_turn_deg", -4.0, 4.0),
+        **_metal(draw, "pipe"),
+    )
+
+
+def _post(draw: Draw) -> SceneObject:
+    return make_object(
+        "rod",
+        x_mm=draw.between("post_x_mm", -430.0, 160.0),
+        y_mm=draw.between("post_y_mm", 560.0, 900.0),
+        height_mm=draw.between("post_height_mm", 300.0, 900.0),
+        radius_mm=draw.between("post_radius_mm", 8.0, 24.0),
+        temperature="teat",
+        **_metal(draw, "post"),
+    )
+
+
+def _cup(draw: Draw) -> SceneObject:
+    """Of a milking cluster, on the table beside the teats or behind them."""
+    radius = draw.between("cup_radius_mm", 22.0, 32.0)
+    return make_object(
+        "hot_cup",
+        x_mm=draw.between("cup_x_mm", -360.0, 120.0),
+        y_mm=draw.between("cup_y_mm", 140.0, 330.0),
+        height_mm=draw.between("cup_height_mm", 90.0, 170.0),
+        radius_mm=radius,
+        foot_radius_mm=radius * draw.between("cup_foot_share", 0.75, 1.0),
+        **_metal(draw, "cup"),
+    )
+
+
+def _hose(draw: Draw) -> SceneObject:
+    """Black rubber, as warm as the room or as what flows in it."""
+    return make_object(
+        "hose",
+        x_mm=draw.between("hose_x_mm", -330.0, 60.0),
+        y_mm=draw.between("hose_y_mm", 490.0, 530.0),
+        z_mm=draw.between("hose_z_mm", 40.0, 140.0),
+        span_mm=draw.between("hose_span_mm", 150.0, 400.0),
+        sag_mm=draw.between("hose_sag_mm", 60.0, 260.0),
+        radius_mm=draw.between("hose_radius_mm", 6.0, 12.0),
+        turn_deg=draw.between("hose_turn_deg", -3.0, 3.0),
+        temperature="teat",
+        offset_k=draw.between("hose_offset_k", -10.0, 3.0),
+        albedo=draw.between("hose_albedo", 0.03, 0.2),
     )

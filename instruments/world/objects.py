@@ -10,7 +10,7 @@ import inspect
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -27,7 +27,7 @@ LEG_MM = (
     (62.0, 44.0), (105.0, 36.0), (150.0, 40.0), (215.0, 33.0),
     (350.0, 32.0), (450.0, 46.0), (520.0, 44.0), (840.0, 90.0),
 )  # fmt: skip
-TAIL_PIECES = 10
+PIECES = 10  # of what hangs
 HOSE_PAINT = Paint(albedo=0.13, gloss=0.03, emissivity=0.93)
 
 
@@ -45,22 +45,43 @@ class SceneObject:
 def phantom_objects(
     phantom: Phantom, paint: Paint, teat_temps_c: Iterable[float], hose_c: float
 ) -> tuple[SceneObject, ...]:
-    """Teats, then flanges, then hoses. Flanges are as warm as the hoses that feed them."""
-    upright, feet, bows = _hulls(phantom)
+    """Teats, then flanges, then hoses, or the udder; then drops and dirt, about as warm as teats.
+    What teats stand on is as warm as the hoses that feed them.
+    """
+    upright, feet, bows, udder, spots = _hulls(phantom)
+    temps_c = tuple(teat_temps_c)
     teats = [
-        SceneObject(f"teat {i}", (hull,), paint, temp)
-        for i, (hull, temp) in enumerate(zip(upright, teat_temps_c, strict=True))
+        SceneObject(f"teat {i}", hulls, paint, temp)
+        for i, (hulls, temp) in enumerate(zip(upright, temps_c, strict=True))
     ]
+    on_teats = [
+        SceneObject(each.name, hulls, each.paint, sum(temps_c) / len(temps_c), -each.cooler_k)
+        for each, hulls in zip(phantom.spots, spots, strict=True)
+    ]
+    if udder:
+        return (*teats, SceneObject("udder", udder, paint, hose_c), *on_teats)
     flanges = [SceneObject(f"flange {i}", (hull,), paint, hose_c) for i, hull in enumerate(feet)]
     hoses = [SceneObject(f"hose {i}", hulls, HOSE_PAINT, hose_c) for i, hulls in enumerate(bows)]
-    return (*teats, *flanges, *hoses)
+    return (*teats, *flanges, *hoses, *on_teats)
 
 
 @lru_cache(maxsize=16)  # a state is asked for its things by every camera
 def _hulls(
     phantom: Phantom,
-) -> tuple[tuple[Hull, ...], tuple[Hull, ...], tuple[tuple[Hull, ...], ...]]:
-    return phantom.teat_hulls(), phantom.flange_hulls(), phantom.hose_hulls()
+) -> tuple[
+    tuple[tuple[Hull, ...], ...],
+    tuple[Hull, ...],
+    tuple[tuple[Hull, ...], ...],
+    tuple[Hull, ...],
+    tuple[tuple[Hull, ...], ...],
+]:
+    return (
+        phantom.teat_hulls(),
+        phantom.flange_hulls(),
+        phantom.hose_hulls(),
+        phantom.udder_hulls(),
+        tuple(phantom.spot_hulls(spots) for spots in phantom.spots),
+    )
 
 
 def _cold_teat(
@@ -170,6 +191,32 @@ def _straight(
     return (cylinder(*ends, radius_mm),)
 
 
+_pipe = partial(_straight, y_mm=450.0, z_mm=170.0, length_mm=1200.0, radius_mm=18.0, rise_deg=0.0)
+
+
+def _hose(
+    x_mm: float = -190.0,
+    y_mm: float = 420.0,
+    z_mm: float = 60.0,
+    span_mm: float = 300.0,
+    sag_mm: float = 120.0,
+    radius_mm: float = 8.0,
+    turn_deg: float = 0.0,
+) -> tuple[Hull, ...]:
+    """Hangs between two places ``span_mm`` apart, its lowest there; along x, turned to y."""
+    turn = math.radians(turn_deg)
+    parts = [2.0 * step / PIECES - 1.0 for step in range(PIECES + 1)]
+    points = [
+        (
+            x_mm + 0.5 * span_mm * part * math.cos(turn),
+            y_mm + 0.5 * span_mm * part * math.sin(turn),
+            z_mm + sag_mm * part**2,
+        )
+        for part in parts
+    ]
+    return chain(points, [radius_mm] * len(points))
+
+
 def _leg(
     x_mm: float = -190.0, y_mm: float = 450.0, share: float = 1.0, lean_deg: float = 0.0
 ) -> tuple[Hull, ...]:
@@ -197,7 +244,7 @@ def _tail(
     sway_mm: float = 30.0,
 ) -> tuple[Hull, ...]:
     """Hangs from ``top_mm`` to ``z_mm``, where it is half as thick; a quarter of a wave aside."""
-    parts = [step / TAIL_PIECES for step in range(TAIL_PIECES + 1)]
+    parts = [step / PIECES for step in range(PIECES + 1)]
     points = [
         (x_mm + sway_mm * math.sin(2.2 * part), y_mm, top_mm + part * (z_mm - top_mm))
         for part in parts
@@ -216,6 +263,8 @@ KINDS = {
     "ball": (_ball, ("teat", -5.0, 0.3, 0.02, 0.97)),
     "rod": (_rod, ("ambient", 0.0, 0.1, 0.0, 0.95)),
     "straw": (_straight, ("ambient", 0.0, 0.45, 0.03, 0.95)),
+    "pipe": (_pipe, ("teat", 2.0, 0.4, 0.1, 0.9)),
+    "hose": (_hose, ("ambient", 0.0, 0.06, 0.05, 0.95)),
     "leg": (_leg, ("teat", -5.0, 0.3, 0.0, 0.98)),
     "tail": (_tail, ("teat", -7.0, 0.15, 0.0, 0.98)),
 }

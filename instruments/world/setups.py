@@ -19,15 +19,15 @@ from instruments.world.phantom import Phantom
 from instruments.world.sensor import Exposure
 from instruments.world.shading import Lighting, Paint
 from instruments.world.solids import Bools, Hull
-from instruments.world.state import SceneState
+from instruments.world.state import TEAT_FALL, SceneState
 
 
 @dataclass(frozen=True, slots=True)
 class Situation:
     """One member of a family: what stands where, light, paint, exposure; no temperatures of teats.
     ``about`` tells a person in one sentence what to set up. ``cooler_k``: how much cooler each teat
-    is than the water makes it, empty for not at all; ``room_c``: the surroundings, None for as they
-    are.
+    is than the water makes it, empty for not at all; ``ends_cooler_k``: each end than its base, in
+    addition; ``room_c``: the surroundings, None for as they are.
     """
 
     name: str
@@ -41,6 +41,7 @@ class Situation:
     teat_paint: Paint = TEAT_PAINT
     exposure: Exposure = field(default_factory=Exposure)
     cooler_k: tuple[float, ...] = ()
+    ends_cooler_k: float = 0.0
     room_c: float | None = None
 
     def state(
@@ -51,11 +52,16 @@ class Situation:
         own = {f.name: getattr(self, f.name) for f in fields(self) if f.name in shared}
         if self.cooler_k:
             teat_temps_c = tuple(np.subtract(teat_temps_c, self.cooler_k).tolist())
+        room_c = ambient_c if self.room_c is None else self.room_c
         temperatures = {
             "teat_temps_c": teat_temps_c,
             "hose_temp_c": hose_temp_c,
-            "ambient_c": ambient_c if self.room_c is None else self.room_c,
+            "ambient_c": room_c,
         }
+        if self.ends_cooler_k and teat_temps_c:
+            excess_k = max(float(np.mean(teat_temps_c)) - room_c, 1.0)
+            usual = more.get("teat_fall", TEAT_FALL)
+            more["teat_fall"] = usual + self.ends_cooler_k / excess_k
         return SceneState(**(own | temperatures | more))
 
 
@@ -93,9 +99,11 @@ def collisions(situation: Situation) -> Iterator[str]:
     """Things that stand within each other, in words."""
     teats = situation.phantom.teat_hulls()
     for (i, one), (j, other) in combinations(enumerate(teats), 2):
-        if _gap(one, other) < 0.0:
+        if min(_gap(a, b) for a in one for b in other) < 0.0:
             yield f"teats {i + 1} and {j + 1} stand in each other"
-    solid = (*teats, *situation.phantom.flange_hulls())
+    upright = [hull for hulls in teats for hull in hulls]
+    feet = situation.phantom.flange_hulls(), situation.phantom.udder_hulls()
+    solid = (*upright, *feet[0], *feet[1])
     for thing in situation.objects:
         if min(_gap(hull, mine) for hull in thing.hulls for mine in solid) < GAP_MM:
             yield f"{thing.name} stands within the phantom"
@@ -156,10 +164,11 @@ def apart(phantom: Phantom, eyes_mm: Sequence[tuple[float, float, float]]) -> fl
     hulls = phantom.teat_hulls()
     for eye in eyes_mm:
         bearings = []
-        for hull in hulls:
-            ends = np.array([hull.a_mm, hull.b_mm]) - np.asarray(eye)
+        for solids in hulls:
+            ends = np.array([solids[0].a_mm, solids[-1].b_mm]) - np.asarray(eye)
             x, y = ends[:, 0], ends[:, 1]
-            bearings.append((x / y, hull.radius_a_mm / y.mean(), y.mean()))
+            widest = max(hull.radius_a_mm for hull in solids)
+            bearings.append((x / y, widest / y.mean(), y.mean()))
         for i, (one, r_one, y_one) in enumerate(bearings):
             for other, r_other, y_other in bearings[i + 1 :]:
                 gaps = np.abs(one - other) - r_one - r_other

@@ -36,15 +36,21 @@ CLEAR_MM = 4.0  # between teats that don't overlap, as seen
 CLOSE = ("overlapping", "anywhere")  # families with a rule of their own for it
 
 
-@lru_cache(maxsize=1024)
 def situation(name: str, seed: int) -> Situation:
     """Member ``seed`` of the family. Raises ValueError for an unknown name or negative seed."""
+    return member(name, seed)[0]
+
+
+@lru_cache(maxsize=1024)
+def member(name: str, seed: int) -> tuple[Situation, Mapping[str, Parameter]]:
+    """As `situation`, with its parameters by name."""
     check_known("situation", name, SITUATIONS)
     if seed < 0:
         raise ValueError(f"a situation's seed must be 0 or more, is {seed}")
     for attempt in range(ATTEMPTS):
-        if found := drawn(name, seed, attempt)[0]:
-            return found
+        found, parameters = drawn(name, seed, attempt)
+        if found:
+            return found, parameters
     raise RuntimeError(
         f"nothing that can be set up was found for {name} {seed} in {ATTEMPTS} draws: the family's"
         " limits contradict each other"
@@ -365,5 +371,17 @@ SITUATIONS: dict[str, tuple[str, Family]] = {
     "straw_and_legs": (
         "Four teats with straws across them, and hind legs and a tail behind them.",
         cowshed.straw_and_legs,
+    ),
+    "cow_teats": (
+        "Four teats of a cow's length and shape on a warm udder.",
+        cowshed.cow_teats,
+    ),
+    "wet": (
+        "Four wet teats with drops and dirt on them, cooled by evaporation.",
+        cowshed.wet,
+    ),
+    "cluttered": (
+        "Four teats before pipes and posts, with teat cups and hoses beside and behind them.",
+        cowshed.cluttered,
     ),
 }

@@ -83,7 +83,7 @@ def test_prints_are_kept(tmp_path: Path, rig: Calibration, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("words", "note"), [([], "needs the name of one detector"), (["fusde"], "did you mean 'fused'")]
 )
-def test_serving_nobody_is_a_sentence(words: list[str], note: str) -> None:
+def test_serving_without_a_detector_is_a_sentence(words: list[str], note: str) -> None:
     done = subprocess.run(
         [*SERVE, *words], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
     )

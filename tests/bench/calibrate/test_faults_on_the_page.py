@@ -44,7 +44,7 @@ def shifted(part: Part, columns_px: float, rows_px: float) -> Part:
     return replace(part, right=replace(lens, cc=(lens.cc[0] + columns_px, lens.cc[1] + rows_px)))
 
 
-def test_a_sound_one_accuses_nobody(lab: Path) -> None:
+def test_a_sound_one_accuses_no_camera(lab: Path) -> None:
     assert "Nothing: no fault left a mark" in named(lab / "cameras.page" / "index.html")
 
 

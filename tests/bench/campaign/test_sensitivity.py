@@ -269,7 +269,7 @@ def test_the_arm_is_as_far_behind_the_teats_as_said(
 ) -> None:
     found = sensitivity.before_arm(gap_mm, member, renderer)
     (arm,) = found.objects
-    teats = found.phantom.teat_hulls()
+    teats = [hull for (hull,) in found.phantom.teat_hulls()]
     nearest = min(hull.a_mm[1] - max(hull.radius_a_mm, hull.radius_b_mm) for hull in arm.hulls)
     farthest = max(hull.b_mm[1] + hull.radius_b_mm for hull in teats)
     assert nearest - farthest == pytest.approx(gap_mm, abs=1e-6)

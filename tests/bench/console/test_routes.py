@@ -27,7 +27,7 @@ def console(tmp_path_factory: pytest.TempPathFactory) -> Console:
     here = tmp_path_factory.mktemp("here")
     folder = write_small_run(here)
     Mailbox(folder).open(op.Prompt("touch", "Touch it."))
-    for path in (here / "runs").iterdir():  # beside runs: a folder of settings learnt
+    for path in (here / "runs").iterdir():  # beside runs: a folder of settings
         if path != folder:
             path.unlink()
     return Console(here / "runs", here, f"http://{HOST}")

@@ -70,7 +70,7 @@ def test_the_emulated_stage_is_set_as_the_controller_reported(
     assert {number: settings[number] for number in wanted} == wanted
 
 
-def test_a_travel_that_nobody_knows_is_far_enough(lab: LoadedRig, tmp_path: Path) -> None:
+def test_an_unknown_travel_is_far_enough(lab: LoadedRig, tmp_path: Path) -> None:
     wide = script(tmp_path, SCRIPT.replace("x_mm = 12.0", "x_mm = -412.0"))
     settings = twin_of(lab, wide, None).rig.emulation.stage.settings
     assert settings == {130: 150.0 + 412.0 + 10.0, 131: 275.0}

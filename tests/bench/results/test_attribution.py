@@ -72,7 +72,7 @@ def test_an_end_in_the_guard_band_is_the_truths() -> None:
     assert whose(run(trial("a", score(found, u_mm=0.001)))) == [("4", What.OFF, Cause.DETECTOR)]
 
 
-def test_an_end_that_cannot_be_seen_is_nobodys() -> None:
+def test_an_end_that_cannot_be_seen_is_no_detectors_fault() -> None:
     hidden = (True, True, True, False)
     assert whose(run(trial("a", score(ENDS[:3].tolist(), hidden), hidden))) == [
         ("4", What.MISSED, Cause.NOT_VISIBLE)

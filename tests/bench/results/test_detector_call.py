@@ -138,7 +138,7 @@ def test_a_bad_answer_is_reported_and_stops_nothing(
     assert not score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0).success
 
 
-def test_ctrl_c_is_nobodys_failure(calibration: Calibration) -> None:
+def test_ctrl_c_is_not_a_failure_of_the_detector(calibration: Calibration) -> None:
     def interrupted() -> Detection:
         raise KeyboardInterrupt
 

@@ -83,7 +83,7 @@ def test_play_depends_on_the_side_from_which_a_place_is_reached(tmp_path: Path) 
         assert np.allclose(twin.world.ends_mm() - from_above, [-0.2, 0.0, 0.0], atol=1e-9)
 
 
-def test_a_lost_step_of_a_rig_file_is_seen_by_nobody_but_the_world(tmp_path: Path) -> None:
+def test_a_lost_step_of_a_rig_file_is_seen_by_the_world_only(tmp_path: Path) -> None:
     faults = (
         '[emulation]\nfaults = [{ instrument = "stage", name = "lost step", at_s = 60.0, amount ='
         " 1.5 }]"

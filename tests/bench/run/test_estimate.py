@@ -19,9 +19,9 @@ from bench.run.estimate import (
     estimate_text,
     figures,
     needs,
-    read_learnt,
+    read_durations,
     took,
-    write_learnt,
+    write_durations,
 )
 from bench.script.model import LoadedScript, find_script, load_script
 from tests.bench.operated_runs import SCRIPT, files, run_of
@@ -50,14 +50,14 @@ def test_a_run_teaches_how_long_the_next_takes(
     spent = took(run)
     first, second = (
         estimate(rig, script, {**ASSUMED, **known}).total_s
-        for known in ({}, read_learnt(folder, rig))
+        for known in ({}, read_durations(folder, rig))
     )
     assert abs(second - spent["total_s"]) < 0.5 * abs(first - spent["total_s"])
-    learnt = figures(run, rig, script, spent)
-    assert learnt["touch"] == pytest.approx(30.0, abs=2.0), (
+    measured = figures(run, rig, script, spent)
+    assert measured["touch"] == pytest.approx(30.0, abs=2.0), (
         "a prompt takes the emulated operator so long"
     )
-    assert read_learnt(folder, rig) == pytest.approx(learnt)
+    assert read_durations(folder, rig) == pytest.approx(measured)
 
 
 @pytest.mark.slow
@@ -94,8 +94,8 @@ def test_the_newest_runs_count_most_and_rigs_are_kept_apart(tmp_path: Path) -> N
     rig = load_rig(find_rig(None))
     expected = estimate(rig, load_script(find_script(None)))
     for name, new in (("1-first", {"touch": 10.0}), ("2-second", {"touch": 20.0, "heating": 0.4})):
-        write_learnt(tmp_path / name, rig, expected, {"total_s": 5.0}, new)
-    assert read_learnt(tmp_path, rig) == {"touch": 15.0, "heating": 0.4}
+        write_durations(tmp_path / name, rig, expected, {"total_s": 5.0}, new)
+    assert read_durations(tmp_path, rig) == {"touch": 15.0, "heating": 0.4}
     for name, text in (
         ("3-broken", "[1"),
         ("4-other", json.dumps({"rig": "another", "figures": {"touch": 99.0}})),
@@ -103,7 +103,7 @@ def test_the_newest_runs_count_most_and_rigs_are_kept_apart(tmp_path: Path) -> N
     ):
         (tmp_path / name).mkdir()
         (tmp_path / name / FILE).write_text(text, encoding="utf-8")
-    assert read_learnt(tmp_path, rig) == {"touch": 15.0, "heating": 0.4}
+    assert read_durations(tmp_path, rig) == {"touch": 15.0, "heating": 0.4}
     kept = json.loads((tmp_path / "1-first" / FILE).read_text(encoding="utf-8"))
     assert kept["rig"] == f"{rig.rig.name}, operator emulator:"
     assert kept["expected_s"]["total_s"] == expected.total_s
@@ -112,7 +112,7 @@ def test_the_newest_runs_count_most_and_rigs_are_kept_apart(tmp_path: Path) -> N
 def test_needs_by_hand() -> None:
     rig, script = load_rig(find_rig(None)), load_script(find_script(None))
     by_hand = replace(rig, rig=rig.rig.model_copy(update={"operator": Operator(url="console:")}))
-    first, by_then = (needs(by_hand, script, learnt).time for learnt in (None, {"touch": 16.0}))
+    first, by_then = (needs(by_hand, script, measured).time for measured in (None, {"touch": 16.0}))
     usual = estimate(rig, script)
     assert (first.set_ups_s, first.touches_s) == (usual.set_ups_s, usual.touches_s)
     assert by_then == replace(first, touches_s=2.0 * first.touches_s)

@@ -193,7 +193,7 @@ def test_a_bath_that_somebody_starts_meanwhile_keeps_its_pump(hot: Hot) -> None:
     assert hot.plant.pump == "on"
 
 
-def test_a_relay_that_is_dead_keeps_nobody_from_standby(hot: Hot) -> None:
+def test_a_dead_relay_does_not_prevent_standby(hot: Hot) -> None:
     hot.relay.fault("silence")
     with hot.abandoned(0.5):
         seconds = standby_after(hot.plant)
@@ -203,7 +203,7 @@ def test_a_relay_that_is_dead_keeps_nobody_from_standby(hot: Hot) -> None:
     assert text["pump"].startswith("was left as it was: ")
 
 
-def test_a_bench_that_has_made_safe_itself_leaves_the_pump_to_nobody(hot: Hot) -> None:
+def test_a_bench_that_has_made_safe_itself_leaves_the_pump_alone(hot: Hot) -> None:
     more = [f"--record={hot.record}", "--bench=1"]
     command = [sys.executable, "-m", "bench.safety.guardian", *hot.arguments, *more]
     done = subprocess.run(

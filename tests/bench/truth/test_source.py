@@ -289,7 +289,7 @@ class Person(PromptedOperator):
         raise AssertionError(f"nothing is to be said here: {text}")
 
 
-def test_only_what_stands_as_asked_and_was_not_touched_needs_nobody() -> None:
+def test_only_what_stands_as_asked_and_was_not_touched_needs_no_operator() -> None:
     person = Person()
     seen = [person.ask(one).visible for one in (ASKED, CARRIED, CARRIED)]
     assert len(person.prompts) == 1

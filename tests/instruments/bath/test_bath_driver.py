@@ -165,7 +165,7 @@ def test_a_controller_that_does_not_fit_is_refused(
     assert stand.bath().read().temp_c == pytest.approx(20.0, abs=0.05)
 
 
-def test_a_code_of_order_that_nobody_knows_is_refused(stand: Stand) -> None:
+def test_an_unknown_order_code_is_refused(stand: Stand) -> None:
     codes = stand.profile.order_from
     assert codes is not None
     stand.profile = stand.profile.model_copy(
@@ -206,7 +206,7 @@ def test_a_family_that_does_not_speak_tcp(stand: Stand) -> None:
         stand.bath()
 
 
-def test_nobody_there_is_said_after_some_tries(stand: Stand) -> None:
+def test_no_answer_is_an_error_after_some_tries(stand: Stand) -> None:
     with pytest.raises(
         LinkError, match=r"nothing took the connection in 6 tries: .+ \(after 3\.1 s\)"
     ):

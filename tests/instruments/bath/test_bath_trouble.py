@@ -216,7 +216,7 @@ def stand_of(family: str) -> Stand:
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize("after_s", [0.05, 0.3, 0.9, 1.4, 2.6])
-def test_standby_within_another_call_while_nobody_answers(
+def test_standby_within_another_call_while_nothing_answers(
     family: str, call: str, after_s: float
 ) -> None:
     """The first attempts fail and close the session that the outer call waits on."""

@@ -346,7 +346,7 @@ def test_power_goes_and_comes_back(host: Host) -> None:
     )
 
 
-def test_an_arm_that_nobody_homed_gives_plausible_wrong_counts(host: Host) -> None:
+def test_an_arm_that_was_not_homed_gives_plausible_wrong_counts(host: Host) -> None:
     host.arm.faults.inject("never homed")
     off = np.abs(np.subtract(host.counts(), UNIT.home))
     assert (off >= 500).all()

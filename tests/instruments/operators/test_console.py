@@ -193,7 +193,7 @@ def test_a_trip_is_reported_and_ends_the_prompt() -> None:
     assert "No answer is needed any more: interlock over-temperature: 39 degC" in out.getvalue()
 
 
-def test_without_a_terminal_nobody_asks_the_pedals() -> None:
+def test_without_a_terminal_the_pedals_are_not_read() -> None:
     """Answers from a file or a pipe: the pedals are not even polled."""
 
     def never() -> Callable[[float], bool]:

@@ -80,7 +80,7 @@ def test_an_unexpected_prompt_says_what_was_asked_and_what_is_next() -> None:
         who.ask(op.Touch(1, 4))
 
 
-def test_answers_that_nobody_asked_for_are_an_error_at_the_end() -> None:
+def test_answers_to_no_question_are_an_error_at_the_end() -> None:
     who, _ = scripted(
         ScriptedAnswer("homing", "go"), ScriptedAnswer("touch", "go", times=12, where="answer 2")
     )

@@ -109,7 +109,7 @@ def test_settings_that_a_stage_cannot_be_driven_with(
         read_settings(WITH_A | changes, who="stage", axes=axes)
 
 
-def test_fields_of_a_report_that_nobody_knows_are_no_obstacle(make: Make) -> None:
+def test_unknown_fields_of_a_report_are_no_obstacle(make: Make) -> None:
     bench = make()
     bench.again(device=Spoiled(bench, rb"\|FS:", b"|H:1,7|A:S|Sx:?;-|TLR:0|FS:"))
     stage = bench.homed()

@@ -236,7 +236,7 @@ def test_a_rotation_is_in_degrees_whatever_the_units(make_board: Make) -> None:
     assert b"MPos:-1.0000,0.0000,0.0000,-90.000|" in board.say(b"?")
 
 
-def test_boards_that_nobody_builds_are_refused() -> None:
+def test_boards_that_are_not_built_are_refused() -> None:
     with pytest.raises(ValueError, match="Grbl has 3 to 3 axes, not 4"):
         StageEmulator(VirtualClock(), axes=4)
     with pytest.raises(ValueError, match=r"\$103"):

@@ -329,7 +329,7 @@ def test_a_pump_with_a_switch_of_its_own_turns_through_standby() -> None:
     assert seen == [True, True, False, False]
 
 
-def test_a_pump_that_nobody_switches_stands_and_the_teats_stay_cold() -> None:
+def test_a_pump_that_is_never_switched_on_stands_and_the_teats_stay_cold() -> None:
     plant = Plant(1)
     plant.fit(circulator=False)
     plant.run(33.0)
