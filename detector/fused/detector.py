@@ -41,6 +41,7 @@ from detector.fused.refine import (
     slide_ends,
     world_covariances,
 )
+from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
 from detector.fused.thermal import Nominations, bars, nominate, unexplained
 from detector.fused.witness import Agreement, agreement, calibration_covariances, disagreement
 from detector.geometry import Array, Camera, Motion
@@ -101,14 +102,18 @@ def _detect(
     trace.append(Stage("decisions", shown))
     if wrong := disagreement(cameras, judged.fitted, calibration):
         raise pictures.UnusableError(wrong)
-    accepted = judged.fitted.teats[judged.accepted]
+    fitted = judged.fitted.take(judged.accepted)
+    edges = sharpness(fitted, (maps[0].view, maps[1].view))
+    if wrong := too_blurred(edges):
+        raise pictures.UnusableError(wrong)
+    accepted = fitted.teats
     tips, view = apexes(accepted), thermal.view
     feet_px, tips_px = (
         view.camera.project(view.camera_from_teats.apply(points))
         for points in (tips + 60.0 * axes(accepted), tips)
     )
     hidden = unexplained(view.field, ends, feet_px, tips_px)
-    answers = _answers(judged, cameras, thermal, calibration, p)
+    answers = _answers(judged, cameras, edges, thermal, calibration, p)
     reason = None if answers else "nothing warm has the outline of a teat in both optical pictures"
     return Detection(answers, hidden, reason, tuple(trace))
 
@@ -245,15 +250,23 @@ def _views(
 
 
 def _answers(
-    judged: _Judged, cameras: Agreement, thermal: _Thermal, calibration: Calibration, p: Parameters
+    judged: _Judged,
+    cameras: Agreement,
+    edges: Sharpness,
+    thermal: _Thermal,
+    calibration: Calibration,
+    p: Parameters,
 ) -> tuple[Teat, ...]:
     """Accepted ends with covariances, the calibration's included, and their pixels."""
     accepted = judged.accepted
     if not accepted:
         return ()
-    ends = apexes(judged.fitted.teats[accepted])
+    teats = judged.fitted.teats[accepted]
+    ends = apexes(teats)
     world = calibration.world_from_right.apply(ends)
     own = judged.covariances[accepted] + calibration_covariances(cameras, ends, calibration, p)
+    px_a_mm = calibration.right.fc[0] / ends[:, 2]
+    own = own + blur_covariances(edges, teats, px_a_mm, calibration.baseline_mm)
     covariances = world_covariances(own, ends, calibration)
     left_px, right_px = calibration.project(world)
     thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(ends))

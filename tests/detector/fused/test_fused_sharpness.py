@@ -1,0 +1,75 @@
+"""Pictures of a quality that makes ends unsure: a wider covariance, or a reason; and warmth that
+is a teat's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from detector.calibration import Calibration
+from detector.external.serve import Pictures
+from detector.fused.detector import FusedDetector
+from detector.protocol import Detection
+from tests.detector.fused.conftest import Body, Draw, Find
+
+BODIES = [
+    Body(end, (0.05, -0.05))
+    for end in ((-255.0, 275.0, 132.0), (-205.0, 200.0, 137.0), (-80.0, 270.0, 134.0))
+]
+
+
+@pytest.fixture(scope="module")
+def frames(draw_scene: Draw) -> Pictures:
+    return draw_scene(BODIES)
+
+
+def greatest_sd_mm(found: Detection) -> NDArray[np.float64]:
+    """Along the vertical of the world, where a blurred or clipped end is off."""
+    assert len(found.teats) == len(BODIES)
+    return np.array(
+        [np.sqrt(t.covariance_mm2[2, 2]) for t in found.teats if t.covariance_mm2 is not None]
+    )
+
+
+@pytest.mark.parametrize(
+    ("sd_px", "says"),
+    [((4.0, 0.0), "along the rows"), ((0.0, 4.0), "along the columns"), ((2.0, 2.0), "focus")],
+)
+def test_blurred_pictures_are_a_reason(
+    frames: Pictures, rig: Calibration, sd_px: tuple[float, float], says: str
+) -> None:
+    blurred = [
+        cv2.GaussianBlur(picture, (0, 0), max(sd_px[0], 1e-3), sigmaY=max(sd_px[1], 1e-3))
+        for picture in (frames.left, frames.right)
+    ]
+    found = FusedDetector().detect(replace(frames, left=blurred[0], right=blurred[1]), rig)
+    assert found.teats == ()
+    assert found.reason is not None
+    assert "blurred" in found.reason
+    assert says in found.reason
+
+
+def test_clipped_and_slightly_blurred_pictures_widen_covariances(
+    frames: Pictures, rig: Calibration
+) -> None:
+    def sd_mm(change: object) -> NDArray[np.float64]:
+        left, right = (change(each) for each in (frames.left, frames.right))  # type: ignore[operator]
+        return greatest_sd_mm(FusedDetector().detect(replace(frames, left=left, right=right), rig))
+
+    plain = sd_mm(lambda picture: picture)
+    clipped = sd_mm(lambda picture: np.minimum(2.0 * picture, 255.0).astype(np.uint8))
+    blurred = sd_mm(lambda picture: cv2.GaussianBlur(picture, (0, 0), 1.2))
+    assert (clipped > 2.0 * plain).all()
+    assert (blurred > 1.2 * plain).all()
+
+
+@pytest.mark.parametrize("kelvin", [296.5, 287.0])
+def test_a_quarter_of_another_warmth_is_a_teat(find: Find, kelvin: float) -> None:
+    """Cooler than the others, and colder than the room."""
+    bodies = [replace(BODIES[0], kelvin=kelvin), *BODIES[1:]]
+    assert len(find(bodies).teats) == 3
