@@ -227,6 +227,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         flag(
             "--dry-run", "move nothing: look at each pose, then go through all trials on emulators"
         ),
+        flag("--json", "with --dry-run: one JSON object with each finding by its trial"),
         OUT_RUNS,
         DETECTORS,
         EVENTS,
