@@ -47,7 +47,8 @@ async function picture(path) {
 }
 function minutes(seconds) {
   if (seconds === null || seconds === undefined) return "";
-  return seconds < 90 ? `${Math.round(seconds)} s` : `${Math.round(seconds / 60)} min`;
+  if (seconds < 90) return `${Math.round(seconds)} s`;
+  return seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;
 }
 const number = (value, unit, digits = 2) => (value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`);
 
