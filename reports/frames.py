@@ -86,13 +86,35 @@ class Label:
 Shape = Circle | Ellipse | Cross | Rect | Polyline | Label
 
 
+def answer_mark(who: int, x_px: float, y_px: float, arm_px: float, title: str = "") -> Shape:
+    """The mark of an answer: an X; of several detectors that of the one at place `who`, from 1."""
+    x, y, a = x_px, y_px, arm_px
+    match MARKS[(who - 1 + (who - 1) // len(MARKS)) % len(MARKS)] if who else "cross":
+        case "square":
+            return Rect(x - a, y - a, 2 * a, 2 * a, title)
+        case "triangle":
+            return Polyline(((x, y - 1.2 * a), (x + a, y + a), (x - a, y + a)), True, title)
+        case "diamond":
+            ends = ((x, y - 1.3 * a), (x + 1.3 * a, y), (x, y + 1.3 * a), (x - 1.3 * a, y))
+            return Polyline(ends, True, title)
+    return Cross(x, y, a, turned=True, title=title)
+
+
+MARKS = ("cross", "square", "triangle", "diamond")
+MOST_DETECTORS = len(MARKS) ** 2  # that marks and colours tell apart
+
+
 @dataclass(frozen=True, slots=True)
 class Overlay:
-    """One layer: `tone` picks colour and switch, `name` is in the legend of every frame."""
+    """One layer: `tone` picks colour and switch, `name` is in the legend of every frame.
+
+    `who`: of several detectors the place of the one whose it is, from 1; it picks the colour then.
+    """
 
     tone: LayerTone
     name: str
     shapes: tuple[Shape, ...]
+    who: int = 0
 
     def __post_init__(self) -> None:
         one_of(self.tone, LAYER_TONES, f"overlay {self.name!r}")

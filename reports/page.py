@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import ClassVar, Literal, get_args
 
-from reports.frames import LAYER_TONES, ImageView, LayerTone, layers
+from reports.frames import LAYER_TONES, MOST_DETECTORS, ImageView, LayerTone, layers
+from reports.glossary import Term
 from reports.trust import PageError, SvgFacts, address, checked_slug, one_of, svg_facts
 
 Verdict = Literal[
@@ -31,7 +32,9 @@ KINDS: dict[Kind, str] = {
 NARROW_BELOW = 500.0  # units of a drawing's viewBox: points
 RESERVED_IDS = (  # what the template itself uses
     *("top", "main", "verdict", "top-verdict", "contents", "trials", "layers", "keys"),
+    *("appendix", "glossary"),
     *("keys-title", *(f"layer-{tone}" for tone in LAYER_TONES)),
+    *(f"who-{who}" for who in range(1, MOST_DETECTORS + 1)),
 )
 
 
@@ -216,13 +219,25 @@ class Code:
 
 
 @dataclass(frozen=True, slots=True)
+class Result:
+    """What came out for one detector; `who` as in an `Overlay`."""
+
+    text: str
+    tone: Tone = "plain"
+    who: int = 0
+
+    def __post_init__(self) -> None:
+        one_of(self.tone, TONES, f"result {self.text!r}, tone")
+
+
+@dataclass(frozen=True, slots=True)
 class Look:
     """A trial to look at: why it was chosen, what came out, its views cut to what matters."""
 
     trial: str
     heading: str
     why: str
-    results: tuple[Cell, ...]
+    results: tuple[Result, ...]
     images: tuple[ImageView, ...]
 
 
@@ -236,15 +251,43 @@ class Looks:
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """Parts behind their title, which opens them; on paper they are open."""
+    """Parts behind their title, which opens them; on paper only those that are open."""
 
     kind: ClassVar[str] = "fold"
     title: str
     parts: tuple["Part", ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A chapter of the page, or of a chapter; `id` is its anchor; `folded`: closed at first.
+
+    `about` stands beside a folded chapter's title: what is in it, in a few words.
+    """
+
+    kind: ClassVar[str] = "section"
+    id: str
+    title: str
+    parts: tuple["Part", ...]
+    folded: bool = False
+    about: str = ""
+
+    def __post_init__(self) -> None:
+        checked_slug(self.id, f"section {self.title!r}")
+
+
 Part = (
-    Requirements | Scoreboard | Looks | Fold | Table | Figure | KeyValues | Paragraph | Notes | Code
+    Requirements
+    | Scoreboard
+    | Looks
+    | Fold
+    | Section
+    | Table
+    | Figure
+    | KeyValues
+    | Paragraph
+    | Notes
+    | Code
 )
 
 
@@ -291,27 +334,13 @@ class Banner:
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
-    """A chapter of the page; `id` is its anchor; `folded`: closed at first."""
-
-    id: str
-    title: str
-    parts: tuple[Part, ...]
-    folded: bool = False
-
-    def __post_init__(self) -> None:
-        checked_slug(self.id, f"section {self.title!r}")
-
-
-@dataclass(frozen=True, slots=True)
 class TrialPart:
     """One trial's part of the page, at the anchor `id` (`trial-007`): data, not a verdict."""
 
     id: str
     heading: str
     situation: str
-    status: str
-    tone: Tone = "plain"
+    results: tuple[Result, ...] = ()
     summary: tuple[Entry, ...] = ()
     images: tuple[ImageView, ...] = ()
     tables: tuple[Table, ...] = ()
@@ -319,7 +348,6 @@ class TrialPart:
 
     def __post_init__(self) -> None:
         checked_slug(self.id, f"trial {self.heading!r}")
-        one_of(self.tone, TONES, f"trial {self.heading!r}, tone")
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,8 +355,10 @@ class Page:
     """A whole report; `worst` names the trials to look at first, by their ids: they come first
     where not all find room.
 
-    `alarm` stays at the top of each file, however far one scrolls. Raises PageError where two parts
-    share an id, a link leads nowhere, or the banner claims more than its rows.
+    `detectors` are told apart where they are several. `trials_in`: the id of the section that ends
+    with the trials; a chapter of their own where empty. `alarm` stays at the top of each file,
+    however far one scrolls. Raises PageError where two parts share an id, a link leads nowhere, or
+    the banner claims more than its rows.
     """
 
     title: str
@@ -338,14 +368,19 @@ class Page:
     trials: tuple[TrialPart, ...] = ()
     trials_title: str = "Trial by trial"
     trials_note: str = ""
+    trials_in: str = ""
+    detectors: tuple[str, ...] = ()
     footer: tuple[str, ...] = ()
     alarm: str = ""
     worst: tuple[str, ...] = ()
+    glossary: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
         what = f"page {self.title!r}"
         figures = [part for part in self.parts() if isinstance(part, Figure)]
-        ids = [*RESERVED_IDS, *(section.id for section in self.sections)]
+        inner = (part for part in self.parts() if isinstance(part, Section))
+        ids = [*RESERVED_IDS, *(term.id for term in self.glossary)]
+        ids += [section.id for section in (*self.sections, *inner)]
         ids += [name for trial in self.trials for name in (trial.id, f"{trial.id}-heading")]
         ids += [name for figure in figures for name in figure.facts.ids]
         twice = sorted(name for name, times in Counter(ids).items() if times > 1)
@@ -386,13 +421,13 @@ class Page:
         by_id = {trial.id: trial for trial in self.trials}
         return tuple(by_id[name] for name in self.worst[:3])
 
-    @property
-    def folds(self) -> bool:
-        """Whether there are folded chapters: then the trials are one too."""
-        return any(section.folded for section in self.sections)
+    def next_worst(self, trial: TrialPart) -> str:
+        """The id of the trial to look at after this one: the next worst, or the worst; or none."""
+        at = self.worst.index(trial.id) + 1 if trial.id in self.worst else 0
+        return self.worst[at] if at < len(self.worst) else ""
 
     def parts(self) -> Iterator[Part]:
-        """Every part of every section, in order; a fold, then what it holds."""
+        """Every part of every section, in order; a fold or a section, then what it holds."""
         return (part for section in self.sections for part in _unfolded(section.parts))
 
     def looks(self) -> Iterator[Look]:
@@ -422,5 +457,5 @@ class Page:
 def _unfolded(parts: tuple[Part, ...]) -> Iterator[Part]:
     for part in parts:
         yield part
-        if isinstance(part, Fold):
+        if isinstance(part, Fold | Section):
             yield from _unfolded(part.parts)

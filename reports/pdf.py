@@ -52,12 +52,23 @@ def find_browser() -> str | None:
     return on_path or next((str(path) for path in paths if path.is_file()), None)
 
 
-def print_pdf(page: Path, target: Path, browser: str, time_limit_s: float = TIME_LIMIT_S) -> Path:
-    """Print the HTML file `page` to `target`. Raises PageError with the browser's own words."""
+def print_pdf(
+    page: Path,
+    target: Path,
+    browser: str,
+    time_limit_s: float = TIME_LIMIT_S,
+    *,
+    appendix: bool = False,
+) -> Path:
+    """Print the HTML file `page` to `target`, what is folded with the `appendix` only.
+
+    Raises PageError with the browser's own words.
+    """
     draft = target.with_name(target.name + ".part")
     draft.unlink(missing_ok=True)
     try:
-        code, said = _printed(browser, page, draft, time_limit_s)
+        address = page.resolve().as_uri() + ("#appendix" if appendix else "")
+        code, said = _printed(browser, address, draft, time_limit_s)
         made = draft.read_bytes() if draft.is_file() else b""
         if not made.startswith(b"%PDF-"):
             raise PageError(
@@ -73,13 +84,13 @@ def print_pdf(page: Path, target: Path, browser: str, time_limit_s: float = TIME
     return target
 
 
-def _printed(browser: str, page: Path, draft: Path, time_limit_s: float) -> tuple[int, str]:
+def _printed(browser: str, address: str, draft: Path, time_limit_s: float) -> tuple[int, str]:
     """The browser's exit code and its last words."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [browser, *SWITCHES, f"--user-data-dir={profile}"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             command.append("--no-sandbox")  # Chromium refuses its sandbox to root, as in containers
-        command += [f"--print-to-pdf={draft.resolve()}", page.resolve().as_uri()]
+        command += [f"--print-to-pdf={draft.resolve()}", address]
         words = Path(profile) / "words.txt"
         with words.open("wb") as said:
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)  # noqa: S603 a browser of this machine, our own file

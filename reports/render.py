@@ -18,7 +18,8 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from reports.frames import ImageView, layers
+from reports.frames import MARKS, ImageView, answer_mark, layers
+from reports.glossary import Explained, style_rules
 from reports.page import Cell, Figure, Page, Part, Table, TrialPart, Verdict
 from reports.sanitize import sanitized
 from reports.trust import PageError, address
@@ -70,7 +71,13 @@ class Press:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._style = assets("style.css", "frames.css", "print.css")
+        self._style = assets("style.css", "frames.css", "print.css") + style_rules(page.glossary)
+        for who in range(1, len(page.detectors) + 1):
+            self._style += (
+                f".who-{who}{{color:var(--who-{(who - 1) % len(MARKS) + 1})}}\n"
+                f"body:has(#who-{who}:not(:checked)) .pane .who-{who}{{display:none}}\n"
+            )
+        self._explained = {base: Explained(page.glossary, base) for base in ("", "../index.html")}
         self._script = assets("frames.js", "script.js")
         self._environment = environment()
 
@@ -116,10 +123,11 @@ class Press:
             page=self._page,
             place=place,
             layers=layers(shown),
-            marks=layers(cut),
+            answer_mark=answer_mark,
             view_name=lambda image: views[_view(image)],
             row_id=row_id,
             lone=_lone,
+            explain=self._explained["" if template == "page.html.j2" else "../index.html"],
             link=lambda href: _link(href, place, away),
             signs=SIGNS,
             style=Markup(style),  # noqa: S704 our own file and numbers

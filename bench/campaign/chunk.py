@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,13 +25,19 @@ from detector.protocol import Detector, Outcome, Teat
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import TruthRow
 from instruments.clock import processor_s, stopwatch_s
+from instruments.world.draws import Parameter
 from instruments.world.scene import Renderer
-from instruments.world.situations import Situation, situation
+from instruments.world.setups import Situation
+from instruments.world.situations import member as member_of
 
 LIMIT_MM = 5.0  # of the error of each teat; thesis, section 1.4.3
 ASIDE = "set aside"  # no failure of the detector: the bench could not do the scene
 WRONG = ("false", "missed", "error")  # failures of an answer, the gravest first
 DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance of 3e-8
+# sure and wrong: beyond both of a true end, or a false one that states no more
+WRONG_MM, WRONG_SD, FALSE_SD_MM = 3.0, 4.0, 1.0
+CHI2_95_OF_3 = 7.815  # 95 % of true statements have a NEES below
+SHARES = 255  # a parameter's share of its range is kept in so many steps
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -80,6 +86,11 @@ class SceneRow:
     ``failure`` is the gravest that applies, empty for a success: `ASIDE`, the outcome where there
     was no answer, "false", "missed", "error" (above the limit). Errors are of found teats, None
     without. ``frames`` is the start of the SHA-256 of all pictures' pixels, in hex.
+
+    ``sure_wrong``: teats beyond `WRONG_MM` and `WRONG_SD` of their stated standard deviations, and
+    false ones that state less than `FALSE_SD_MM`. ``stated``: found ones with a covariance,
+    ``nees`` their mean, ``inside`` those within their stated 95 % region. ``shares`` of their
+    ranges, in 255ths, are the family's ``parameters``, whose names a comma parts.
     """
 
     family: str
@@ -95,6 +106,12 @@ class SceneRow:
     mean_mm: float | None
     failure: str
     frames: str
+    sure_wrong: int = 0
+    stated: int = 0
+    inside: int = 0
+    nees: float | None = None
+    parameters: str = ""
+    shares: Sequence[int] = ()
 
     @property
     def no_answer(self) -> bool:
@@ -105,8 +122,8 @@ class SceneRow:
 @dataclass(frozen=True, slots=True)
 class TeatRow:
     """One teat of a scene, or one false finding (``teat`` 0). ``status``: "found", "missed",
-    "false", "hidden", or "hidden found". Errors are found - truth, sd the detector's own, both
-    along world axes in mm; nees is e' C^-1 e, 3 on average where C is true.
+    "false", "hidden", or "hidden found". Errors are found - truth, none of a false one; sd the
+    detector's own, both along world axes in mm; nees is e' C^-1 e, 3 on average where C is true.
     """
 
     family: str
@@ -173,8 +190,35 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
     Raises ValueError for one that can't be drawn before these cameras.
     """
     started_s, used_before_s = stopwatch_s(), processor_s()
+    parameters: Mapping[str, Parameter] = {}
+    if found is None:
+        found, parameters = member_of(scene.family, scene.member)
+    drawn, stated = draw_scene(bench, scene, found)
+    answers = [
+        examine(detector, drawn.frames, stated, timeout_s=math.inf) for detector in bench.detectors
+    ]
+    digest, shares = digest_of_frames(drawn.frames), [_share(one) for one in parameters.values()]
+    scores = [
+        score_answer(answer, drawn.truth, limit_mm=bench.limit_mm, time_limit_s=math.inf)
+        for answer in answers
+    ]
+    found_by = list(zip(answers, scores, strict=True))
+    teats = [list(_teat_rows(scene, *one, drawn)) for one in found_by]
+    rows = tuple(
+        _scene_row(scene, *one, digest, ends, ",".join(parameters), shares)
+        for one, ends in zip(found_by, teats, strict=True)
+    )
+    every = tuple(row for ends in teats for row in ends)
+    taken = tuple(Taken(answer.seconds, answer.cpu_s, _reason(answer)) for answer in answers)
+    return Rows(rows, every, taken, processor_s() - used_before_s, stopwatch_s() - started_s)
+
+
+def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[Drawn, Calibration]:
+    """What detectors get of a scene, all perturbations done to it, with its truth; and what they
+    are told of the cameras. Raises ValueError for one that can't be drawn before these cameras.
+    """
     seeds = (bench.seed, scene.member, *scene.family.encode())
-    state, stated = warm(found or situation(scene.family, scene.member)), bench.calibration
+    state, stated = warm(found), bench.calibration
     for perturbation in bench.perturbations:
         state = perturbation.state(state, seeds)
         stated = perturbation.stated(stated)
@@ -182,19 +226,7 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
     frames = drawn.frames
     for perturbation in bench.perturbations:
         frames = perturbation.frames(frames, seeds)
-    answers = [
-        examine(detector, frames, stated, timeout_s=math.inf) for detector in bench.detectors
-    ]
-    digest = digest_of_frames(frames)
-    scores = [
-        score_answer(answer, drawn.truth, limit_mm=bench.limit_mm, time_limit_s=math.inf)
-        for answer in answers
-    ]
-    found_by = list(zip(answers, scores, strict=True))
-    rows = tuple(_scene_row(scene, answer, score, digest) for answer, score in found_by)
-    teats = tuple(row for one in found_by for row in _teat_rows(scene, *one, drawn))
-    taken = tuple(Taken(answer.seconds, answer.cpu_s, _reason(answer)) for answer in answers)
-    return Rows(rows, teats, taken, processor_s() - used_before_s, stopwatch_s() - started_s)
+    return Drawn(frames, drawn.truth), stated
 
 
 def set_aside(scene: Scene, detectors: Iterable[str], why: str) -> Rows:
@@ -213,8 +245,17 @@ def digest_of_frames(frames: FrameSet) -> str:
     return whole.hexdigest()[: 2 * DIGEST_BYTES]
 
 
-def _scene_row(scene: Scene, answer: Answer, score: SceneScore, digest: str) -> SceneRow:
+def _scene_row(
+    scene: Scene,
+    answer: Answer,
+    score: SceneScore,
+    digest: str,
+    ends: Sequence[TeatRow],
+    parameters: str,
+    shares: Sequence[int],
+) -> SceneRow:
     counts, distances = score.counts, score.radial_mm
+    nees = [one.nees for one in ends if one.status == "found" and one.nees is not None]
     return SceneRow(
         scene.family,
         scene.member,
@@ -229,7 +270,28 @@ def _scene_row(scene: Scene, answer: Answer, score: SceneScore, digest: str) -> 
         _stored(math.fsum(distances) / len(distances)) if distances else None,
         _failure(answer, score),
         digest,
+        sum(map(_sure_wrong, ends)),
+        len(nees),
+        sum(one < CHI2_95_OF_3 for one in nees),
+        _stored(math.fsum(nees) / len(nees)) if nees else None,
+        parameters,
+        shares,
     )
+
+
+def _sure_wrong(end: TeatRow) -> bool:
+    """Whether a detector is far off by its own account of how sure it is."""
+    if end.status == "false":
+        sd = (end.sd_x_mm, end.sd_y_mm, end.sd_z_mm)
+        return None not in sd and max(one for one in sd if one is not None) < FALSE_SD_MM
+    if end.nees is None or end.x_mm is None or end.y_mm is None or end.z_mm is None:
+        return False
+    return end.nees > WRONG_SD**2 and math.hypot(end.x_mm, end.y_mm, end.z_mm) > WRONG_MM
+
+
+def _share(parameter: Parameter) -> int:
+    width = parameter.high - parameter.low
+    return round(SHARES * (parameter.value - parameter.low) / width) if width else 0
 
 
 def _reason(answer: Answer) -> str | None:
@@ -258,8 +320,9 @@ def _teat_rows(scene: Scene, answer: Answer, score: SceneScore, drawn: Drawn) ->
             yield TeatRow(*key, status, *_figures(teat, truth))
         else:
             yield TeatRow(*key, "missed" if truth.visible else "hidden")
-    for _ in match.false:
-        yield TeatRow(scene.family, scene.member, answer.detector, 0, "false")
+    for i in match.false:
+        key = (scene.family, scene.member, answer.detector, 0)
+        yield TeatRow(*key, "false", None, None, None, *_sd(teats[i]))
 
 
 def _figures(teat: Teat, truth: TruthRow) -> tuple[float | None, ...]:
@@ -268,8 +331,14 @@ def _figures(teat: Teat, truth: TruthRow) -> tuple[float | None, ...]:
     if teat.covariance_mm2 is None:
         return tuple(_stored(value) for value in error.tolist())
     nees = float(error @ np.linalg.solve(teat.covariance_mm2, error))
-    sd = np.sqrt(np.diagonal(teat.covariance_mm2))
-    return tuple(_stored(value) for value in (*error.tolist(), *sd.tolist(), nees))
+    return (*(_stored(value) for value in error.tolist()), *_sd(teat), _stored(nees))
+
+
+def _sd(teat: Teat) -> tuple[float | None, ...]:
+    """Along the three axes, as stated."""
+    if teat.covariance_mm2 is None:
+        return (None, None, None)
+    return tuple(_stored(value) for value in np.sqrt(np.diagonal(teat.covariance_mm2)).tolist())
 
 
 def _stored(value: float) -> float:

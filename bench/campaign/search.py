@@ -23,7 +23,8 @@ from bench.campaign.chunk import (
     run_scene,
 )
 from bench.scoring.weighted import Proposal, WeightedRate, weighted_rate
-from instruments.world.situations import ATTEMPTS, Around, Situation, drawn
+from instruments.world.setups import Situation
+from instruments.world.situations import ATTEMPTS, Around, drawn
 
 Floats = NDArray[np.float64]
 

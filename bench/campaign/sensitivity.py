@@ -29,21 +29,15 @@ from bench.rig.scenes import warm
 from detector.calibration import Calibration
 from detector.geometry import Array
 from detector.protocol import Detector
+from instruments.world.draws import Draw, udder
 from instruments.world.objects import make_object
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import FLANGE_HEIGHT_MM, Phantom, PlatePose, Teat
 from instruments.world.scene import Renderer
 from instruments.world.sensor import Image, OpticalSensor
+from instruments.world.setups import EYES_MM, Situation, apart, collisions
 from instruments.world.shading import Lighting, Paint
-from instruments.world.situations import (
-    EYES_MM,
-    Draw,
-    Situation,
-    apart,
-    collisions,
-    situation,
-    udder,
-)
+from instruments.world.situations import situation
 from instruments.world.state import SceneState
 from instruments.world.thermal_camera import ThermalSensor
 
@@ -431,7 +425,9 @@ def before_arm(gap_mm: float, seed: int, _renderer: Renderer) -> Situation:
     found = situation(FAMILY, seed)
     ends = found.phantom.ends_mm
     farthest = max(
-        hull.radius_b_mm + max(hull.a_mm[1], hull.b_mm[1]) for hull in found.phantom.teat_hulls()
+        hull.radius_b_mm + max(hull.a_mm[1], hull.b_mm[1])
+        for hulls in found.phantom.teat_hulls()
+        for hull in hulls
     )
     arm = make_object(
         "warm_arm",

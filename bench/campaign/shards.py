@@ -18,14 +18,17 @@ from typing import Any
 
 import duckdb
 
-from bench.campaign.chunk import Rows, SceneRow, Taken, TeatRow
+from bench.campaign.chunk import SHARES, Rows, SceneRow, Taken, TeatRow
 from bench.config import ConfigError
 from bench.files import write_synced
 
 SHARDS = "shards"
 MERGED = 64  # chunks in one file, at most
-SIZES = {"int": "INTEGER", "float": "FLOAT", "str": "VARCHAR"}
-SMALL = ("visible", "hidden", "found", "missed", "false_teats", "hidden_claimed", "teat")
+SIZES = {"int": "INTEGER", "float": "FLOAT", "str": "VARCHAR", "Sequence[int]": "UTINYINT[]"}
+COUNTS = (
+    *("visible", "hidden", "found", "missed", "false_teats", "hidden_claimed", "teat"),
+    *("sure_wrong", "stated", "inside"),
+)
 KEYS = ("family", "member", "detector")
 NAME = re.compile(r"(?P<family>.+?)-(?P<first>\d{6})(?:-(?P<last>\d{6}))?\.parquet")
 # what differs from run to run, and so isn't part of a digest
@@ -35,7 +38,7 @@ MEASURED = tuple(field.name for field in fields(Taken))
 def _columns(*rows: type, leave_out: Sequence[str] = ()) -> str:
     """The columns of these rows in SQL; counts take a byte."""
     named = {
-        field.name: "UTINYINT" if field.name in SMALL else SIZES[str(field.type).split(" ")[0]]
+        field.name: "UTINYINT" if field.name in COUNTS else SIZES[str(field.type).split(" ")[0]]
         for row in rows
         for field in fields(row)
         if field.name not in leave_out
@@ -111,18 +114,25 @@ class Shards:
             shard.path.unlink(missing_ok=True)
 
     def connect(self) -> duckdb.DuckDBPyConnection:
-        """A database with the views `scenes` and `teats`. Raises ConfigError for no shards."""
+        """A database with the views `scenes`, `teats` and `parameters`. Raises ConfigError for no
+        shards.
+        """
         paths = [shard.path for shard in self.files()]
         db = duckdb.connect()
         if paths:
             db.execute("CREATE VIEW everything AS " + _read(paths))
         else:
             db.execute(f"CREATE TABLE everything ({TABLE})")
-        db.execute("CREATE VIEW scenes AS SELECT * EXCLUDE (teats) FROM everything")
+        left_out = "teats, parameters, shares"
+        db.execute(f"CREATE VIEW scenes AS SELECT * EXCLUDE ({left_out}) FROM everything")
         names = ", ".join(f'"{name}"' for name in KEYS)
         parts = ", ".join(f'teat."{name}"' for name in OF_TEAT)
         listed = f"SELECT {names}, unnest(teats) AS teat FROM everything"
         db.execute(f"CREATE VIEW teats AS SELECT {names}, {parts} FROM ({listed})")
+        db.execute(
+            f"CREATE VIEW parameters AS SELECT {names}, failure, unnest(string_split(parameters,"
+            f" ',')) AS name, unnest(shares) / {SHARES}.0 AS share FROM everything"
+        )
         return db
 
     def digest(self) -> str:

@@ -37,7 +37,6 @@ def run(given: argparse.Namespace) -> int:
     from bench.campaign.pool import PoolError
     from bench.campaign.run import Campaign, locked
     from bench.cli.terminal import working
-    from bench.report.campaign import write_campaign_page
 
     plan = _plan(given)
     campaign = Campaign(plan, given.out)
@@ -55,8 +54,46 @@ def run(given: argparse.Namespace) -> int:
             )
         except PoolError as error:
             return complain(f"{error} The same command goes on where it stopped.", CODES.fault)
-        page = write_campaign_page(given.out, plan, campaign.made_by)
+        page = _page_of(campaign)
         return _told(given, campaign, status, page)
+
+
+def _page_of(campaign: Campaign) -> Path:
+    from bench.report.campaign import write_campaign_page
+    from bench.results.answers import close_detectors
+
+    job = campaign.job
+    detectors = job.make_detectors()
+    try:
+        bench = job.bench(job.renderer(), detectors)
+        return write_campaign_page(campaign.folder, campaign.plan, campaign.made_by, bench)
+    finally:
+        close_detectors(detectors)
+
+
+def show(given: argparse.Namespace) -> int:
+    from bench.report.scenes import show_scenes
+
+    page, outcomes = show_scenes(given.folder, given.scene)
+    print(plain_table(["scene", "detector", "outcome"], [list(one) for one in outcomes]))
+    print(f"Page: {page}")
+    return CODES.met
+
+
+def compare(given: argparse.Namespace) -> int:
+    from bench.campaign.comparison import compare_campaigns
+    from bench.cli.store import told
+    from bench.cli.terminal import working
+
+    with working("comparing the campaigns"):
+        found = compare_campaigns(
+            given.folder,
+            given.detector,
+            margin_mm=given.margin_mm,
+            margin_rate=given.margin_rate,
+            confidence=given.confidence,
+        )
+    return told(given, found)
 
 
 def chunk(given: argparse.Namespace) -> int:
@@ -224,7 +261,7 @@ def _told(
     status: Status,
     page: Path,
 ) -> int:
-    from bench.report.campaign import family_rates, scenes_aside
+    from bench.campaign.numbers import family_rates, scenes_aside
     from bench.scoring.rates import percent
 
     with campaign.shards.connect() as db:
@@ -233,7 +270,10 @@ def _told(
     spans = [(rate, of(rate.failures, rate.scenes) or (None, None)) for rate in rates]
     digest = campaign.shards.digest()
     if given.json:
-        keys = ("family", "detector", "scenes", "failures")
+        keys = (
+            *("family", "detector", "scenes", "failures", "visible", "found", "false_teats"),
+            *("sure_wrong", "stated", "inside", "nees"),
+        )
         found: dict[str, Any] = {
             "digest": digest,
             "scenes": status.done,

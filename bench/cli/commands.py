@@ -101,9 +101,24 @@ DESPITE_DAMAGE = flag(
 LISTEN = option("--listen HOST", "address to listen on", default="127.0.0.1")
 REPLACE = flag("--replace", "write over a file that is there")
 
+COMPARED = (
+    option("--detector NAME", "only this one; may be given several times", many=True),
+    option(
+        "--margin-mm MM",
+        "how much larger an error may be (default: 5 %% of the limit)",
+        number("a length in mm of 0 or more", least=0.0),
+    ),
+    option(
+        "--confidence P",
+        "of the intervals",
+        number("a number from 0.5 to below 1, such as 0.95", least=0.5, below=1.0),
+        0.95,
+    ),
+    flag("--gate", "exit code 1 when the new one is worse, 4 when that can't be told"),
+)
 SITUATIONS = (
     CAMERAS_OF,
-    option("--situation NAME", "may be given several times (default: all eleven)", many=True),
+    option("--situation NAME", "may be given several times (default: all)", many=True),
 )
 FIRST_SEEDS = (
     option("--first N", "the first member's seed", whole(0), 0),
@@ -261,6 +276,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             flag("--pdf", "fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)"),
             flag("--no-pdf", "print no report.pdf, though a browser is installed"),
         ),
+        flag("--appendix", "print what is folded in the page too: report.pdf is the whole report"),
     ),
     "console": (
         "a page in the browser: what a run is doing, what it asks, and a button that ends it",
@@ -297,19 +313,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "paired differences between runs, or between the detectors of one run",
         "compare runs/old runs/new --gate",
         option("run RUN", "folders of runs; the first is the old one", nargs="+"),
-        option("--detector NAME", "only this one; may be given several times", many=True),
-        option(
-            "--margin-mm MM",
-            "how much larger an error may be (default: 5 %% of the limit)",
-            number("a length in mm of 0 or more", least=0.0),
-        ),
-        option(
-            "--confidence P",
-            "of the intervals",
-            number("a number from 0.5 to below 1, such as 0.95", least=0.5, below=1.0),
-            0.95,
-        ),
-        flag("--gate", "exit code 1 when the new one is worse, 4 when that can't be told"),
+        *COMPARED,
         flag(
             "--together", "judge all runs as one, by their counts and errors, instead of comparing"
         ),
@@ -435,7 +439,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option(
             "plan PLAN", "a .toml file that says all of it (docs/campaigns.md)", Path, nargs="?"
         ),
-        option("--family NAME", "may be given several times (default: all eleven)", many=True),
+        option("--family NAME", "may be given several times (default: all)", many=True),
         option("--scenes N", "of each family (default: 100)", whole(1, 10_000_000)),
         option(
             "--half-width W",
@@ -476,7 +480,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option(
             "plan PLAN", "a .toml file that says all of it (docs/campaigns.md)", Path, nargs="?"
         ),
-        option("--family NAME", "may be given several times (default: all eleven)", many=True),
+        option("--family NAME", "may be given several times (default: all)", many=True),
         option("--scenes N", "tried around each member (default: 100)", whole(1, 10_000_000)),
         option("--members N", "searched around, of each family", whole(1, 10_000), 1),
         option("--rate-scenes N", "weighted scenes for each family's rate", whole(0, 1_000_000), 0),
@@ -496,6 +500,26 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("number N", "the failure's number", whole(1)),
         option("--into DIR", "the recording; is added to", required=True),
         option("--name NAME", "of the frame (default: family, member and number)", str),
+    ),
+    "campaign show": (
+        "draw scenes of a campaign again: their frames with truth and answers, as a page",
+        "campaign show campaigns/ideal ideal-0012",
+        option("folder DIR", "the campaign's folder"),
+        option("scene SCENE", "by name: family and member, as in ideal-0012", str, nargs="+"),
+    ),
+    "campaign compare": (
+        "paired differences between campaigns scene by scene, or between the detectors of one",
+        "campaign compare campaigns/old campaigns/new --gate",
+        option("folder DIR", "the campaigns' folders; the first is the old one", nargs="+"),
+        *COMPARED,
+        option(
+            "--margin-rate R",
+            "by how much the share of right scenes may fall",
+            number("a number of 0 or more, below 1", least=0.0, below=1.0),
+            0.01,
+        ),
+        option("--out DIR", "also write a page and comparison.json there"),
+        flag("--json", "print JSON instead of tables"),
     ),
     "campaign query": (
         "ask DuckDB over the views scenes and teats",

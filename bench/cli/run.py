@@ -174,8 +174,11 @@ def report(given: argparse.Namespace) -> int:
     from reports.pdf import find_browser, print_pdf
     from reports.trust import PageError
 
+    if given.appendix and given.no_pdf:
+        raise ConfigError.plain("--appendix is about the PDF, and --no-pdf prints none. Give one.")
+    wanted = given.pdf or given.appendix
     browser = None if given.no_pdf else find_browser()
-    if given.pdf and browser is None:
+    if wanted and browser is None:
         raise ConfigError.plain(
             "no Chromium, Chrome or Edge was found to print a PDF with. Install one, or print"
             " index.html by hand."
@@ -197,9 +200,11 @@ def report(given: argparse.Namespace) -> int:
     if browser:
         folder = given.run / REPORT
         try:
-            print(f"PDF: {print_pdf(folder / 'index.html', folder / PDF, browser)}")
+            page = folder / "index.html"
+            printed = print_pdf(page, folder / PDF, browser, appendix=given.appendix)
+            print(f"PDF: {printed}")
         except (PageError, OSError) as error:
-            if given.pdf:
+            if wanted:
                 raise ConfigError.plain(str(error)) from error
             print(f"no PDF: {error}", file=sys.stderr)
     return code

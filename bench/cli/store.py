@@ -20,6 +20,7 @@ from bench.record.check import NOT_AS_WRITTEN, check_run, checked_first, shorten
 
 if TYPE_CHECKING:
     from bench.results.comparison import Comparison
+    from bench.scoring.decisions import Verdict
 
 DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
 TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
@@ -79,10 +80,8 @@ def export(given: argparse.Namespace) -> int:
 
 
 def compare(given: argparse.Namespace) -> int:
-    from bench.report.comparison import as_json, write_comparison
     from bench.results.comparison import compare_folders, judge_folders, judgement_lines
     from bench.results.verdicts import run_verdict
-    from bench.scoring.decisions import Verdict, overall
 
     with undamaged(given.run, given) as damage:
         if given.together:
@@ -106,21 +105,36 @@ def compare(given: argparse.Namespace) -> int:
                     confidence=given.confidence,
                     damage=damage,
                 )
-            rows = as_json(found)
-            verdict = overall(comparison.compared.gate.verdict for comparison in found)
+            return told(given, found)
         if given.json:
             print(json.dumps(rows, indent=1, ensure_ascii=False))
-        elif given.together:
-            print("\n".join(line for one in judgements for line in judgement_lines(one)))
         else:
-            _show(found)
-        if given.out and not given.together:
-            with working("writing the report"):
-                path = write_comparison(found, given.out)
-            if not given.json:
-                print(f"Report: {path}")
-    codes = {Verdict.MET: CODES.met, Verdict.NOT_MET: CODES.not_met}
-    return codes.get(verdict, CODES.inconclusive) if given.gate else CODES.met
+            print("\n".join(line for one in judgements for line in judgement_lines(one)))
+    return _code(given, verdict)
+
+
+def told(given: argparse.Namespace, found: Sequence[Comparison]) -> int:
+    """Print comparisons, write their page where it is wanted; gives back the exit code."""
+    from bench.report.comparison import as_json, write_comparison
+    from bench.scoring.decisions import overall
+
+    if given.json:
+        print(json.dumps(as_json(found), indent=1, ensure_ascii=False))
+    else:
+        _show(found)
+    if given.out:
+        with working("writing the report"):
+            path = write_comparison(found, given.out)
+        if not given.json:
+            print(f"Report: {path}")
+    return _code(given, overall(one.compared.gate.verdict for one in found))
+
+
+def _code(given: argparse.Namespace, verdict: Verdict) -> int:
+    if not given.gate:
+        return CODES.met
+    codes = {"met": CODES.met, "not met": CODES.not_met}
+    return codes.get(verdict.value, CODES.inconclusive)
 
 
 def _show(found: Sequence[Comparison]) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,12 +134,15 @@ def _collisions(one: PlannedTrial) -> Iterator[Finding]:
         teats = phantom.teat_hulls()
         names = [_name(phantom, teat) for teat in range(len(teats))]
         for i, j in combinations(range(len(teats)), 2):
-            if (gap := clearance_mm(teats[i], teats[j])) < -PLAY_MM:
+            gap = min(clearance_mm(*pair) for pair in product(teats[i], teats[j]))
+            if gap < -PLAY_MM:
                 text = f"{names[i]} and {names[j]} stand {-gap:.1f} mm inside each other"
                 yield Finding(one.name, "collision", text)
-        solids = [*zip(names, teats, strict=True)]
-        flanges = zip(names, phantom.flange_hulls(), strict=True)
+        solids = [(name, hull) for name, hulls in zip(names, teats, strict=True) for hull in hulls]
+        # an udder has no flanges
+        flanges = zip(names, phantom.flange_hulls(), strict=phantom.udder is None)
         solids += [(f"{name}'s flange", hull) for name, hull in flanges]
+        solids += [("the udder", hull) for hull in phantom.udder_hulls()]
         # objects don't move with the plate
         things = [make_object(**table) for table in one.trial.objects]
         for number, thing in enumerate((*things, *(one.scene.objects if one.scene else ())), 1):

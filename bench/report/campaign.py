@@ -1,134 +1,324 @@
-"""A campaign's page: how often each detector fails in each family, and its worst scenes by name.
-
-All figures come from the shards, by the database.
+"""A campaign's page: how often each detector is right in each family, how far off it is, where its
+failures lie, and its worst scenes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import shlex
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
-import duckdb
-
-from bench.campaign.chunk import ASIDE
+from bench.campaign.chunk import FALSE_SD_MM, WRONG_MM, WRONG_SD, Bench, Scene
+from bench.campaign.numbers import (
+    FEWEST,
+    MAPPED,
+    WORST,
+    FamilyRate,
+    Map,
+    Numbers,
+    Parameter,
+    campaign_numbers,
+)
 from bench.campaign.plan import Plan
-from bench.campaign.shards import Shards
-from bench.report.wording import key_values, table
+from bench.report.scenes import draw_again, scene_parts
+from bench.report.trials import look_at
+from bench.report.wording import NOT_MEASURED, key_values, table
+from bench.scoring.comparison import ALPHA
 from bench.scoring.rates import percent, plural
-from instruments.world.situations import spoken
-from reports.page import Banner, Page, Paragraph, Part, Section
+from instruments.world.situations import SITUATIONS, member, spoken
+from reports.figures import error_spreads, failure_map, rate_intervals
+from reports.page import (
+    Banner,
+    Cell,
+    Figure,
+    Look,
+    Looks,
+    Page,
+    Paragraph,
+    Part,
+    Score,
+    Scoreboard,
+    Section,
+    TrialPart,
+)
 from reports.render import write_report
 
 REPORT = "report"
-WORST = 25  # of each detector
-ORDER = "false_teats DESC, missed DESC, max_mm DESC NULLS FIRST, family, member"
-FAILURES = ("no answer", "false", "missed", "error")
+LOOKED_AT = 3  # drawn, and a typical one
+UNITS = ("mm", "deg", "rad", "k")
 
 
-@dataclass(frozen=True, slots=True)
-class FamilyRate:
-    """Scenes of a family that a detector was asked about, how many failed and how; errors are of
-    each scene's worst teat, None where nothing was found.
+def write_campaign_page(
+    folder: Path, plan: Plan, made_by: Mapping[str, str], bench: Bench | None = None
+) -> Path:
+    """``report/index.html`` of the campaign in ``folder``; gives back its path. ``bench`` draws the
+    first scenes to look at. Raises OSError.
     """
-
-    family: str
-    detector: str
-    scenes: int
-    failures: int
-    no_answer: int
-    false: int
-    missed: int
-    error: int
-    median_mm: float | None
-    p95_mm: float | None
+    names = [one.name for one in bench.detectors] if bench else []
+    numbers = campaign_numbers(folder, plan, names)
+    looks, parts = _looked_at(folder, numbers, plan, bench) if bench else ((), ())
+    page = campaign_page(folder, plan, made_by, numbers, looks, parts)
+    return write_report(page, folder / REPORT)
 
 
-RATES = f"""
-SELECT family, detector,
-  count(*) FILTER (failure != '{ASIDE}') AS scenes,
-  count(*) FILTER (failure NOT IN ('', '{ASIDE}')) AS failures,
-  count(*) FILTER (failure NOT IN ('', '{ASIDE}', 'false', 'missed', 'error')) AS no_answer,
-  count(*) FILTER (failure = 'false') AS false_found,
-  count(*) FILTER (failure = 'missed') AS missed,
-  count(*) FILTER (failure = 'error') AS error,
-  quantile_cont(max_mm, 0.5), quantile_cont(max_mm, 0.95)
-FROM scenes GROUP BY family, detector ORDER BY family, detector
-"""
-WORST_FIRST = f"""
-SELECT family, member, detector, failure, found, visible, false_teats, max_mm FROM scenes
-WHERE failure NOT IN ('', '{ASIDE}')
-QUALIFY row_number() OVER (PARTITION BY detector ORDER BY {ORDER}) <= {WORST}
-ORDER BY detector, {ORDER}
-"""
-
-
-def family_rates(db: duckdb.DuckDBPyConnection) -> list[FamilyRate]:
-    """Every family and detector."""
-    return [FamilyRate(*row) for row in db.execute(RATES).fetchall()]
-
-
-def scenes_aside(db: duckdb.DuckDBPyConnection) -> dict[str, str]:
-    """The scenes that the bench could not do, by name, with why."""
-    found = db.execute(
-        "SELECT DISTINCT family, member, reason FROM scenes WHERE failure = ? ORDER BY ALL", [ASIDE]
-    )
-    return {f"{family}-{member:04d}": why for family, member, why in found.fetchall()}
-
-
-def write_campaign_page(folder: Path, plan: Plan, made_by: Mapping[str, str]) -> Path:
-    """``report/index.html`` of the campaign in ``folder``; gives back its path. Raises OSError."""
-    with Shards(folder).connect() as db:
-        rates, aside = family_rates(db), scenes_aside(db)
-        worst = db.execute(WORST_FIRST).fetchall()
-    sections = [Section("rates", "Failures by family", (_rates(rates, plan),))]
-    if aside:
-        rows = tuple(aside.items())
-        found = table("Scenes set aside: no detector's failure", "scene | why", rows)
-        sections.append(Section("aside", "Set aside", (found,)))
-    sections.append(Section("worst", "Worst scenes", (_worst(worst),)))
-    asked = {"families": ", ".join(map(spoken, plan.families)), "seed": plan.seed}
-    asked |= {"first member": plan.first, "limit": f"{plan.limit_mm:g} mm", **made_by}
-    sections.append(Section("made", "Made with", (key_values("Plan and program", asked),)))
-    return write_report(_page(plan, rates, aside, tuple(sections)), folder / REPORT)
-
-
-def _page(
-    plan: Plan, rates: Sequence[FamilyRate], aside: Mapping[str, str], sections: tuple[Section, ...]
+def campaign_page(
+    folder: Path,
+    plan: Plan,
+    made_by: Mapping[str, str],
+    numbers: Numbers,
+    looks: tuple[Look, ...] = (),
+    parts: tuple[TrialPart, ...] = (),
 ) -> Page:
-    names = list(dict.fromkeys(rate.detector for rate in rates))
-    sums = {
-        name: (
-            sum(rate.failures for rate in rates if rate.detector == name),
-            sum(rate.scenes for rate in rates if rate.detector == name),
+    """What came out first, then where to look and the figures; the tables behind folds."""
+    drawn = {part.heading: f"#{part.id}" for part in parts}
+    asked = {"families": ", ".join(map(spoken, plan.families)), "seed": plan.seed}
+    asked |= {"first member": plan.first, "limit": f"{plan.limit_mm:g} mm"}
+    if plan.perturbations:
+        done = ", ".join(f"{one.name} {one.amount:g}" for one in plan.perturbations)
+        asked["perturbations"] = done
+    aside: tuple[Section, ...] = ()
+    if numbers.aside:
+        rows = table(
+            "Scenes set aside: no detector's failure", "scene | why", tuple(numbers.aside.items())
         )
-        for name in names
-    }
-    sentence = "; ".join(
-        f"{name} failed on {failures} of {plural(scenes, 'scene')}"
-        for name, (failures, scenes) in sums.items()
+        aside = (Section("aside", "Scenes set aside", (rows,)),)
+    behind = (
+        Section("rates", "Failures by family", (_rates(numbers, plan),)),
+        Section("worst", "Worst scenes", (_worst(numbers, folder, drawn),)),
+        Section("depends", "Failures and parameters", _depends(numbers)),
+        Section("sure", "How sure they are", (_sure(numbers),)),
+        Section("made", "Made with", (key_values("Plan and program", {**asked, **made_by}),)),
     )
-    lost = f" {plural(len(aside), 'scene')} set aside." if aside else ""
-    banner = Banner(
+    strip = (Section("looks", "Where to look first", (Looks(looks),)),) if looks else ()
+    first = (
+        Section("families", "What each detector shows", (_scoreboard(numbers, plan),)),
+        *aside,
+        *strip,
+        *([Section("figures", "Figures", tuple(_figures(numbers, plan)))] if numbers.rates else []),
+    )
+    return Page(
+        plan.title or "Campaign",
+        "Simulated scenes, scored without instruments",
+        _banner(folder, plan, numbers),
+        (*first, *(replace(section, folded=True) for section in behind)),
+        trials=parts,
+        trials_title="Scenes drawn again",
+        trials_note="Truth is drawn as the cameras see it by the calibration that detectors got.",
+        worst=tuple(part.id for part in parts[:LOOKED_AT]),
+    )
+
+
+def _banner(folder: Path, plan: Plan, numbers: Numbers) -> Banner:
+    lines = []
+    for name in numbers.detectors:
+        rates = list(numbers.of(name).values())
+        failures, scenes = (sum(getattr(one, key) for one in rates) for key in COUNTS)
+        if not scenes:
+            continue
+        worst = max(rates, key=lambda one: one.failures / one.scenes if one.scenes else -1.0)
+        line = f"{name} was right on {scenes - failures} of {plural(scenes, 'scene')}"
+        if failures and failures < scenes and len(rates) > 1:
+            line += f"; worst in {spoken(worst.family)} ({worst.failures} of {worst.scenes} failed)"
+        lines.append(f"{line}.")
+    if numbers.aside:
+        lines.append(f"{plural(len(numbers.aside), 'scene')} set aside: the bench could not do it.")
+    families = len(numbers.families)
+    most = max((one.scenes for one in numbers.rates), default=0)
+    then = "Run it: nothing has been scored."
+    if numbers.rates:
+        then = (
+            f"'teatbench campaign show {_quoted(folder)} SCENE' draws any scene with truth and"
+            " answers; 'teatbench campaign search' looks for more failures."
+        )
+    return Banner(
         kind="emulated",
         verdict="no verdict",
-        tested=f"{', '.join(names)} on {plural(len(plan.families), 'family')}.".replace(
-            "familys", "families"
+        tested=(
+            f"{', '.join(numbers.detectors)} on {families} famil{'y' if families == 1 else 'ies'}"
+            f" of up to {plural(most, 'simulated scene')}."
         ),
-        sentence=f"{sentence or 'Nothing was scored'}.{lost}",
+        sentence="\n".join(lines) or "Nothing was scored.",
         confidence=(
-            "Rates are of simulated scenes, with their 95 % intervals family by family; a sum over"
-            " families weighs them as the plan does."
+            "A campaign has no requirement. A scene is right when every visible teat end is found"
+            f" within {plan.limit_mm:g} mm and nothing false. Each family has its 95 % interval; a"
+            " sum over families weighs them as the plan does."
         ),
-        next_action="Look at the worst scenes: 'teatbench scene sheet' draws them by seed.",
+        next_action=then,
     )
-    title = plan.title or "Campaign"
-    return Page(title, "Simulated scenes, scored without instruments", banner, sections)
 
 
-def _rates(rates: Sequence[FamilyRate], plan: Plan) -> Part:
+COUNTS = ("failures", "scenes")
+
+
+def _quoted(folder: Path) -> str:
+    return shlex.quote(folder.as_posix())
+
+
+def _scoreboard(numbers: Numbers, plan: Plan) -> Scoreboard | Paragraph:
+    if not numbers.rates:
+        return Paragraph("No scene was scored.", "warn")
+    rows: list[tuple[str, str, tuple[Score | None, ...]]] = []
+    by_name = {name: numbers.of(name) for name in numbers.detectors}
+    for family in numbers.families:
+        rates = [each.get(family) for each in by_name.values()]
+        scenes = max(one.scenes for one in rates if one)
+        scores = tuple(_score(one, plan) if one and one.scenes else None for one in rates)
+        rows.append((spoken(family), str(scenes), scores))
+    hints = {spoken(name): SITUATIONS[name][0] for name in numbers.families}
+    return Scoreboard(
+        f"Scenes in which every visible teat end was found within {plan.limit_mm:g} mm and nothing"
+        " false; the share shown with 95 % confidence; teat ends found; false ones",
+        numbers.detectors,
+        tuple(rows),
+        ("Family", "Scenes"),
+        hints,
+    )
+
+
+def _score(one: FamilyRate, plan: Plan) -> Score:
+    low, high = plan.interval(one.failures, one.scenes) or (0.0, 1.0)
+    good = percent(1.0 - one.failures / one.scenes)
+    shown = f"at least {_below(1.0 - high)} %"
+    if one.failures == one.scenes:
+        shown = f"at most {_above(1.0 - low)} %"
+    words = [shown, _ends(one)]
+    words += [f"{one.false_teats} false"] if one.false_teats else []
+    words += [f"{one.no_answer} without an answer"] if one.no_answer else []
+    words += [f"{one.sure_wrong} sure and wrong"] if one.sure_wrong else []
+    return Score("no verdict", good, ", ".join(words))
+
+
+def _ends(one: FamilyRate) -> str:
+    if one.visible < 1000:
+        return f"{one.found} of {one.visible} ends"
+    return f"{percent(one.found / one.visible)} of ends"
+
+
+def _below(share: float) -> str:
+    """In per cent, never more than it is."""
+    return f"{int(1000.0 * share) / 10:g}"
+
+
+def _above(share: float) -> str:
+    return f"{-int(-1000.0 * share // 1) / 10:g}"
+
+
+def _figures(numbers: Numbers, plan: Plan) -> Iterator[Figure]:
+    names = [spoken(name) for name in numbers.families]
+    by_name = {name: numbers.of(name) for name in numbers.detectors}
+    rates: dict[str, list[tuple[float, float, float] | None]] = {}
+    for name, of in by_name.items():
+        rates[name] = []
+        for family in numbers.families:
+            one = of.get(family)
+            span = plan.interval(one.failures, one.scenes) if one else None
+            rates[name].append((one.failures / one.scenes, *span) if one and span else None)
+    alt = "; ".join(
+        f"{name}, {family}: {NOT_MEASURED if one is None else percent(one[0])}"
+        for name, each in rates.items()
+        for family, one in zip(names, each, strict=True)
+    )
+    yield Figure(
+        rate_intervals(names, rates),
+        "Failure rates with 95 % intervals. Intervals that overlap much don't tell two detectors"
+        " apart; 'teatbench campaign compare' does, scene by scene.",
+        alt,
+    )
+    spreads = {
+        name: [getattr(of.get(family), "spread_mm", None) for family in numbers.families]
+        for name, of in by_name.items()
+    }
+    alt = "; ".join(
+        f"{name}, {family}: {NOT_MEASURED if one is None else f'median {one[2]:.2f} mm'}"
+        for name, each in spreads.items()
+        for family, one in zip(names, each, strict=True)
+    )
+    yield Figure(
+        error_spreads(names, spreads, plan.limit_mm),
+        "Each scene's largest error of a found teat end: median, the middle half (thick) and 90 %"
+        " (thin).",
+        alt,
+    )
+    for number, each in enumerate(numbers.maps, 1):
+        yield _map_figure(each, number, plan)
+
+
+def _map_figure(one: Map, number: int, plan: Plan) -> Figure:
+    first, second = one.parameters
+    ranges = [_range(each, plan.first) for each in one.parameters]
+    labels = (_label(first.name, ranges[0]), _label(second.name, ranges[1]))
+    whole = (0.0, 1.0)
+    svg = failure_map(
+        labels,
+        (ranges[0] or whole, ranges[1] or whole),
+        one.scenes,
+        one.failures,
+        name=f"failure-map-{number}",
+    )
+    name = _spoken(second.name)
+    chance = f" That of {name} may be chance." if second.p_value >= ALPHA else ""
+    failed = sum(map(sum, one.failures))
+    caption = (
+        f"{first.detector}, {spoken(first.family)}: share of scenes that failed over the two"
+        f" parameters on which failures depend most.{chance}"
+    )
+    alt = f"{caption} {failed} of {plural(sum(map(sum, one.scenes)), 'scene')} failed."
+    return Figure(svg, caption, alt)
+
+
+def _range(parameter: Parameter, first: int) -> tuple[float, float] | None:
+    """The parameter's range, where all members have the same."""
+    known = set()
+    for seed in range(first, first + 40):
+        found = member(parameter.family, seed)[1].get(parameter.name)
+        if found:
+            known.add((found.low, found.high))
+    return known.pop() if len(known) == 1 else None
+
+
+def _spoken(name: str) -> str:
+    """``arm_y_mm_2`` as `arm y (mm), 2nd`."""
+    words = name.split("_")
+    again = words.pop() if words[-1].isdecimal() else ""
+    unit = words.pop() if words[-1] in UNITS else ""
+    text = " ".join(words)
+    text += f", number {again}" if again else ""
+    return f"{text} ({unit.replace('k', 'K')})" if unit else text
+
+
+def _label(name: str, known: tuple[float, float] | None) -> str:
+    return _spoken(name) if known else f"{_spoken(name).partition(' (')[0]}, share of its range"
+
+
+def _looked_at(
+    folder: Path, numbers: Numbers, plan: Plan, bench: Bench
+) -> tuple[tuple[Look, ...], tuple[TrialPart, ...]]:
+    """The worst scenes, each detector's in turn, and a typical one of the first, drawn again."""
+    why: dict[Scene, str] = {}
+    several = len(numbers.detectors) > 1
+    for nth, word in enumerate(("Worst", "Second worst", "Third worst")):
+        for name, rows in numbers.worst.items():
+            of = [Scene(str(family), int(str(number))) for family, number, *_ in rows]
+            new = [scene for scene in of if scene not in why]
+            if len(of) > nth and new and len(why) < max(LOOKED_AT, len(numbers.detectors)):
+                why[new[0]] = f"{word} of {name}" if several else word
+    if numbers.typical and numbers.typical not in why:
+        name = numbers.detectors[0]
+        why[numbers.typical] = f"Typical of {name}" if several else "Typical"
+    run, stated = draw_again(bench, list(why), folder, plan.title)
+    parts = tuple(scene_parts(run, stated, folder / REPORT))
+    looks = tuple(
+        replace(look_at(trial, reason, part, stated), heading=trial.id)
+        for trial, reason, part in zip(run.trials, why.values(), parts, strict=True)
+    )
+    return looks, parts
+
+
+def _rates(numbers: Numbers, plan: Plan) -> Part:
     rows = []
-    for rate in rates:
+    for rate in numbers.rates:
         span = plan.interval(rate.failures, rate.scenes)
         rows.append(
             (
@@ -139,8 +329,8 @@ def _rates(rates: Sequence[FamilyRate], plan: Plan) -> Part:
                 percent(rate.failures / rate.scenes) if rate.scenes else None,
                 span and f"{100 * span[0]:.2f} to {100 * span[1]:.2f} %",
                 *(rate.no_answer, rate.false, rate.missed, rate.error),
-                rate.median_mm,
-                rate.p95_mm,
+                rate.spread_mm[2] if rate.spread_mm else None,
+                rate.spread_mm[4] if rate.spread_mm else None,
             )
         )
     if not rows:
@@ -161,17 +351,78 @@ def _rates(rates: Sequence[FamilyRate], plan: Plan) -> Part:
     )
 
 
-def _worst(rows: Sequence[tuple[object, ...]]) -> Part:
+def _worst(numbers: Numbers, folder: Path, drawn: Mapping[str, str]) -> Part:
+    rows = []
+    for each in numbers.worst.values():
+        for family, number, detector, failure, found, visible, false, sure, max_mm in each:
+            name = Scene(str(family), int(str(number))).name
+            command = f"teatbench campaign show {_quoted(folder)} {name}"
+            counts = f"{found} of {visible}", false, sure, max_mm
+            shown = Cell(name, href=drawn.get(name, ""))
+            rows.append((shown, detector, failure, *counts, Cell(command, mono=True)))
     if not rows:
         return Paragraph("No scene failed.")
-    shown = [
-        (f"{family}-{member:04d}", detector, failure, f"{found} of {visible}", false, max_mm)
-        for family, member, detector, failure, found, visible, false, max_mm in rows
-    ]
     return table(
         f"Worst scenes (at most {WORST} of a detector)",
-        "scene | detector | failure | >found of visible | >false | >largest error [mm] ~.2f?",
-        shown,
+        "scene | detector | failure | >found of visible | >false | >sure and wrong"
+        " | >largest error [mm] ~.2f? | the command that draws it",
+        rows,
         "A scene's name is its family and the seed of the member.",
         searchable=True,
+    )
+
+
+def _depends(numbers: Numbers) -> tuple[Part, ...]:
+    shown: dict[tuple[str, str], list[Parameter]] = defaultdict(list)
+    for one in numbers.parameters:
+        if len(shown[one.family, one.detector]) < 2:
+            shown[one.family, one.detector].append(one)
+    rows = [
+        (
+            spoken(one.family),
+            one.detector,
+            _spoken(one.name),
+            *(f"{percent(f / n)} of {n}" for f, n in one.quarters),
+            "< 0.001" if one.p_value < 0.001 else f"{one.p_value:.3f}",
+        )
+        for each in shown.values()
+        for one in each
+    ]
+    if not rows:
+        text = (
+            f"No family has {FEWEST} failures and {FEWEST} successes of one detector, from which"
+            " their parameters could be compared."
+        )
+        return (Paragraph(text),)
+    return (
+        table(
+            "The two parameters of each family on which failures depend most",
+            "family | detector | parameter | >lowest quarter # of its range: scenes that failed"
+            " | >second | >third | >highest | >p"
+            " # how likely chance alone makes so uneven quarters",
+            rows,
+            f"From the first {MAPPED} members of each family. p: chi-square, adjusted after Holm"
+            " for all parameters of the family; below 0.05 it is taken as real.",
+            searchable=len(rows) > 10,
+        ),
+    )
+
+
+def _sure(numbers: Numbers) -> Part:
+    rows = []
+    for one in numbers.rates:
+        share = percent(one.inside / one.stated) if one.stated else None
+        wrong = Cell(str(one.sure_wrong), "bad" if one.sure_wrong else "plain")
+        figures = (one.found, one.stated, share, one.nees, wrong)
+        rows.append((spoken(one.family), one.detector, *figures))
+    return table(
+        "Stated standard deviations against true errors",
+        "family | detector | >teat ends found | >with a covariance"
+        " | >in their 95 % region # 95 % where what is stated is true"
+        " | >NEES # mean normalised squared error: 3 where what is stated is true, more where a"
+        " detector is too sure | >sure and wrong",
+        rows,
+        f"Sure and wrong: found ends more than {WRONG_MM:g} mm and {WRONG_SD:g} of their stated"
+        f" standard deviations off, and false ones that state less than {FALSE_SD_MM:g} mm.",
+        searchable=len(rows) > 10,
     )

@@ -67,6 +67,8 @@ DIFFER = {
     "script": "script",
     "seed": "seed",
     "calibration": "calibration_sha256",
+    "program": "program",
+    "perturbations": "perturbations",
 }
 # of a gate's verdict: the page's word, the sentence, what to do next, the tone
 GATE: dict[Verdict, tuple[PageVerdict, str, str, Tone]] = {
@@ -247,6 +249,7 @@ def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
                 "verdict": GATE[one.compared.gate.verdict][0],
                 "reasons": list(one.compared.gate.reasons),
                 "margin_mm": one.compared.gate.margin_mm,
+                **_rate_margin(one),
             },
             "rows": [
                 _numbers(row, one.compared.confidence)
@@ -255,6 +258,11 @@ def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
         }
         for one in found
     ]
+
+
+def _rate_margin(one: Comparison) -> dict[str, float]:
+    margin = one.compared.gate.margin_rate
+    return {} if margin is None else {"margin_rate": margin}
 
 
 def _numbers(row: Row, confidence: float) -> dict[str, Any]:
@@ -324,7 +332,7 @@ def gate_reasons(one: Comparison) -> tuple[str, ...]:
     called = {row.situation: spoken(row.situation or "") for row in one.compared.situations}
     reasons = []
     for reason in one.compared.gate.reasons:
-        head, middle, rest = reason.partition(" the mean distance")
+        head, middle, rest = reason.partition(" the ")
         name = called.get(head.removeprefix("in "))
         reasons.append(f"in {name}{middle}{rest}" if name else reason)
     return tuple(reasons)
@@ -431,14 +439,19 @@ def _scoreboard(one: Comparison) -> Scoreboard:
     lost = sum(pair.old.success and not pair.new.success for pair in one.pairs)
     span = won.interval(one.compared.confidence)
     change = "" if span is None else f" ({100 * span[0]:+.0f} to {100 * span[1]:+.0f} % points)"
+    allowed = one.compared.gate.margin_rate
+    verdict: PageVerdict = "worse" if lost else "not worse"
+    if allowed is not None and span is not None:
+        verdict = "not worse" if -span[0] <= allowed else "inconclusive"
+        verdict = "worse" if -(won.difference or 0.0) > allowed and won.p_value < ALPHA else verdict
     rows: list[tuple[str, str, tuple[Score | None, ...]]] = [
         (
             RIGHT,
-            "none lost",
+            "none lost" if allowed is None else f"{100 * allowed:g} % points",
             (
                 Score("no verdict", f"{won.both + won.only_old} of {poses}", ""),
                 Score(
-                    "worse" if lost else "not worse",
+                    verdict,
                     f"{won.both + won.only_new} of {poses}",
                     f"{won.only_old or 'none'} lost, {won.only_new or 'none'} won{change}",
                 ),
@@ -449,8 +462,10 @@ def _scoreboard(one: Comparison) -> Scoreboard:
         before, now = getattr(row.old, what), getattr(row.new, what)
         word = "more" if now > before else "fewer"
         shows = f"{abs(now - before)} {word}" if now != before else "as many"
-        score = Score("worse" if now > before else "not worse", str(now), shows)
-        rows.append((name, "none more", (Score("no verdict", str(before), ""), score)))
+        sign: PageVerdict = "worse" if now > before else "not worse"
+        score = Score(sign if allowed is None else "no verdict", str(now), shows)
+        limit = "none more" if allowed is None else ""
+        rows.append((name, limit, (Score("no verdict", str(before), ""), score)))
     distances = [_mean_mm(errors, one) for errors in common_errors(one.pairs)[:2]]
     before_mm, now_mm = (Score("no verdict", mm, "") for mm in distances)
     verdict = _change_verdict(row.radial, margin)

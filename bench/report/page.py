@@ -5,7 +5,6 @@ bench, run, calibration, checksums, faults, command.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from bench.report import tables
 from bench.report.accuracy import accuracy_tables, gage_parts, limit_parts
 from bench.report.bath import bath_parts, sparkline
 from bench.report.comparison import detectors_section
+from bench.report.glossary import TERMS
 from bench.report.spread import pose_parts, spread_parts
 from bench.report.thesis import published_counts, thesis_chapter
 from bench.report.trials import (
@@ -118,7 +118,7 @@ def build_page(
     each = run.ending == "finished" and not run.damage and len(judgements) > 1
     if each:
         why, then = headlines(run, judgements)
-    facts, limit_mm, looks = run.facts, rules.visible_within_mm, first_looks(run)
+    facts, looks = run.facts, first_looks(run)
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
     left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
     banner = Banner(
@@ -143,25 +143,7 @@ def build_page(
     if not judgements:
         nothing = "Nothing was scored, so no requirement was decided."
         requirements = (Paragraph(nothing, tone="warn"),)
-    accuracy = _accuracy_parts(run, rules, calibration)
-    reference = (*truth_parts(run), *gage_parts(run, limit_mm), *arm_parts(run), *record_parts(run))
-    deviations = (*deviation_parts(run), *fault_parts(run))
-    listed: tuple[Part, ...] = (*([looks] if looks else []), trial_table(run))
-    results = (*_result_parts(run, rules), *tables.attribution_parts(run))
-    behind = (
-        Section("results", "Results by situation", results),
-        *thesis_chapter(run, rules, calibration),
-        *chapters,
-        *detectors_section(run),
-        Section("accuracy", "Accuracy", tuple(accuracy)),
-        Section("poses", "Poses", tuple(pose_parts(run, limit_mm, anchors_of(run)))),
-        Section("latency", "Time", tuple(_latency_parts(run, rules))),
-        Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),
-        Section("deviations", "Deviations and exclusions", deviations),
-        Section("reference", "Measurand and reference", reference),
-        Section("provenance", "Provenance", tuple(provenance_parts(run))),
-        Section("trial-list", "Trials", listed),
-    )
+    behind = tuple(_pages(run, rules, calibration, looks, chapters))
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     made = tuple(trials)
     looked = looks_of(run, made, calibration)
@@ -175,12 +157,73 @@ def build_page(
         title=str(facts["title"]),
         subtitle=str(facts.get("about", "")),
         banner=banner,
-        sections=(*sections, *(replace(section, folded=True) for section in behind)),
+        sections=(*sections, *behind),
         trials=made,
+        trials_in="page-trials",
+        detectors=tuple(run.detectors),
         worst=tuple(map(trial_id, worst_trials(run))),
         alarm=alarm if run.damage else "",
         footer=(f"teatbench {facts['versions']['teatbench']}, run {run.folder.name}",),
+        glossary=TERMS,
     )
+
+
+def _pages(
+    run: RunRecord,
+    rules: Rules,
+    calibration: Calibration,
+    looks: Part | None,
+    chapters: tuple[Section, ...],
+) -> Iterator[Section]:
+    """What stands behind the first page, by name."""
+    limit_mm = rules.visible_within_mm
+    listed = (*([looks] if looks else []), trial_table(run))
+    blamed = tuple(tables.attribution_parts(run))
+    deviations = (*deviation_parts(run), *fault_parts(run))
+    accuracy = (
+        Section("results", "Results by situation", tuple(_result_parts(run, rules))),
+        *detectors_section(run),
+        *chapters,
+        Section("accuracy", "Errors", tuple(_accuracy_parts(run, rules, calibration))),
+        Section("poses", "Poses", tuple(pose_parts(run, limit_mm, anchors_of(run)))),
+        Section("latency", "Time", tuple(_latency_parts(run, rules))),
+    )
+    reference = (
+        *(*truth_parts(run), *gage_parts(run, limit_mm)),
+        *(*arm_parts(run), *record_parts(run)),
+    )
+    thesis = thesis_chapter(run, rules, calibration)
+    inner = {
+        "page-trials": (
+            "Trials",
+            f"all {len(run.trials)}: filter, sort, frames",
+            (
+                Section("trial-list", "All trials", listed),
+                Section("deviations", "Deviations and exclusions", deviations),
+                *([Section("blamed", "What went wrong where", blamed)] if blamed else []),
+            ),
+        ),
+        "page-accuracy": ("Accuracy", "errors, rates, poses, time", accuracy),
+        "page-truth": (
+            "Truth and uncertainty",
+            "what is measured, how well",
+            (Section("reference", "Measurand and reference", reference),),
+        ),
+        "page-bath": (
+            "Bath and interlocks",
+            "stability, safe states",
+            (Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),),
+        ),
+        "page-thesis": ("Thesis", "its figures beside ours", thesis),
+        "page-provenance": (
+            "Provenance",
+            "item, versions, files, command",
+            (Section("provenance", "Who, with what, when", tuple(provenance_parts(run))),),
+        ),
+    }
+    for anchor, (title, about, sections) in inner.items():
+        if sections:
+            yield Section(anchor, title, tuple(sections), folded=True, about=about)
 
 
 def anchors_of(run: RunRecord) -> dict[str, str]:
@@ -212,7 +255,7 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
         message += f" To show {100 * rate:g} % takes {needed} poses without a failure."
     known = [row["u_mm"] for trial in run.counted for row in trial.truth if row["u_mm"] is not None]
     if known:
-        message += f" The truth is known to ± {2 * max(known):.2f} mm (k = 2)."
+        message += f" The truth is known to ± {2 * max(known):.2f} mm."
     return message
 
 
@@ -230,10 +273,11 @@ def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
             f"Teats found by {detector}, beside the thesis's own count",
             "; ".join(f"{name}: {k} of {n}" for name, k, n in each) or "not measured",
         )
-        yield tables.found_by_situation(run, detector, published)
         yield tables.rates(run, detector)
+        each_situation = [tables.found_by_situation(run, detector, published)]
         if len(names) > 1:
-            yield tables.rates_by_situation(run, detector)
+            each_situation.append(tables.rates_by_situation(run, detector))
+        yield Fold(f"Counts and rates of each situation, {detector}", tuple(each_situation))
 
 
 def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
@@ -272,15 +316,18 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
         ),
     )
     camera_from_world = calibration.world_from_right.inverse().R
-    for detector in run.detectors:
+    for place, detector in enumerate(run.detectors):
         errors_mm = scored(run, detector).errors_mm
         camera = errors_mm @ camera_from_world.T
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
-        cloud = (lateral, camera[:, 2], limit_mm)
-        accept_mm, name = _accepted_mm(run, rules, detector), id_of(detector)
-        every = _links(run, detector)
         yield Figure(
-            figures.error_scatter(*cloud, accept_mm=accept_mm, links=every, name=f"scatter-{name}"),
+            figures.error_scatter(
+                *(lateral, camera[:, 2], limit_mm),
+                accept_mm=_accepted_mm(run, rules, detector),
+                links=_links(run, detector),
+                place=(place, len(run.detectors)),
+                name=f"scatter-{id_of(detector)}",
+            ),
             f"Depth error against lateral error, {detector}",
             f"{len(errors_mm)} points",
         )
@@ -303,7 +350,6 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
     camera_from_world = calibration.world_from_right.inverse().R
     for detector in run.detectors:
         pool, name = scored(run, detector), id_of(detector)
-        yield from accuracy_tables(run, detector, limit_mm, camera_from_world)
         radial = np.linalg.norm(pool.errors_mm, axis=1)
         accept_mm = _accepted_mm(run, rules, detector)
         yield Figure(
@@ -319,6 +365,10 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
             f"Errors along the world's axes by situation, {detector}",
             "strips of signed errors",
             wide=True,
+        )
+        yield Fold(
+            f"By axis, situation and teat in figures, and tolerance limits, {detector}",
+            tuple(accuracy_tables(run, detector, limit_mm, camera_from_world)),
         )
         yield from spread_parts(run, detector, limit_mm, anchors_of(run), camera_from_world)
     yield from limit_parts(run, calibration)

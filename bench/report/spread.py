@@ -33,7 +33,7 @@ from bench.scoring.spread import (
     prediction_ellipsoid,
 )
 from reports import figures
-from reports.page import Cell, Figure, Notes, Paragraph, Part
+from reports.page import Cell, Figure, Fold, Notes, Paragraph, Part, Table
 
 POSE_SET = "pose set"
 MAP_FROM = 9  # places: fewer make no map
@@ -165,7 +165,8 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
         " 95 % | >p (Holm) ~.3g? | trend"
     )
     lines = (*measured, *unmeasured.values())
-    yield table(f"Trends of the error, {detector}", heads, lines, NOTE)
+    listed = table(f"Trends of the error, {detector}", heads, lines, NOTE)
+    yield Fold(f"Trends in figures, {detector}", (listed,))
 
 
 def _why_not(line: Trend) -> str:
@@ -210,14 +211,20 @@ def spread_parts(
         links = [anchors[trial] for trial, known in trials if known]
         at = (minutes[timed], distances[timed])
         name = f"drift-{id_of(detector)}"
+        place = run.detectors.index(detector), len(run.detectors)
         yield Figure(
-            figures.error_drift(*at, limit_mm, links=links, name=name),
+            figures.error_drift(*at, limit_mm, links=links, place=place, name=name),
             f"Drift: distance over the time of the run, {detector}; each point opens its trial",
             f"{int(timed.sum())} points",
         )
     teats = teat_errors(rows)
     yield _drawn(teats, limit_mm, anchors, camera_from_world, detector)
-    yield _ellipsoids(run, run_bias(rows), teats, detector)
+    bodies = _ellipsoids(run, run_bias(rows), teats, detector)
+    yield (
+        Fold(f"Ellipsoids in figures, {detector}", (bodies,))
+        if isinstance(bodies, Table)
+        else bodies
+    )
     yield from trend_parts(rows, detector)
 
 

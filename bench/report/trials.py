@@ -42,13 +42,13 @@ from reports.frames import (
     Polyline,
     Rect,
     Shape,
+    answer_mark,
 )
-from reports.page import Cell, KeyValues, Look, Table, Tone, TrialPart
+from reports.page import Cell, KeyValues, Look, Result, Table, Tone, TrialPart
 
 AT_ONCE = 4  # trials: decoding and encoding pictures lets others work
 MOST_WORST = 60
 MOST_LOOKS = 3  # and a typical one
-ANSWERS: tuple[LayerTone, ...] = ("point", "nomination", "region", "spread")  # a detector's each
 CUT_WIDTH_PX, CUT_MARGIN_PX = 640, 22  # what is shown round the teats on the first page
 FIRST_LOOKS = 9
 
@@ -113,11 +113,12 @@ def looks_of(
             break
     by_id = {part.id: part for part in parts}
     return tuple(
-        _look(trial, why, by_id[trial_id(trial)], calibration) for trial, why in chosen.values()
+        look_at(trial, why, by_id[trial_id(trial)], calibration) for trial, why in chosen.values()
     )
 
 
-def _look(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Look:
+def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Look:
+    """Its views cut to the teats, with truth and answers drawn in."""
     ends = np.array([[r["x_mm"], r["y_mm"], r["z_mm"]] for r in trial.truth]).reshape(-1, 3)
     images = []
     for camera, truth_px in project_all(calibration, ends).items():
@@ -128,8 +129,7 @@ def _look(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibratio
         size = max(1.0, image.width / CUT_WIDTH_PX)
         box = round_teats(truth_px, image.width, image.height, round(CUT_MARGIN_PX * size))
         drawn = [layer for layer in image.overlays if layer.tone == "truth"]
-        for place, detection in enumerate(trial.detections):
-            name = str(detection["detector"])
+        for name, who in _places(trial).items():
             rows = [row for row in trial.found if row["detector"] == name]
             at = [json.loads(row[f"{camera}_px"]) for row in rows if row.get(f"{camera}_px")]
             if camera == "thermal" and rows:
@@ -137,34 +137,35 @@ def _look(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibratio
                 points = np.array([[r["x_mm"], r["y_mm"], r["z_mm"]] for r in rows])
                 seen = project_all(calibration, points)[camera]
                 at = [] if seen is None else seen.tolist()
-            tone = ANSWERS[place % len(ANSWERS)]
             shapes = tuple(
-                _answer(tone, x, y, 5 * size) for x, y in at if np.isfinite([x, y]).all()
+                answer_mark(who, x, y, 5 * size) for x, y in at if np.isfinite([x, y]).all()
             )
             if shapes:
-                drawn.append(Overlay(tone, name, shapes))
-        cut = replace(image, overlays=tuple(drawn), view_box=box, alt=f"{image.alt}, at the teats")
+                drawn.append(Overlay("point", NAMES["point"], shapes, who))
+        alt = f"{image.alt}, at the teats"
+        cut = replace(image, label=camera, overlays=tuple(drawn), view_box=box, alt=alt)
         images.append(cut)
     images.sort(key=lambda image: "-left." not in image.src)
-    results = []
-    for detection in trial.detections:
-        name = str(detection["detector"])
-        score = trial.scores.get(name)
-        outcome, judged = _status(trial, score)
-        worst = max(score.radial_mm, default=None) if score else None
-        farthest = "" if worst is None else f", farthest {worst:.1f} mm"
-        results.append(Cell(f"{name}: {outcome}{farthest}", judged))
     heading = f"{part.situation}, trial {trial.head['number']}"
-    return Look(part.id, heading, why, tuple(results), tuple(images))
+    return Look(part.id, heading, why, _results(trial, farthest=True), tuple(images))
 
 
-def _answer(tone: LayerTone, x: float, y: float, arm: float) -> Shape:
-    """A detector's mark, as the key has it for the tone."""
-    if tone == "region":
-        return Rect(x - arm, y - arm, 2 * arm, 2 * arm)
-    if tone == "spread":
-        return Ellipse(x, y, 1.5 * arm, 0.75 * arm, -30.0)
-    return Cross(x, y, arm, turned=tone == "point")
+def _places(trial: TrialRecord) -> dict[str, int]:
+    """Of each detector its place among several, from 1; 0 where it is alone."""
+    names = dict.fromkeys(str(detection["detector"]) for detection in trial.detections)
+    return {name: place if len(names) > 1 else 0 for place, name in enumerate(names, 1)}
+
+
+def _results(trial: TrialRecord, *, farthest: bool = False) -> tuple[Result, ...]:
+    """What came out, whose it is where there are several; ``farthest`` adds the largest error."""
+    found = []
+    for name, who in _places(trial).items():
+        score = trial.scores.get(name)
+        text, tone = _status(trial, score)
+        worst = max(score.radial_mm, default=None) if score and farthest else None
+        text = f"{name}: {text}" if who else text
+        found.append(Result(f"{text}, farthest {worst:.1f} mm" if worst else text, tone, who))
+    return tuple(found) or (Result(*_status(trial, None)),)
 
 
 def trial_table(run: RunRecord) -> Table:
@@ -214,7 +215,6 @@ def _statuses(trial: TrialRecord) -> tuple[str, Tone]:
 
 
 def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path) -> TrialPart:
-    status, tone = _statuses(trial)
     head, detections, budget = trial.head, trial.detections, trial_truth(trial)
     notes = [f"In no count: {trial.invalid}"] if trial.invalid else []
     notes += [f"Note: {head['note']}"] if head["note"] else []
@@ -222,8 +222,7 @@ def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: 
         id=trial_id(trial),
         heading=trial.id,
         situation=spoken(head["situation"]),
-        status=status,
-        tone=tone,
+        results=_results(trial),
         summary=(
             ("situation", spoken(head["situation"])),
             ("repeat", str(head["repeat"])),
@@ -335,7 +334,7 @@ def pictures(
         label = camera
         if camera == "thermal" and calibration.thermal.mirrored:
             image = np.ascontiguousarray(image[:, ::-1])  # as the detector and the overlays count
-            label = f"{camera}, un-mirrored"
+            label = f"{camera}, left and right exchanged back"
         name = f"{IMAGES}/{trial.id}-{camera}.jpg"
         _write(image, folder / name, cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
         height, width = image.shape
@@ -360,7 +359,7 @@ def pictures(
         height, width = image.shape
         label = f"{detection['detector']}: edges in the thermal frame"
         alt = f"{label}, trial {trial.id}"
-        layers = stage_overlays(detection)
+        layers = stage_overlays(detection, _places(trial)[str(detection["detector"])])
         yield ImageView(label, name, width, height, alt, layers, original=f"../{path}")
 
 
@@ -414,30 +413,34 @@ def overlays(
     trial: TrialRecord, camera: str, truth_px: Points | None, calibration: Calibration
 ) -> tuple[Overlay, ...]:
     """All layers over one camera's frame; ``truth_px`` (n, 2) is the truth in its pixels."""
-    shapes: dict[LayerTone, list[Shape]] = {tone: [] for tone in NAMES}
+    shapes: dict[tuple[LayerTone, int], list[Shape]] = {(tone, 0): [] for tone in NAMES}
     if truth_px is not None:
         for row, (x, y) in zip(trial.truth, truth_px, strict=True):
             if np.isfinite([x, y]).all():
                 hidden = "" if row["visible"] else " (hidden)"
-                shapes["truth"].append(Circle(x, y, 7, f"truth {row['teat']}{hidden}"))
-                shapes["truth"].append(Label(x + 9, y - 5, str(row["teat"])))
+                shapes["truth", 0].append(Circle(x, y, 7, f"truth {row['teat']}{hidden}"))
+                shapes["truth", 0].append(Label(x + 9, y - 5, str(row["teat"])))
+    places = _places(trial)
     for detection in trial.detections:
         trace, name = json.loads(detection["trace"]), str(detection["detector"])
+        who = places[name]
         for tone, shape in (
             *_stages(trace, camera, name),
             *_models(trace, camera, calibration, name),
         ):
-            shapes[tone].append(shape)
+            shapes.setdefault((tone, who), []).append(shape)
         for row in trial.found:
             if row["detector"] == name:
-                shapes["point"] += _final(row, camera)
-                shapes["spread"] += _spread(row, camera, calibration)
+                shapes.setdefault(("point", who), []).extend(_final(row, camera, who))
+                shapes.setdefault(("spread", who), []).extend(_spread(row, camera, calibration))
     return tuple(
-        Overlay(tone, NAMES[tone], tuple(found)) for tone, found in shapes.items() if found
+        Overlay(tone, NAMES[tone], tuple(found), who)
+        for (tone, who), found in shapes.items()
+        if found
     )
 
 
-def stage_overlays(detection: Row) -> tuple[Overlay, ...]:
+def stage_overlays(detection: Row, who: int = 0) -> tuple[Overlay, ...]:
     """Over the thesis's picture of edges: the points taken from it, and those nominated."""
     trace = json.loads(detection["trace"])
     taken = tuple(
@@ -447,8 +450,8 @@ def stage_overlays(detection: Row) -> tuple[Overlay, ...]:
     )
     ends = points_of(trace, "teat ends", "points_px")
     nominated = tuple(Cross(x, y, 6, title="nominated") for x, y in ends)
-    other = Overlay("other", NAMES["other"], taken)
-    layers = (other, Overlay("nomination", NAMES["nomination"], nominated))
+    other = Overlay("other", NAMES["other"], taken, who)
+    layers = (other, Overlay("nomination", NAMES["nomination"], nominated, who))
     return tuple(layer for layer in layers if layer.shapes)
 
 
@@ -516,12 +519,12 @@ def _models(
             yield tone, Polyline(tuple((float(x), float(y)) for x, y in line), title=text)
 
 
-def _final(row: Row, camera: str) -> Iterator[Shape]:
+def _final(row: Row, camera: str, who: int) -> Iterator[Shape]:
     at = row.get(f"{camera}_px")
     if at:
         x, y = json.loads(at)
         if np.isfinite([x, y]).all():
-            yield Cross(x, y, 6, turned=True, title=f"{row['detector']}: end")
+            yield answer_mark(who, x, y, 6, f"{row['detector']}: end")
 
 
 def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:

@@ -24,7 +24,8 @@ from instruments.world import boards
 from instruments.world.phantom import Phantom
 from instruments.world.plant import PlantConstants
 from instruments.world.scene import Renderer, contact_sheet
-from instruments.world.situations import SITUATIONS, Situation, situation, spoken
+from instruments.world.setups import Situation
+from instruments.world.situations import SITUATIONS, situation, spoken
 from instruments.world.state import SceneState
 
 BOARD_DEPTHS_MM = (450.0, 1300.0)
@@ -49,10 +50,13 @@ def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
 
 
 def warm(found: Situation) -> SceneState:
-    """A situation with its bath settled; temperatures vary between members as between days."""
+    """A situation with its bath settled; temperatures vary between members as between days, unless
+    the situation says how warm the room is.
+    """
     rng = np.random.Generator(np.random.PCG64([found.seed, *found.name.encode(), *b"warmth"]))
     constants = PlantConstants()
     water_c, ambient_c = float(rng.uniform(32.5, 33.5)), float(rng.uniform(17.0, 24.0))
+    ambient_c = ambient_c if found.room_c is None else found.room_c
     share = constants.teat_in_w_per_k / (constants.teat_in_w_per_k + constants.teat_out_w_per_k)
     noise = rng.normal(0.0, 0.15, len(found.phantom.teats))
     teats_c = tuple((ambient_c + share * (water_c - ambient_c) + noise).tolist())

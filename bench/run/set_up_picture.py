@@ -18,7 +18,7 @@ from instruments.operators.operator import Arrangement
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.optics import Floats
 from instruments.world.phantom import FLANGE_RADIUS_MM, PIVOT_MM, Phantom
-from instruments.world.situations import Situation
+from instruments.world.setups import Situation
 
 FOLDER = "set-up"  # in the run's folder
 SIDE_PX, MARGIN_MM, GRID_MM = 720, 70.0, 50.0

@@ -10,6 +10,10 @@ axis) larger by more than the margin is worse. No worse is shown only where the 
 distance's change over all poses, those not run included, stays within the margin (non-inferiority;
 ICH E9, 3.3.2). A situation whose mean distance grew by more than the margin is worse where chance,
 adjusted for all situations, doesn't explain it; else the gate is inconclusive.
+
+Of thousands of scenes some are always lost and others won. With a margin of the rate not each lost
+one is worse, but a share of right ones that fell by more than it, in all or a situation, where
+chance doesn't explain it; no worse is shown only where its interval stays within.
 """
 
 from __future__ import annotations
@@ -308,6 +312,7 @@ class Gate:
     verdict: Verdict
     reasons: tuple[str, ...]
     margin_mm: float
+    margin_rate: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,13 +329,14 @@ def compare(
     pairs: Sequence[ScenePair],
     *,
     margin_mm: float | None = None,
+    margin_rate: float | None = None,
     confidence: float = 0.95,
     seed: int = 0,
     unpaired: int = 0,
 ) -> Compared:
     """Compare on `pairs`; `unpaired` scenes of the old one have no counterpart. `margin_mm` is by
-    default a twentieth of the limit. Raises ValueError for no pair, a margin below 0, or a scene
-    with two limits.
+    default a twentieth of the limit; without `margin_rate` each scene lost counts. Raises
+    ValueError for no pair, a margin below 0, or a scene with two limits.
     """
     if not pairs:
         raise ValueError("compare: the two have no scene in common")
@@ -356,7 +362,8 @@ def compare(
         )
         for row, p in zip(rows, success, strict=True)
     )
-    verdict = gate(pairs, pooled, margin, unpaired, situations if len(situations) > 1 else ())
+    several = situations if len(situations) > 1 else ()
+    verdict = gate(pairs, pooled, margin, unpaired, several, margin_rate)
     return Compared(pooled, situations, verdict, confidence)
 
 
@@ -366,26 +373,23 @@ def gate(
     margin_mm: float,
     unpaired: int = 0,
     situations: Sequence[Row] = (),
+    margin_rate: float | None = None,
 ) -> Gate:
     """Is the new one worse on these scenes?"""
-    worse = [
-        f"{pair.scene} passed and now fails: {why_failed(pair.new)}"
-        for pair in pairs
-        if pair.old.success and not pair.new.success
-    ]
-    for what in ("false", "missed"):
-        old, new = getattr(pooled.old, what), getattr(pooled.new, what)
-        if new > old:
-            worse.append(f"{plural(new - old, f'{what} teat')} more ({new} instead of {old})")
+    worse, left_open = (
+        _lost(pairs, pooled)
+        if margin_rate is None
+        else _fewer_right(pooled, situations, margin_rate)
+    )
     names = ("distance to the teat end", "error along x", "error along y", "error along z")
     for what, change in zip(names, (pooled.radial, *pooled.axes), strict=True):
         if change.mean is not None and change.mean > margin_mm:
             by = f"grew by {change.mean:.3f} mm, more than the margin of {margin_mm:g} mm"
             worse.append(f"the mean {what} {by}")
-    shown, left_open = _grown_in(situations, margin_mm)
-    worse += shown
+    shown, perhaps = _grown_in(situations, margin_mm)
+    worse, left_open = worse + shown, left_open + perhaps
     if worse:
-        return Gate(Verdict.NOT_MET, tuple(worse), margin_mm)
+        return Gate(Verdict.NOT_MET, tuple(worse), margin_mm, margin_rate)
     if unpaired:
         left_open.append(f"{unpaired} scenes of the old one were not run with the new one")
     high, tail = pooled.radial.high, (1.0 + pooled.radial.confidence) / 2.0
@@ -398,14 +402,58 @@ def gate(
             f" by {high:.3f} mm (margin {margin_mm:g} mm): {_needed(pairs, margin_mm, tail)}"
         )
     if left_open:
-        return Gate(Verdict.INCONCLUSIVE, tuple(left_open), margin_mm)
+        return Gate(Verdict.INCONCLUSIVE, tuple(left_open), margin_mm, margin_rate)
     failing = Rate(0, pooled.poses).upper_bound(tail) or 0.0
     bounds = (
         f"over all poses the mean distance grew by at most {high:.3f} mm (margin {margin_mm:g} mm) "
         f"and at most {percent(failing)} of poses are lost anew ({plural(pooled.poses, 'pose')}, "
         f"{exact_percent(tail)} confidence each)"
     )
+    if margin_rate is not None:
+        fell = f"the share of right ones fell by at most {percent(margin_rate)}"
+        bounds = f"over all poses the mean distance grew by at most {high:.3f} mm, and {fell}"
+        return Gate(Verdict.MET, (bounds,), margin_mm, margin_rate)
     return Gate(Verdict.MET, ("no scene lost, no false or missed teat more", bounds), margin_mm)
+
+
+def _lost(pairs: Sequence[ScenePair], pooled: Row) -> tuple[list[str], list[str]]:
+    """Every scene lost is worse, and every false or missed teat more; nothing is left open."""
+    worse = [
+        f"{pair.scene} passed and now fails: {why_failed(pair.new)}"
+        for pair in pairs
+        if pair.old.success and not pair.new.success
+    ]
+    for what in ("false", "missed"):
+        old, new = getattr(pooled.old, what), getattr(pooled.new, what)
+        if new > old:
+            worse.append(f"{plural(new - old, f'{what} teat')} more ({new} instead of {old})")
+    return worse, []
+
+
+def _fewer_right(
+    pooled: Row, situations: Sequence[Row], margin: float
+) -> tuple[list[str], list[str]]:
+    """Where the share of right poses fell by more than the margin: shown, and perhaps by chance."""
+    shown, perhaps = [], []
+    for row in (pooled, *situations):
+        won, p = row.success, row.success.p_value if row.success_holm is None else row.success_holm
+        fell = -(won.difference or 0.0)
+        span = won.interval(pooled.radial.confidence)
+        where = f"in {row.situation} the" if row.situation else "the"
+        text = (
+            f"{where} share of right poses fell by {100 * fell:.1f} % points (lost"
+            f" {won.only_old}, won {won.only_new} of {won.n}; margin {100 * margin:g})"
+        )
+        if fell > margin and p < ALPHA:
+            shown.append(f"{text}, p {f'= {p:.3f}' if p >= 0.0005 else '< 0.001'}")
+        elif fell > margin:
+            perhaps.append(f"{text}, which may be chance")
+        elif row is pooled and span and -span[0] > margin:
+            perhaps.append(
+                f"poses that were not run may hide that the share of right ones fell by"
+                f" {-100 * span[0]:.1f} % points (margin {100 * margin:g})"
+            )
+    return shown, perhaps
 
 
 def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], list[str]]:

@@ -209,6 +209,6 @@ def shipped_phantom(name: str) -> Phantom:
 def _nearest(teats: tuple[Teat, ...]) -> tuple[float, tuple[str, str]]:
     """The least clearance between two teats, and their names."""
     pairs = combinations(range(len(teats)), 2)
-    hulls = Phantom(teats).teat_hulls()
+    hulls = [hull for (hull,) in Phantom(teats).teat_hulls()]
     gaps = [(clearance_mm(hulls[i], hulls[j]), (teats[i].name, teats[j].name)) for i, j in pairs]
     return min(gaps, default=(float("inf"), ("", "")))

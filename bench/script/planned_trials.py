@@ -20,7 +20,8 @@ from bench.script.phantom import Layout, find_layout, load_layout, ordered
 from instruments.operators.operator import Arrangement
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.phantom import Phantom, PlatePose
-from instruments.world.situations import SITUATIONS, Situation, situation
+from instruments.world.setups import Situation
+from instruments.world.situations import SITUATIONS, situation
 
 MOST_POSES = 100_000
 RUN_FILES = ("rig.toml", "script.toml", "calibration.toml")  # a run's folder has these already

@@ -27,18 +27,23 @@ _FARTHEST = 0.9
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
-_OUTLINE = "its outline isn't that of a teat"
+OUTLINE = "its outline isn't that of a teat"
+ELSEWHERE = "the thermal picture shows its outline elsewhere"
 _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
-_ACROSS = (-0.6, 0.0, 0.6)  # of the radius
+_ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
+# shares of the thermal outline (end, better side, other) that make it one of its own, and how
+# unlike its surroundings it must be, as a share of the warmest teat's
+_OWN_OUTLINE, _OWN_WARMTH = (0.6, 0.5, 0.35), 0.2
+_GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """For m fitted teats: seen shares of the outline (m, 3 views: left, right, thermal); misfit px
-    (m,); warmth (m, 3 lines) or NaN; largest standard deviation mm (m,).
+    (m,); warmth (m, 3 lines), and beside it, or NaN; largest standard deviation mm (m,).
     """
 
     end: Array
@@ -46,6 +51,7 @@ class Evidence:
     both: Array  # the other
     misfit_px: Array
     warmth: Array
+    beside: Array  # (m, 2 lines)
     sd_mm: Array
     # whether both sides were followed up to where the last of an end is seen
     followed: NDArray[np.bool_]
@@ -63,7 +69,7 @@ class Evidence:
 
 
 def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
-    """Evidence from edges about m teats, covariances (m, 3, 3), and warmth (m, 3)."""
+    """Evidence from edges about m teats, covariances (m, 3, 3), and warmth (m, 5)."""
     seen, part = fitted.seen, FINE_OUTLINE.part
     m, n = len(fitted.weight), len(part)
     offset, weight, sd = (
@@ -81,7 +87,10 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
     sides = np.stack([shares[SIDE_A], shares[SIDE_B]])
     largest = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     better, other, thermal = sides.max(axis=0), sides.min(axis=0), _thermal_offsets(fitted)
-    return Evidence(shares[END], better, other, misfit, warmth, largest, fitted.followed, thermal)
+    inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
+    return Evidence(
+        shares[END], better, other, misfit, inside, beside, largest, fitted.followed, thermal
+    )
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
@@ -106,10 +115,12 @@ def _thermal_offsets(fitted: Fitted) -> Array:
     return medians
 
 
-def warmth_inside(
+def warmth_across(
     teats: Array, warm: Field, lens: Camera, thermal_from_right: Motion, px_a_sensor_px: float
 ) -> Array:
-    """Medians (m, 3) of the thermal picture along three lines down teats (m, 8); NaN outside."""
+    """Medians (m, 5) of the thermal picture along lines down teats (m, 8): one to the left, three
+    inside, one to the right; NaN outside.
+    """
     axis = axes(teats)
     line = teats[:, None, None, :3] + _ALONG_MM[:, None] * axis[:, None, None]
     across = np.cross(axis, [0.0, 0.0, -1.0])[:, None, None]
@@ -134,7 +145,8 @@ def objections(
     if clean:
         reference = max(float(np.median(evidence.warmth[i])) for i in clean)
         for i in clean:
-            if least[i] - surroundings < p.least_warmth * (reference - surroundings):
+            as_warm = least[i] - surroundings >= p.least_warmth * (reference - surroundings)
+            if not as_warm and not _own_warmth(evidence, i, surroundings, reference):
                 reasons[i] = "it isn't warm all over"
     kept: list[int] = []
     for i in sorted((i for i in clean if reasons[i] is None), key=lambda i: -evidence.merit[i]):
@@ -143,6 +155,19 @@ def objections(
         else:
             kept.append(i)
     return reasons
+
+
+def _own_warmth(evidence: Evidence, i: int, surroundings: float, reference: float) -> bool:
+    """Whether the thermal picture shows the teat's own outline, warmer or cooler than what is
+    beside it. ``reference``: the warmest teat.
+    """
+    shares = [evidence.end[i, 2], evidence.side[i, 2], evidence.both[i, 2]]
+    beside = np.nan_to_num(evidence.beside[i], nan=surroundings)
+    inside, full = float(np.median(evidence.warmth[i])), reference - surroundings
+    unlike = inside - beside
+    own = all(share >= least for share, least in zip(shares, _OWN_OUTLINE, strict=True))
+    gap = (unlike < 0).all() and (beside - surroundings > _GAP * full).all()
+    return bool(own and np.abs(unlike).min() > _OWN_WARMTH * full and not gap)
 
 
 def doubts(
@@ -175,7 +200,7 @@ def doubts(
 
 def maybe_hidden(reason: str | None) -> bool:
     """Whether a nearer teat may explain what speaks against this one, if anything."""
-    return reason is None or "seen" in reason or reason in (_OUTLINE, _UNSURE, _WORSE)
+    return reason is None or "seen" in reason or reason in (OUTLINE, _UNSURE, _WORSE)
 
 
 def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | None:
@@ -185,7 +210,7 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
     if _one_sees_a_side(evidence, i):
         return "a side of it is seen in one picture only"
     if evidence.misfit_px[i] > p.greatest_misfit_px:
-        return _OUTLINE
+        return OUTLINE
     if not p.least_radius_mm < teat[RADIUS] < p.greatest_radius_mm:
         return _SIZE
     if max(abs(teat[LEAN_X]), abs(teat[LEAN_Z])) > p.greatest_lean:
@@ -195,7 +220,7 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
     if not np.isfinite(evidence.warmth[i]).all():
         return "the thermal picture doesn't reach it"
     if _elsewhere(evidence.thermal_px[i], p.greatest_thermal_px):
-        return "the thermal picture shows its outline elsewhere"
+        return ELSEWHERE
     return _UNSURE if evidence.sd_mm[i] > p.greatest_sd_mm else None
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused import pictures
-from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, warmth_inside, weigh
+from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, warmth_across, weigh
 from detector.fused.depth_search import (
     Map,
     best_starts,
@@ -42,6 +42,7 @@ from detector.fused.refine import (
     world_covariances,
 )
 from detector.fused.thermal import Nominations, bars, nominate, unexplained
+from detector.fused.witness import Agreement, agreement, calibration_covariances, disagreement
 from detector.geometry import Array, Camera, Motion
 from detector.protocol import Detection, Frames, Stage, Teat
 
@@ -57,7 +58,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "2"  # counted up when an answer on any frame set changes
+    version: str = "3"  # counted up when an answer on any frame set changes
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -94,8 +95,12 @@ def _detect(
     # every fitted teat with evidence and objection, empty if accepted
     shown = {"teats": judged.fitted.teats}
     shown |= {name: getattr(judged.evidence, name) for name in (*Evidence.__slots__, "merit")}
-    reasons = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
-    trace.append(Stage("decisions", {**shown, "reasons": reasons}))
+    shown["reasons"] = np.array([reason or "" for reason in judged.reasons], dtype=np.str_)
+    cameras = agreement(judged.fitted, judged.reasons, calibration, p, thermal.px_a_sensor_px)
+    shown["cameras_px"] = np.array([cameras.rows_px, *cameras.thermal_px])
+    trace.append(Stage("decisions", shown))
+    if wrong := disagreement(cameras, judged.fitted, calibration):
+        raise pictures.UnusableError(wrong)
     accepted = judged.fitted.teats[judged.accepted]
     tips, view = apexes(accepted), thermal.view
     feet_px, tips_px = (
@@ -103,7 +108,7 @@ def _detect(
         for points in (tips + 60.0 * axes(accepted), tips)
     )
     hidden = unexplained(view.field, ends, feet_px, tips_px)
-    answers = _answers(judged, thermal, calibration)
+    answers = _answers(judged, cameras, thermal, calibration, p)
     reason = None if answers else "nothing warm has the outline of a teat in both optical pictures"
     return Detection(answers, hidden, reason, tuple(trace))
 
@@ -146,7 +151,7 @@ def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) 
 def _judge(fitted: Fitted, thermal: _Thermal, p: Parameters) -> _Judged:
     covariances = end_covariances(fitted, p)
     motion, size = thermal.view.camera_from_teats, thermal.px_a_sensor_px
-    warmth = warmth_inside(fitted.teats, thermal.view.field, thermal.lens, motion, size)
+    warmth = warmth_across(fitted.teats, thermal.view.field, thermal.lens, motion, size)
     evidence = weigh(fitted, covariances, warmth)
     reasons = objections(fitted.teats, evidence, thermal.surroundings, p)
     return _Judged(fitted, covariances, evidence, reasons)
@@ -239,14 +244,17 @@ def _views(
     return made
 
 
-def _answers(judged: _Judged, thermal: _Thermal, calibration: Calibration) -> tuple[Teat, ...]:
+def _answers(
+    judged: _Judged, cameras: Agreement, thermal: _Thermal, calibration: Calibration, p: Parameters
+) -> tuple[Teat, ...]:
     """Accepted ends with covariances, the calibration's included, and their pixels."""
     accepted = judged.accepted
     if not accepted:
         return ()
     ends = apexes(judged.fitted.teats[accepted])
     world = calibration.world_from_right.apply(ends)
-    covariances = world_covariances(judged.covariances[accepted], ends, calibration)
+    own = judged.covariances[accepted] + calibration_covariances(cameras, ends, calibration, p)
+    covariances = world_covariances(own, ends, calibration)
     left_px, right_px = calibration.project(world)
     thermal_px = thermal.lens.project(thermal.view.camera_from_teats.apply(ends))
     return tuple(

@@ -116,6 +116,9 @@ class Parameters:
     end_shape_sd_mm: float = 0.07
     # how much less sure an end is along its axis, of which nothing is seen
     unseen_end_sd_mm: float = 1.2
+    # sd of the disparity where a calibration states no uncertainty: as the residuals of a good one
+    calibration_px: float = 0.15
+    thermal_noise_px: float = 0.04  # of a frame's thermal outlines together, columns, sensor px
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from typing import Any, Literal, Protocol
 
 from instruments.world.boards import Pattern
 from instruments.world.phantom import Phantom, PlatePose
-from instruments.world.situations import Situation
+from instruments.world.setups import Situation
 
 
 class OperatorAbort(Exception):  # noqa: N818 - a wish, not a fault

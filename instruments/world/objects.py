@@ -10,18 +10,24 @@ import inspect
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any, Literal
 
 from instruments.world.phantom import Phantom
 from instruments.world.shading import Paint
-from instruments.world.solids import Hull, Point, ball, cylinder
+from instruments.world.solids import Hull, Point, ball, chain, cylinder
 
 Warmth = float | Literal["teat", "ambient"]
 TEAT_PAINT = Paint(albedo=0.07, gloss=0.05, emissivity=0.95)
 ARM_STATIONS = (0.0, 0.15, 0.3, 0.42, 0.54, 0.68, 0.76, 0.84, 0.92, 1.0)
 JOINT_MM = 4.0
+# a hind leg: height and radius of hoof's top, pastern, fetlock, cannon, hock, thigh
+LEG_MM = (
+    (62.0, 44.0), (105.0, 36.0), (150.0, 40.0), (215.0, 33.0),
+    (350.0, 32.0), (450.0, 46.0), (520.0, 44.0), (840.0, 90.0),
+)  # fmt: skip
+PIECES = 10  # of what hangs
 HOSE_PAINT = Paint(albedo=0.13, gloss=0.03, emissivity=0.93)
 
 
@@ -39,22 +45,43 @@ class SceneObject:
 def phantom_objects(
     phantom: Phantom, paint: Paint, teat_temps_c: Iterable[float], hose_c: float
 ) -> tuple[SceneObject, ...]:
-    """Teats, then flanges, then hoses. Flanges are as warm as the hoses that feed them."""
-    upright, feet, bows = _hulls(phantom)
+    """Teats, then flanges, then hoses, or the udder; then drops and dirt, about as warm as teats.
+    What teats stand on is as warm as the hoses that feed them.
+    """
+    upright, feet, bows, udder, spots = _hulls(phantom)
+    temps_c = tuple(teat_temps_c)
     teats = [
-        SceneObject(f"teat {i}", (hull,), paint, temp)
-        for i, (hull, temp) in enumerate(zip(upright, teat_temps_c, strict=True))
+        SceneObject(f"teat {i}", hulls, paint, temp)
+        for i, (hulls, temp) in enumerate(zip(upright, temps_c, strict=True))
     ]
+    on_teats = [
+        SceneObject(each.name, hulls, each.paint, sum(temps_c) / len(temps_c), -each.cooler_k)
+        for each, hulls in zip(phantom.spots, spots, strict=True)
+    ]
+    if udder:
+        return (*teats, SceneObject("udder", udder, paint, hose_c), *on_teats)
     flanges = [SceneObject(f"flange {i}", (hull,), paint, hose_c) for i, hull in enumerate(feet)]
     hoses = [SceneObject(f"hose {i}", hulls, HOSE_PAINT, hose_c) for i, hulls in enumerate(bows)]
-    return (*teats, *flanges, *hoses)
+    return (*teats, *flanges, *hoses, *on_teats)
 
 
 @lru_cache(maxsize=16)  # a state is asked for its things by every camera
 def _hulls(
     phantom: Phantom,
-) -> tuple[tuple[Hull, ...], tuple[Hull, ...], tuple[tuple[Hull, ...], ...]]:
-    return phantom.teat_hulls(), phantom.flange_hulls(), phantom.hose_hulls()
+) -> tuple[
+    tuple[tuple[Hull, ...], ...],
+    tuple[Hull, ...],
+    tuple[tuple[Hull, ...], ...],
+    tuple[Hull, ...],
+    tuple[tuple[Hull, ...], ...],
+]:
+    return (
+        phantom.teat_hulls(),
+        phantom.flange_hulls(),
+        phantom.hose_hulls(),
+        phantom.udder_hulls(),
+        tuple(phantom.spot_hulls(spots) for spots in phantom.spots),
+    )
 
 
 def _cold_teat(
@@ -143,6 +170,88 @@ def _rod(
     return (cylinder((x_mm, y_mm, 0.0), (x_mm, y_mm, height_mm), radius_mm),)
 
 
+def _straight(
+    x_mm: float = -190.0,
+    y_mm: float = 150.0,
+    z_mm: float = 100.0,
+    length_mm: float = 100.0,
+    radius_mm: float = 1.5,
+    rise_deg: float = 30.0,
+    turn_deg: float = 0.0,
+) -> tuple[Hull, ...]:
+    """Straight, with its middle there: a straw, a pipe; along x, turned to y, risen to z."""
+    rise, turn = math.radians(rise_deg), math.radians(turn_deg)
+    half = 0.5 * length_mm
+    x, y, z = (
+        half * math.cos(rise) * math.cos(turn),
+        half * math.cos(rise) * math.sin(turn),
+        half * math.sin(rise),
+    )
+    ends = (x_mm - x, y_mm - y, z_mm - z), (x_mm + x, y_mm + y, z_mm + z)
+    return (cylinder(*ends, radius_mm),)
+
+
+_pipe = partial(_straight, y_mm=450.0, z_mm=170.0, length_mm=1200.0, radius_mm=18.0, rise_deg=0.0)
+
+
+def _hose(
+    x_mm: float = -190.0,
+    y_mm: float = 420.0,
+    z_mm: float = 60.0,
+    span_mm: float = 300.0,
+    sag_mm: float = 120.0,
+    radius_mm: float = 8.0,
+    turn_deg: float = 0.0,
+) -> tuple[Hull, ...]:
+    """Hangs between two places ``span_mm`` apart, its lowest there; along x, turned to y."""
+    turn = math.radians(turn_deg)
+    parts = [2.0 * step / PIECES - 1.0 for step in range(PIECES + 1)]
+    points = [
+        (
+            x_mm + 0.5 * span_mm * part * math.cos(turn),
+            y_mm + 0.5 * span_mm * part * math.sin(turn),
+            z_mm + sag_mm * part**2,
+        )
+        for part in parts
+    ]
+    return chain(points, [radius_mm] * len(points))
+
+
+def _leg(
+    x_mm: float = -190.0, y_mm: float = 450.0, share: float = 1.0, lean_deg: float = 0.0
+) -> tuple[Hull, ...]:
+    """A hind leg from the hoof up, leaning to x; ``share`` scales its girth (a cannon is some 0.2
+    m round).
+    """
+    slope = math.tan(math.radians(lean_deg))
+    stations = [
+        (low + part * (high - low), wide + (narrow - wide) * 0.5 * (1.0 - math.cos(math.pi * part)))
+        for (low, wide), (high, narrow) in pairwise(LEG_MM)
+        for part in (0.0, 0.33, 0.67)
+    ]
+    points = [(x_mm + slope * height, y_mm, height) for height, _ in stations]
+    radii = [share * radius for _, radius in stations]
+    (x, y, z), radius = points[0], radii[0]
+    return cylinder((x, y, 0.0), (x, y, z), 1.2 * radius, radius), *chain(points, radii)
+
+
+def _tail(
+    x_mm: float = -190.0,
+    y_mm: float = 420.0,
+    z_mm: float = 140.0,
+    top_mm: float = 680.0,
+    radius_mm: float = 12.0,
+    sway_mm: float = 30.0,
+) -> tuple[Hull, ...]:
+    """Hangs from ``top_mm`` to ``z_mm``, where it is half as thick; a quarter of a wave aside."""
+    parts = [step / PIECES for step in range(PIECES + 1)]
+    points = [
+        (x_mm + sway_mm * math.sin(2.2 * part), y_mm, top_mm + part * (z_mm - top_mm))
+        for part in parts
+    ]
+    return chain(points, [radius_mm * (1.0 - 0.5 * part) for part in parts])
+
+
 # what every kind takes beside its shape
 LOOK = ("temperature", "offset_k", "albedo", "gloss", "emissivity")
 KINDS: dict[str, tuple[Callable[..., tuple[Hull, ...]], tuple[Warmth, float, float, float, float]]]
@@ -153,6 +262,11 @@ KINDS = {
     "cooler_body": (_cooler_body, ("teat", -5.0, 0.3, 0.02, 0.97)),
     "ball": (_ball, ("teat", -5.0, 0.3, 0.02, 0.97)),
     "rod": (_rod, ("ambient", 0.0, 0.1, 0.0, 0.95)),
+    "straw": (_straight, ("ambient", 0.0, 0.45, 0.03, 0.95)),
+    "pipe": (_pipe, ("teat", 2.0, 0.4, 0.1, 0.9)),
+    "hose": (_hose, ("ambient", 0.0, 0.06, 0.05, 0.95)),
+    "leg": (_leg, ("teat", -5.0, 0.3, 0.0, 0.98)),
+    "tail": (_tail, ("teat", -7.0, 0.15, 0.0, 0.98)),
 }
 
 

@@ -30,7 +30,7 @@ from instruments.world.sensor import (
     blurred_by_depth,
     reach_px,
 )
-from instruments.world.shading import Lighting, irradiance, seen_light
+from instruments.world.shading import GLOSS_EXPONENT, Lighting, irradiance, seen_light
 from instruments.world.solids import BLOCK, Ints, dot, meet
 from instruments.world.state import SceneState, Stage
 
@@ -89,13 +89,18 @@ class View:
         return Surfaces(covered, stage.owner[covered.solid], rays, depth, normals)
 
     def heights(self, stage: Stage, seen: Surfaces) -> Floats:
-        """Place of each surface along its solid, 0 to 1, (n,)."""
-        solids = stage.solids.in_camera(self.camera)
-        round_end = np.where(solids.flat_b, 0.0, solids.radius_b)
-        reach = np.linalg.norm(solids.b - solids.a, axis=1) + round_end
-        which = seen.cover.solid
-        off = seen.depth_mm * seen.rays - solids.a[which].T
-        return np.asarray(np.clip(dot(off, solids.axis[which].T) / reach[which], 0.0, 1.0))
+        """Place of each surface along its thing, 0 to 1 from the first solid's a to the last one's
+        b, (n,).
+        """
+        solids, numbers = stage.solids.in_camera(self.camera), np.arange(len(stage.things))
+        first, last = (np.searchsorted(stage.owner, numbers + i) - i for i in (0, 1))
+        foot, span = solids.a[first], solids.b[last] - solids.a[first]
+        length = np.linalg.norm(span, axis=1)
+        reach = np.maximum(length + np.where(solids.flat_b, 0.0, solids.radius_b)[last], 1e-9)
+        whole = span / np.maximum(length, 1e-9)[:, None]
+        axis = np.where((first == last)[:, None], solids.axis[first], whole)
+        off = seen.depth_mm * seen.rays - foot[seen.owner].T
+        return np.asarray(np.clip(dot(off, axis[seen.owner].T) / reach[seen.owner], 0.0, 1.0))
 
     def board(self, board: Board) -> BoardSurface:
         """A board; from behind it is plain."""
@@ -297,13 +302,16 @@ class OpticalCamera:
         eye = self.view.camera.centre_mm.astype(np.float32)[:, None]
         looks = [(thing.paint.albedo, thing.paint.gloss) for thing in things]
         paints = np.array(looks, dtype=np.float32).reshape(-1, 2).T
+        exponents = np.array([thing.paint.gloss_exponent for thing in things], dtype=np.float32)
+        usual = bool(np.all(exponents == GLOSS_EXPONENT))
         light = np.empty(len(seen.owner), dtype=np.float32)
         for start in range(0, len(light), BLOCK):
             part = slice(start, start + BLOCK)
             points = turn @ (seen.depth_mm[part] * seen.rays[:, part]).astype(np.float32) + eye
             normals = turn @ seen.normals[:, part].astype(np.float32)
             albedo, gloss = paints[:, seen.owner[part]]
-            light[part] = seen_light(lighting, points, normals, eye, albedo, gloss)
+            exponent = GLOSS_EXPONENT if usual else exponents[seen.owner[part]]
+            light[part] = seen_light(lighting, points, normals, eye, albedo, gloss, exponent)
         return seen.by_thing(len(things), light)
 
     def _board(self, board: Board, lighting: Lighting) -> Layer:

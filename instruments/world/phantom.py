@@ -1,21 +1,22 @@
 """The phantom udder: teats on a plate.
 
-A teat is a cylinder with a hemispherical end (`instruments.teat_end`), end up. Flanges and hoses
-follow from the teats' places. The plate's frame is the world's at pose zero; a pose turns the plate
-about `PIVOT_MM`, then shifts it.
+A teat is a cylinder with a hemispherical end (`instruments.teat_end`), end up, or has a form of its
+own. Flanges and hoses follow from the teats' places; on an udder there are none. The plate's frame
+is the world's at pose zero; a pose turns the plate about `PIVOT_MM`, then shifts it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
 from instruments.teat_end import apex_mm
 from instruments.world.optics import Floats
-from instruments.world.solids import Hull, Point, as_point, cylinder
+from instruments.world.shading import Paint
+from instruments.world.solids import Hull, Point, as_point, ball, chain, cylinder
 
 # the middle of the four teats of table 5.1: where the stage's turntable has its axis
 PIVOT_MM = (-189.4, 235.8)
@@ -29,12 +30,85 @@ TABLE_5_1_MM = (
 )
 
 
+SHOULDER = 0.5  # of the first ball's radius behind the end: where a flat end begins
+
+
+@dataclass(frozen=True, slots=True)
+class TeatForm:
+    """A teat as joined balls on its axis, from the end on: ``balls`` has the distance of each one's
+    middle from the apex, and its radius, mm. The first touches the apex, which is the middle of a
+    flat disc of ``flat_mm`` radius unless that is 0.
+
+    The axis is that at the end; away from it the teat bends by ``bend_per_mm`` (rad), sideways in
+    the direction ``bend_way_rad``. Raises ValueError.
+    """
+
+    balls: tuple[tuple[float, float], ...]
+    flat_mm: float = 0.0
+    bend_per_mm: float = 0.0
+    bend_way_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        places, radii = np.array(self.balls, dtype=np.float64).reshape(-1, 2).T
+        joined = len(radii) > 1 and np.all(np.diff(places) > np.abs(np.diff(radii)))
+        if not joined or radii.min() <= 0.0:
+            raise ValueError(f"a teat's form needs two balls or more, none within the next: {self}")
+        if abs(places[0] - radii[0]) > 1e-9:
+            raise ValueError(f"the first ball of a teat's form has to touch the apex: {self}")
+        if not 0.0 <= self.flat_mm < self._shoulder_mm[1]:
+            raise ValueError(f"a teat's end can't be as flat as that: {self}")
+
+    @property
+    def _shoulder_mm(self) -> tuple[float, float]:
+        """How far behind the end a flat one begins on the first ball, and its radius there."""
+        radius = self.balls[0][1]
+        return SHOULDER * radius, float(np.sqrt(1.0 - (1.0 - SHOULDER) ** 2)) * radius
+
+    def middles(self, end: Floats, axis: Floats, behind_mm: Floats) -> Floats:
+        """Where the middle runs (n, 3), so far behind the end (n,) along the axis."""
+        u, v = square_to(axis)
+        way = np.cos(self.bend_way_rad) * u + np.sin(self.bend_way_rad) * v
+        aside = 0.5 * self.bend_per_mm * behind_mm**2
+        return np.asarray(end - behind_mm[:, None] * axis + aside[:, None] * way)
+
+    def radii_mm(self, behind_mm: Floats) -> Floats:
+        """Of the surface, so far behind the end, (n,)."""
+        places, radii = np.array(self.balls, dtype=np.float64).T
+        along = np.linspace(places[0], places[-1], 400)
+        inner = np.interp(along, places, radii) ** 2 - (behind_mm[:, None] - along) ** 2
+        found = np.sqrt(np.maximum(inner.max(axis=1), 0.0))
+        (begins, wide), flat = self._shoulder_mm, self.flat_mm
+        cone = np.interp(behind_mm, [0.0, begins], [flat, wide], right=0.0)
+        return np.maximum(found, cone) if flat else np.asarray(found)
+
+    def hulls(self, end: Floats, axis: Floats) -> tuple[Hull, ...]:
+        """Its solids, from the foot to the end."""
+        places, radii = np.array(self.balls, dtype=np.float64)[::-1].T
+        points = [as_point(point) for point in self.middles(end, axis, places)]
+        solids = chain(points, radii.tolist())
+        if not self.flat_mm:
+            return solids
+        begins, wide = self._shoulder_mm
+        foot = self.middles(end, axis, np.array([begins]))[0]
+        return (*solids, cylinder(as_point(foot), as_point(end), wide, self.flat_mm))
+
+
+def square_to(axis: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors (3,) at right angles to an axis (3,) and to each other."""
+    u = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.7 else [0.0, 1.0, 0.0])
+    u /= np.linalg.norm(u)
+    return u, np.cross(axis, u)
+
+
 @dataclass(frozen=True, slots=True)
 class TeatShape:
-    """``length_mm`` from plate to apex along the axis, ``radius_mm`` of cylinder and end."""
+    """``length_mm`` from plate to apex along the axis, ``radius_mm`` of cylinder and end. A
+    ``form`` replaces both, its radius is then about ``radius_mm``.
+    """
 
     length_mm: float = 135.0
     radius_mm: float = 11.0
+    form: TeatForm | None = None
 
     def __post_init__(self) -> None:
         if not (
@@ -109,6 +183,34 @@ class PlatePose:
 
 
 @dataclass(frozen=True, slots=True)
+class Udder:
+    """What teats stand on in place of flanges: quarters at these places, round on top and joined;
+    plate frame, mm.
+    """
+
+    quarters_mm: tuple[tuple[float, float], ...]
+    height_mm: float
+
+    def __post_init__(self) -> None:
+        if not (self.height_mm > 0.0 and len(self.quarters_mm) > 1):
+            raise ValueError(f"an udder needs a height above zero and two quarters, is {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class Spots:
+    """Drops or dirt on teats: balls that stand out of their skin by ``out_mm``, of one paint,
+    ``cooler_k`` cooler than the teats. ``places``: teat from 0, mm behind its end along the axis,
+    direction from the axis in rad, radius in mm.
+    """
+
+    name: str
+    paint: Paint
+    places: tuple[tuple[int, float, float, float], ...]
+    out_mm: float = 1.0
+    cooler_k: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Phantom:
     """Teats on a plate, numbered from 0. ``name``: the layout's; ``emissivity``: the paint's."""
 
@@ -116,6 +218,8 @@ class Phantom:
     pose: PlatePose = field(default_factory=PlatePose)
     name: str = ""
     emissivity: float = 0.95
+    udder: Udder | None = None
+    spots: tuple[Spots, ...] = ()
 
     def __post_init__(self) -> None:
         if not 0.0 < self.emissivity <= 1.0:
@@ -148,18 +252,54 @@ class Phantom:
         """The same phantom at another pose."""
         return replace(self, pose=pose)
 
-    def teat_hulls(self) -> tuple[Hull, ...]:
-        """One solid a teat: flat in its flange, a ball at its end, the apex on the ball."""
-        hulls = []
-        for teat, base, axis in zip(self.teats, self.bases_mm, self.axes, strict=True):
+    def teat_hulls(self) -> tuple[tuple[Hull, ...], ...]:
+        """The solids of each teat, from foot to end: one that is flat in its flange and a ball at
+        its end, the apex on the ball; or those of its form.
+        """
+        hulls: list[tuple[Hull, ...]] = []
+        for teat, base, axis, end in zip(
+            self.teats, self.bases_mm, self.axes, self.ends_mm, strict=True
+        ):
+            if teat.shape.form:
+                hulls.append(teat.shape.form.hulls(end, axis))
+                continue
             radius = teat.shape.radius_mm
             foot = base + 0.5 * FLANGE_HEIGHT_MM * axis
             top = base + (teat.shape.length_mm - radius) * axis
-            hulls.append(Hull(as_point(foot), as_point(top), radius, radius, flat_a=True))
+            hulls.append((Hull(as_point(foot), as_point(top), radius, radius, flat_a=True),))
+        return tuple(hulls)
+
+    def udder_hulls(self) -> tuple[Hull, ...]:
+        """The udder's quarters, each flat on the plate, and what joins them; none without one."""
+        if self.udder is None:
+            return ()
+        half = 0.5 * self.udder.height_mm
+        placed = self._placed(np.array([(*at, 0.0) for at in self.udder.quarters_mm]))
+        feet = [as_point(at) for at in placed]
+        middles = [as_point(at + np.array([0.0, 0.0, half])) for at in placed]
+        quarters = [cylinder(*ends, half) for ends in zip(feet, middles, strict=True)]
+        return (*quarters, *(Hull(a, b, half, half) for a, b in combinations(middles, 2)))
+
+    def spot_hulls(self, spots: Spots) -> tuple[Hull, ...]:
+        """The balls of drops or dirt, where the teats have them."""
+        hulls = []
+        for teat, behind, way, radius in spots.places:
+            end, axis, shape = self.ends_mm[teat], self.axes[teat], self.teats[teat].shape
+            (u, v), back = square_to(axis), np.array([behind])
+            skin, on_axis = shape.radius_mm, end - behind * axis
+            if shape.form:
+                skin, on_axis = shape.form.radii_mm(back)[0], shape.form.middles(end, axis, back)[0]
+            outward = np.cos(way) * u + np.sin(way) * v
+            middle = on_axis + (skin + spots.out_mm - radius) * outward
+            hulls.append(ball(as_point(middle), radius))
         return tuple(hulls)
 
     def flange_hulls(self) -> tuple[Hull, ...]:
-        """The discs that the teats stand in, down to the table where the plate is lifted."""
+        """The discs that the teats stand in, down to the table where the plate is lifted; none on
+        an udder.
+        """
+        if self.udder is not None:
+            return ()
         tops = self.bases_mm + np.array([0.0, 0.0, FLANGE_HEIGHT_MM])
         radii = [max(FLANGE_RADIUS_MM, teat.shape.radius_mm + 4.0) for teat in self.teats]
         return tuple(
@@ -169,7 +309,7 @@ class Phantom:
 
     def hose_hulls(self) -> tuple[tuple[Hull, ...], ...]:
         """Hoses between flanges in the order of the teats, supply first, return last."""
-        if not self.teats:
+        if not self.teats or self.udder is not None:
             return ()
         bases = np.array([(*teat.base_mm, HOSE_RADIUS_MM) for teat in self.teats])
         middle = bases.mean(axis=0)

@@ -23,9 +23,9 @@ from instruments.world.backdrop import ShadowMap, shadow_map
 from instruments.world.boards import Board
 from instruments.world.optical_camera import OpticalCamera
 from instruments.world.optics import CameraModel, Floats, cameras_from_calibration
-from instruments.world.phantom import Phantom
+from instruments.world.phantom import Phantom, TeatShape, square_to
 from instruments.world.sensor import OpticalSensor
-from instruments.world.solids import Bools, Solids, meet
+from instruments.world.solids import Bools, meet
 from instruments.world.state import SceneState, Stage
 from instruments.world.thermal_camera import ThermalCamera, ThermalSensor
 
@@ -103,7 +103,7 @@ class Renderer:
         """
         stage = Stage.of(state.everything())
         columns = [
-            seen_share(state.phantom, stage.solids, camera, state.boards) >= LEAST_SEEN
+            seen_share(state.phantom, stage, camera, state.boards) >= LEAST_SEEN
             for camera in self.cameras
         ]
         return np.column_stack(columns)
@@ -113,24 +113,24 @@ RINGS_DEG, ROUND = (30.0, 60.0, 85.0), 16
 
 
 def seen_share(
-    phantom: Phantom, solids: Solids, camera: CameraModel, boards: Sequence[Board] = ()
+    phantom: Phantom, stage: Stage, camera: CameraModel, boards: Sequence[Board] = ()
 ) -> Floats:
     """Visible share of each rounded end's near side, (n,); 0 where the apex is hidden or outside.
-    ``solids`` (world frame) begin with the teats; a teat doesn't hide its own end.
+    The ``stage`` begins with the teats; a teat doesn't hide its own end.
     """
     ends = phantom.ends_mm
     shares = np.zeros(len(ends))
     pixels, size = camera.project(ends), np.array([camera.width_px, camera.height_px])
     inside = np.all((pixels >= -0.5) & (pixels <= size - 0.5), axis=1)
-    seen = solids.in_camera(camera)
+    seen = stage.solids.in_camera(camera)
     for i, (end, axis) in enumerate(zip(ends, phantom.axes, strict=True)):
-        near = _near_side(end, axis, phantom.teats[i].shape.radius_mm, camera)
+        near = _near_side(end, axis, phantom.teats[i].shape, camera)
         points = np.concatenate([end[None, :], near])
         # no solid but the teat itself stands between
         x, y, z = np.repeat(camera.camera_from_world(points), len(seen), axis=0).T
         which = np.tile(np.arange(len(seen)), len(points))
         depth, _, hit = meet(seen, which, x / z, y / z)
-        blocks = hit & (depth > 0.0) & (depth < z) & (which != i)
+        blocks = hit & (depth > 0.0) & (depth < z) & (stage.owner[which] != i)
         free = ~blocks.reshape(len(points), -1).any(axis=1)
         away = points - camera.centre_mm
         for board in boards:
@@ -145,13 +145,19 @@ def seen_share(
     return shares
 
 
-def _near_side(end_mm: Floats, axis: Floats, radius_mm: float, camera: CameraModel) -> Floats:
-    """Points of the hemisphere that face the camera, (n, 3)."""
+def _near_side(end_mm: Floats, axis: Floats, shape: TeatShape, camera: CameraModel) -> Floats:
+    """Points of the hemisphere that face the camera, (n, 3); of another form, on rings as far
+    behind the end as those of a hemisphere.
+    """
+    radius_mm, (u, v) = shape.radius_mm, square_to(axis)
     middle = end_mm - radius_mm * axis
-    u = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.7 else [0.0, 1.0, 0.0])
-    u /= np.linalg.norm(u)
-    v = np.cross(axis, u)
     polar, round_ = np.meshgrid(np.radians(RINGS_DEG), np.arange(ROUND) * 2.0 * np.pi / ROUND)
+    if shape.form:
+        behind = radius_mm * (1.0 - np.cos(polar.ravel()))
+        outward = np.cos(round_.ravel())[:, None] * u + np.sin(round_.ravel())[:, None] * v
+        points = shape.form.middles(end_mm, axis, behind)
+        points = points + shape.form.radii_mm(behind)[:, None] * outward
+        return np.asarray(points[outward @ (camera.centre_mm - middle) > 0.0])
     across = np.cos(round_.ravel())[:, None] * u + np.sin(round_.ravel())[:, None] * v
     outward = np.cos(polar.ravel())[:, None] * axis + np.sin(polar.ravel())[:, None] * across
     towards = camera.centre_mm - middle

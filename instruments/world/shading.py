@@ -26,16 +26,21 @@ Rows = NDArray[Any]  # float32 or float64; vectors as (3, n)
 
 @dataclass(frozen=True, slots=True)
 class Paint:
-    """``albedo`` (share scattered back), ``gloss`` (strength of the highlight), ``emissivity``."""
+    """``albedo`` (share scattered back), ``gloss`` (strength of the highlight), ``emissivity``;
+    ``gloss_exponent`` makes highlights narrow: 32 of paint and skin, some hundreds of a wet film.
+    """
 
     albedo: float
     gloss: float = 0.0
     emissivity: float = 0.95
+    gloss_exponent: float = GLOSS_EXPONENT
 
     def __post_init__(self) -> None:
         for name in ("albedo", "gloss", "emissivity"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must be from 0 to 1, is {getattr(self, name)}")
+        if not 1.0 <= self.gloss_exponent <= 1e4:
+            raise ValueError(f"gloss_exponent must be from 1 to 1e4, is {self.gloss_exponent}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +78,16 @@ def irradiance(lighting: Lighting, points_mm: Rows, normals: Rows) -> Rows:
 
 
 def seen_light(
-    lighting: Lighting, points_mm: Rows, normals: Rows, eye_mm: Rows, albedo: Rows, gloss: Rows
+    lighting: Lighting,
+    points_mm: Rows,
+    normals: Rows,
+    eye_mm: Rows,
+    albedo: Rows,
+    gloss: Rows,
+    exponent: Rows | float = GLOSS_EXPONENT,
 ) -> Rows:
     """Light (n,) from points (3, n) towards ``eye_mm`` (3, 1): Lambert's law and highlights.
-    ``albedo`` and ``gloss`` (n,) are those of `Paint`.
+    ``albedo``, ``gloss`` and ``exponent``, each (n,), are those of `Paint`.
     """
     view = eye_mm - points_mm
     view /= np.sqrt(_dot(view, view))
@@ -86,7 +97,7 @@ def seen_light(
         half = direction + view
         shine = np.maximum(_dot(half, normals), 0.0) / np.sqrt(_dot(half, half))
         lambert = albedo * np.maximum(_dot(direction, normals), 0.0)
-        light += lamp.power * 1e6 / square * (lambert + gloss * shine**GLOSS_EXPONENT)
+        light += lamp.power * 1e6 / square * (lambert + gloss * shine**exponent)
     return np.asarray(light * lighting.brightness)
 
 

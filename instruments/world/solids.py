@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,12 @@ def cylinder(a_mm: Point, b_mm: Point, radius_mm: float, radius_b_mm: float | No
     """A flat-ended cylinder, or a cone's frustum where the second radius differs."""
     end = radius_mm if radius_b_mm is None else radius_b_mm
     return Hull(a_mm, b_mm, radius_mm, end, flat_a=True, flat_b=True)
+
+
+def chain(points_mm: Sequence[Point], radii_mm: Sequence[float]) -> tuple[Hull, ...]:
+    """Balls at these points, each joined to the next: something round that bends and tapers."""
+    ends = zip(pairwise(points_mm), pairwise(radii_mm), strict=True)
+    return tuple(Hull(a, b, r, s) for (a, b), (r, s) in ends)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,7 @@ from instruments.world.objects import TEAT_PAINT, SceneObject, make_object
 from instruments.world.phantom import TABLE_5_1_MM, Phantom, PlatePose, upright
 from instruments.world.plant import Plant
 from instruments.world.scene import Renderer
-from instruments.world.situations import Situation
+from instruments.world.setups import Situation
 from instruments.world.solids import Point
 from instruments.world.state import STILL, SceneState
 

@@ -4,6 +4,7 @@ Without data a figure says "not measured"; numbers that are not finite are refus
 loads matplotlib (some tenths of a second), so importers do it late.
 """
 
+from reports.figures.campaign import error_spreads, failure_map, rate_intervals
 from reports.figures.course import (
     Slope,
     bath_curve,
@@ -47,12 +48,15 @@ __all__ = [
     "error_maps",
     "error_regions",
     "error_scatter",
+    "error_spreads",
     "error_strips",
+    "failure_map",
     "found_bars",
     "latency_strip",
     "outcome_bars",
     "per_axis_errors",
     "precision_by_distance",
+    "rate_intervals",
     "residual_field",
     "slope_intervals",
     "teat_boxes",

@@ -111,7 +111,7 @@ def bath_sparkline(
 ) -> str:
     """Bath temperature (n,) over time (n,) as a line on its band, ± band_k."""
     times, temps = together("bath_sparkline", times_s=times_s, temps_c=temps_c)
-    inches = (HALF_INCHES, 1.1)
+    inches = (HALF_INCHES, 1.6)
     if not times.size:
         return not_measured(name, inches, "the bath gave no reading")
     shown = envelope(temps)
@@ -122,9 +122,9 @@ def bath_sparkline(
         single = "o" if shown.size == 1 else ""
         off_k = temps[shown] - setpoint_c
         axes.plot(times[shown] / 60, off_k, color=COLOURS["ours"], marker=single, linewidth=1.1)
-        axes.set(ylim=(-3 * band_k, 3 * band_k), yticks=[-band_k, 0, band_k])
-        axes.set_yticklabels([f"−{band_k:g} K", f"{setpoint_c:g} °C", f"+{band_k:g} K"])
-        axes.set(xlabel="time (min)")
+        axes.set(ylim=(-1.8 * band_k, 1.8 * band_k), yticks=[-band_k, band_k])
+        axes.set_yticklabels([f"−{band_k:g} K", f"+{band_k:g} K"])
+        axes.set(xlabel="time (min)", ylabel=f"{setpoint_c:g} °C")
         axes.grid(visible=False)
 
     return draw(name, inches, plot)

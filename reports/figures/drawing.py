@@ -69,7 +69,10 @@ COLOURS = {
     "paper": "#fdfdfe",
 }
 HALF_INCHES, WIDE_INCHES = 4.7, 9.4
-Marker = Literal["o", "s", "^", "D", "v", "P"]
+Marker = Literal["o", "s", "^", "D", "v", "P", "X"]
+# of several detectors: each has a colour and a mark, as over the frames (reports.frames)
+_DETECTOR_ROLES = ("ours", "theirs", "accept", "ink")
+_DETECTOR_MARKS: tuple[Marker, ...] = ("X", "s", "^", "D")
 LegendForm = Literal["-", "--", "patch"] | Marker
 LegendEntry = tuple[str, str, LegendForm]  # text, role, form
 _ROLES = {colour: role for role, colour in COLOURS.items()}
@@ -177,6 +180,14 @@ def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
         if columns == 1 or made.get_window_extent().width <= figure.bbox.width:
             return
         made.remove()
+
+
+def detector_look(place: int, of: int) -> tuple[str, Marker]:
+    """Colour and mark of the detector at `place`, from 0, of so many."""
+    if of < 2:
+        return "ours", "o"
+    each = len(_DETECTOR_MARKS)
+    return _DETECTOR_ROLES[place % each], _DETECTOR_MARKS[(place + place // each) % each]
 
 
 def plain(text: str, most: int = 30) -> str:

@@ -25,6 +25,7 @@ from reports.figures.drawing import (
     circle,
     count_text,
     cross_and_circle,
+    detector_look,
     draw,
     finite,
     legend,
@@ -132,13 +133,14 @@ def error_scatter(
     *,
     accept_mm: float | None = None,
     links: Sequence[str] | None = None,
+    place: tuple[int, int] = (0, 1),
     name: str = "error-scatter",
 ) -> str:
     """Error across (n,) against error along the viewing axis (n,), with the limit as a circle and,
     dashed, the acceptance limit.
 
-    `links`: for each point the `#id` that a click opens. Equal scales, so that the shape of the
-    cloud is the shape of the error.
+    `links`: for each point the `#id` that a click opens. `place`: the detector's, from 0, of so
+    many. Equal scales, so that the shape of the cloud is the shape of the error.
     """
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
     one_each("error_scatter", links, across.size)
@@ -153,7 +155,8 @@ def error_scatter(
         if accept_mm is not None:
             circle(axes, accept_mm, "accept", linewidth=1, linestyle="--")
         drawn = telling(np.hypot(across, along))
-        linked(axes, across, along, drawn, links, alpha=0.7)
+        role, form = detector_look(*place)
+        linked(axes, across, along, drawn, links, role=role, marker=form, alpha=0.7)
         legend(figure, _limits(limit_mm, accept_mm))
         if len(drawn) < across.size:
             left_out = count_text(len(drawn), across.size)
@@ -330,9 +333,12 @@ def error_drift(
     limit_mm: float,
     *,
     links: Sequence[str] | None = None,
+    place: tuple[int, int] = (0, 1),
     name: str = "error-drift",
 ) -> str:
-    """Radial errors (n,) over capture times (n,), with their line; `links` by point."""
+    """Radial errors (n,) over capture times (n,), with their line; `links` by point, `place` as in
+    `error_scatter`.
+    """
     time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
     one_each("error_drift", links, time.size)
     if not time.size:
@@ -340,8 +346,10 @@ def error_drift(
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        linked(axes, time, errors, telling(errors), links, size=16, alpha=0.7)
-        entries: list[LegendEntry] = [("one teat end", "ours", "o")]
+        role, form = detector_look(*place)
+        drawn = telling(errors)
+        linked(axes, time, errors, drawn, links, role=role, marker=form, size=16, alpha=0.7)
+        entries: list[LegendEntry] = [("one teat end", role, form)]
         if np.ptp(time) > 0:
             slope, level = np.polyfit(time - time.mean(), errors, 1)
             ends = np.array([time.min(), time.max()])

@@ -16,7 +16,7 @@ from reports.figures.drawing import (
     HALF_INCHES,
     MOST_POINTS,
     LegendEntry,
-    Marker,
+    detector_look,
     draw,
     finite,
     legend,
@@ -28,10 +28,6 @@ from reports.figures.drawing import (
     telling,
 )
 
-# a detector's colour and marker, by its place
-DETECTORS: tuple[tuple[str, Marker], ...] = (
-    *(("ours", "o"), ("theirs", "s"), ("accept", "^"), ("good", "D")),
-)
 OUTCOMES = ("good", "muted", "limit")  # colours of found, missed, false
 _WIDTH = 0.8  # of the rows of a situation
 Floats = NDArray[np.float64]
@@ -71,7 +67,7 @@ def error_strips(
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
         for place, (detector, each) in enumerate(arrays.items()):
-            role, form = DETECTORS[place % len(DETECTORS)]
+            role, form = detector_look(place, len(arrays))
             step = _WIDTH / len(arrays)
             for k, one in enumerate(each):
                 y = k + (place - (len(arrays) - 1) / 2) * step
@@ -84,9 +80,9 @@ def error_strips(
                 linked(axes, one, rows, drawn, of, role=role, size=11, alpha=0.7, marker=form)
         axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.4)
         axes.set(xlim=(0, 1.06 * max(limit_mm, *largest)), xlabel="distance to the teat end (mm)")
-        _rows(axes, situations)
+        family_rows(axes, situations)
         entries: list[LegendEntry] = [
-            (plain(detector, 20), *DETECTORS[place % len(DETECTORS)])
+            (plain(detector, 20), *detector_look(place, len(arrays)))
             for place, detector in enumerate(arrays)
         ]
         legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])
@@ -122,19 +118,19 @@ def outcome_bars(
                 colours = [COLOURS[role] for role in OUTCOMES]
                 axes.barh(y, one, left=left[:-1], height=step * 0.78, color=colours)
                 if len(counts) > 1:
-                    role, form = DETECTORS[place % len(DETECTORS)]
+                    role, form = detector_look(place, len(counts))
                     marks(axes, -0.03 * most, y, role, 4, form, clip_on=False)
                 text = " · ".join(map(str, one))
                 axes.text(left[-1] + 0.02 * most, y, text, va="center", fontsize=7.5)
         axes.set(xlim=(-0.06 * most, 1.3 * most), xlabel="teats, and answers where there is none")
-        _rows(axes, situations)
+        family_rows(axes, situations)
         entries: list[LegendEntry] = [
             *(("found", "good", "patch"), ("missed", "muted", "patch")),
             ("false", "limit", "patch"),
         ]
         if len(counts) > 1:
             for place, detector in enumerate(counts):
-                entries.append((plain(detector, 20), *DETECTORS[place % len(DETECTORS)]))
+                entries.append((plain(detector, 20), *detector_look(place, len(counts))))
         legend(figure, entries)
 
     return draw(name, inches, plot)
@@ -145,7 +141,8 @@ def _inches(situations: Sequence[str], detectors: int) -> tuple[float, float]:
     return HALF_INCHES, min(1.1 + each * max(len(situations), 3), 6.0)
 
 
-def _rows(axes: Axes, situations: Sequence[str]) -> None:
+def family_rows(axes: Axes, situations: Sequence[str]) -> None:
+    """A row each, the first above."""
     axes.set_yticks(range(len(situations)), [plain(text, 24) for text in situations])
     axes.set_ylim(len(situations) - 0.5, -0.5)
     axes.grid(visible=False, axis="y")

@@ -23,6 +23,7 @@ from reports.page import (
     Paragraph,
     Requirement,
     Requirements,
+    Result,
     Section,
     Table,
     TrialPart,
@@ -130,8 +131,9 @@ def trial_part(outcome: Outcome) -> TrialPart:
         id=outcome.anchor,
         heading=f"Trial {outcome.number}",
         situation=outcome.situation,
-        status=f"{len(rows)} of 4 found",
-        tone="bad" if not rows else "warn" if missed else "good",
+        results=(
+            Result(f"{len(rows)} of 4 found", "bad" if not rows else "warn" if missed else "good"),
+        ),
         summary=(
             ("Found, missed, false", f"{len(rows)}, {missed}, 0"),
             ("Time", f"{outcome.seconds:.3f} s"),

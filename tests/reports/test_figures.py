@@ -108,6 +108,15 @@ DRAWINGS: dict[str, Draw] = {
         [f"s {k}" for k in range(n)], [_rng(k).normal(0, 1, (k, 3)) for k in range(n)], 5.0
     ),
     "sensitivity": lambda n: sensitivity([_curve("fused", min(n, 3))], BOUND, "NETD (K)"),
+    "rates": lambda n: figures.rate_intervals(
+        [f"family {k}" for k in range(n)], {"a": [(0.0, 0.0, 0.1)] * n, "b": [(0.5, 0.4, 0.6)] * n}
+    ),
+    "spreads": lambda n: figures.error_spreads(
+        [f"family {k}" for k in range(n)], {"a": [(0.1, 0.2, 0.3, 1.0, 9.0)] * n}, 5.0
+    ),
+    "failures": lambda n: figures.failure_map(
+        ("x (mm)", "y (mm)"), ((0.0, 5.0), (-1.0, 1.0)), [[n, n], [0, n]], [[n, 0], [0, n // 2]]
+    ),
 }
 
 
@@ -278,6 +287,12 @@ REFUSED: dict[str, Callable[[], str]] = {
     ),
     "not finite": lambda: sensitivity(
         [_curve("a")], replace(BOUND, median_mm=[0.1, NAN, 0.2]), "x"
+    ),
+    "rate_intervals: 1 families, 2 values of a": lambda: figures.rate_intervals(
+        ["x"], {"a": [None, None]}
+    ),
+    "none larger than its scenes": lambda: figures.failure_map(
+        ("x", "y"), ((0, 1), (0, 1)), [[1]], [[2]]
     ),
     "5 curves; at most 4": lambda: sensitivity([_curve(name) for name in "abcde"], BOUND, "x"),
 }

@@ -23,6 +23,7 @@ from reports.page import (
     Paragraph,
     Requirement,
     Requirements,
+    Result,
     Section,
     Table,
     TrialPart,
@@ -63,17 +64,25 @@ def page_of(text: str) -> Page:
         Code(text, text),
     )
     trial = TrialPart(
-        "trial-001", text, text, text, "good", ((text, cell),), (image,), (table,), (text,)
+        "trial-001",
+        text,
+        text,
+        (Result(text, "good"),),
+        ((text, cell),),
+        (image,),
+        (table,),
+        (text,),
     )
     return Page(
         text,
         text,
         Banner("real", "met", text, text, text, text),
-        (Section("one", text, parts),),
+        (Section("one", text, parts, folded=True, about=text),),
         (trial,),
         text,
         text,
-        (text,),
+        detectors=(text, text),
+        footer=(text,),
         alarm=text,
     )
 
@@ -102,7 +111,18 @@ def test_every_text_field_was_tried() -> None:
     """Every str field of every dataclass of the page holds the marker, except ids, addresses and
     words from a list.
     """
-    closed = {"id", "src", "href", "original", "tone", "verdict", "kind", "align", "svg"}
+    closed = {
+        "id",
+        "trials_in",
+        "src",
+        "href",
+        "original",
+        "tone",
+        "verdict",
+        "kind",
+        "align",
+        "svg",
+    }
     missed: list[str] = []
 
     def walk(value: Any) -> None:

@@ -80,7 +80,7 @@ def test_a_banner_claims_no_more_than_its_rows(verdict: str) -> None:
 
 @pytest.mark.slow
 def test_ids_stand_for_one_thing() -> None:
-    trial = TrialPart("trial-001", "Trial 1", "", "")
+    trial = TrialPart("trial-001", "Trial 1", "")
     with pytest.raises(PageError, match=r"'one'.*stand for two things"):
         Page("p", "", BANNER, (section(), section()))
     with pytest.raises(PageError, match=r"'trial-001'.*stand for two things"):
@@ -107,7 +107,7 @@ def test_links_lead_somewhere() -> None:
         with pytest.raises(PageError, match="'#trial-009' leads nowhere"):
             Page("p", "", BANNER, (section(part),))
     with pytest.raises(PageError, match="'#trial-009' leads nowhere"):
-        Page("p", "", BANNER, (), (TrialPart("trial-001", "h", "", "", summary=(("a", lost),)),))
+        Page("p", "", BANNER, (), (TrialPart("trial-001", "h", "", summary=(("a", lost),)),))
 
 
 @pytest.mark.parametrize("box", [(0, 0, 641, 10), (-1, 0, 10, 10), (0, 471, 10, 10), (0, 0, 0, 10)])
@@ -126,7 +126,7 @@ def test_shapes_have_finite_coordinates_and_layers_one_name() -> None:
         ImageView("v", "a.png", 4, 4, "", (Overlay("truth", name, ()),))
         for name in ("truth", "touch")
     )
-    page = Page("p", "", BANNER, (), (TrialPart("trial-001", "h", "", "", images=views),))
+    page = Page("p", "", BANNER, (), (TrialPart("trial-001", "h", "", images=views),))
     said = "layer 'truth' is called 'touch' here and 'truth' elsewhere"
     with pytest.raises(PageError, match=said):
         page.layers()

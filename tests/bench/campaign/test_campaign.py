@@ -239,6 +239,15 @@ def test_what_the_commands_write_and_refuse(
     assert "SELEC" in said(2, "campaign query {} SELEC", folder).err
     assert "no campaign is there" in said(2, "campaign query {} SELECT", tmp_path).err
 
+    shown = said(0, "campaign show {} overlapping-0002", folder)
+    assert "overlapping-0002  thesis    " in shown.out
+    page = folder / "scenes" / "overlapping-0002" / "index.html"
+    assert "Two teats touching" in page.read_text(encoding="utf-8")
+    assert (page.parent / "left.png").is_file()
+    for name in ("ideal-0099", "ideal", "../x-1"):
+        assert "has members 0 to 7 of ideal" in said(2, "campaign show {} {}", folder, name).err
+    assert "no campaign is there" in said(2, "campaign show {} ideal-0001", tmp_path).err
+
     other = said(2, line, "fused", plan.rig, folder).err
     assert "detectors: ['thesis'] there, ['fused'] here" in other
     assert (

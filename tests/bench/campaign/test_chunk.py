@@ -15,7 +15,7 @@ from bench.rig.scenes import rig_renderer
 from bench.script.detectors import make_detectors
 from detector.calibration import Calibration
 from detector.protocol import Detection, Frames, Teat
-from instruments.world.situations import situation
+from instruments.world.situations import member, situation
 
 
 @dataclass
@@ -74,3 +74,13 @@ def test_answers_are_counted_against_the_truth(bench: Bench) -> None:
     assert [t.x_mm for t in found] == pytest.approx([0.5] * 3)
     assert {t.sd_x_mm for t in found} == {0.5}
     assert all(math.isclose(t.nees or 0.0, 1.0, rel_tol=1e-5) for t in found)
+    # a false end that states 0.5 mm, and one 6 mm off that does
+    assert (first.sure_wrong, second.sure_wrong, third.sure_wrong) == (1, 1, 0)
+    assert (first.stated, first.inside, second.stated, second.inside) == (3, 3, 4, 3)
+    assert [first.nees, second.nees] == pytest.approx([1.0, 36.0], rel=1e-5)
+    drawn = member("ideal", 0)[1]
+    assert first.parameters == second.parameters == ",".join(drawn)
+    for share, one in zip(first.shares, drawn.values(), strict=True):
+        assert one.low + share / 255 * (one.high - one.low) == pytest.approx(
+            one.value, abs=(one.high - one.low) / 500
+        )

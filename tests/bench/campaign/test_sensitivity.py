@@ -42,7 +42,8 @@ from detector.protocol import Detection, Frames, Teat
 from detector.registry import available
 from instruments.world.scene import Renderer
 from instruments.world.sensor import OpticalSensor
-from instruments.world.situations import EYES_MM, collisions, situation
+from instruments.world.setups import EYES_MM, collisions
+from instruments.world.situations import situation
 from instruments.world.solids import clearance_mm
 from instruments.world.state import SceneState
 from instruments.world.thermal_camera import ThermalSensor
@@ -268,7 +269,7 @@ def test_the_arm_is_as_far_behind_the_teats_as_said(
 ) -> None:
     found = sensitivity.before_arm(gap_mm, member, renderer)
     (arm,) = found.objects
-    teats = found.phantom.teat_hulls()
+    teats = [hull for (hull,) in found.phantom.teat_hulls()]
     nearest = min(hull.a_mm[1] - max(hull.radius_a_mm, hull.radius_b_mm) for hull in arm.hulls)
     farthest = max(hull.b_mm[1] + hull.radius_b_mm for hull in teats)
     assert nearest - farthest == pytest.approx(gap_mm, abs=1e-6)

@@ -147,7 +147,7 @@ def test_two_detectors_of_one_run_and_the_page(recording: Path, tmp_path: Path, 
     assert "passed and now fails" in page
     first = page[: page.index("<details>")]
     assert f"thesis is worse than fused. Of {SCENES} poses fused got {SCENES} right" in first
-    assert all(f">{name}</abbr>" in first for name in list(HINTS)[:-1]), "one situation"
+    assert all(f">{name}</span>" in first for name in list(HINTS)[:-1]), "one situation"
     assert page.count("<details>") == 3
     assert json.loads((tmp_path / "page" / "comparison.json").read_text(encoding="utf-8")) == [text]
 

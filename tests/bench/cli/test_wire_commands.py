@@ -203,6 +203,8 @@ WITHOUT_A_LINK = {
     "campaign run",
     "campaign chunk",
     "campaign query",
+    "campaign compare",
+    "campaign show",
     "campaign search",
     "campaign keep",
     "console",

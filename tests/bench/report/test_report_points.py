@@ -29,6 +29,7 @@ pytestmark = pytest.mark.slow
 
 HOSTILE = "<img src=x onerror=alert(1)></td></table><script>alert(2)</script>\"'&"
 DECIDED = (0, 1, 4)
+PAGES = "page-trials page-accuracy page-truth page-bath page-thesis page-provenance glossary"
 
 
 @pytest.fixture(scope="module")
@@ -271,6 +272,12 @@ def test_the_first_page_is_three_screens_and_its_words_are_few(folder: Path) -> 
         expect(page.locator("#figures figure")).to_have_count(5)
         page.locator(".look a").first.click()
         expect(page.locator(":target")).to_be_visible()  # its fold has opened
+        page.emulate_media(media="print")
+        shown = "found => found.filter((one) => one.checkVisibility()).map((one) => one.id)"
+        pages = page.locator(".chapter.folded")
+        for fragment, named in (("", "page-trials"), ("appendix", PAGES)):
+            seen.open(folder / "report" / "index.html", fragment)
+            assert " ".join(pages.evaluate_all(shown)) == named
 
 
 @pytest.mark.browser
@@ -310,7 +317,6 @@ def test_a_browser_shows_all_of_it_without_a_network(folder: Path, scheme: Schem
         expect(part).to_be_in_viewport()
         assert "hot-body-at-base" in part.inner_text()
         assert (part.locator("img").count(), part.locator("svg").count() >= 3) == (4, True)
-        page.locator("#trial-list > details > summary").click()
         first = page.locator("#trial-list .entries a").first
         anchor = str(first.get_attribute("href"))
         first.click()

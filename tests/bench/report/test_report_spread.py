@@ -18,7 +18,7 @@ from bench.report.accuracy import accuracy_tables, gage_parts, precision_parts
 from bench.report.spread import pose_parts, spread_parts, trend_parts
 from bench.report.tables import rates, rates_by_situation
 from bench.results.error_rows import ErrorRows, error_rows, pose_places, teat_errors
-from reports.page import Cell, Figure, Paragraph, Part, Table
+from reports.page import Cell, Figure, Fold, Paragraph, Part, Table
 from tests.bench.results.test_error_rows import ENDS, record, set_ups, touched, trial
 
 POSES = 12
@@ -44,7 +44,8 @@ Kind = TypeVar("Kind", Figure, Paragraph, Table)
 
 def message(parts: Sequence[Part], kind: type[Kind], start: str) -> Kind:
     """The part of that kind whose caption or text begins so."""
-    of_kind = [part for part in parts if isinstance(part, kind)]
+    folded: list[Part] = [inner for part in parts if isinstance(part, Fold) for inner in part.parts]
+    of_kind = [part for part in (*parts, *folded) if isinstance(part, kind)]
     heads = [part.text if isinstance(part, Paragraph) else part.caption for part in of_kind]
     return next(p for p, head in zip(of_kind, heads, strict=True) if head.startswith(start))
 

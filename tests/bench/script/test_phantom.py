@@ -83,7 +83,7 @@ def test_narrow_rear_teats_are_the_nearest_and_widest_the_widest() -> None:
 def test_a_drawn_udder_keeps_to_its_envelope(seed: int) -> None:
     phantom = RANDOM.phantom(seed)
     assert [teat.name for teat in phantom.teats] == ["LF", "RF", "LR", "RR"]
-    hulls = phantom.teat_hulls()
+    hulls = [hull for (hull,) in phantom.teat_hulls()]
     assert min(clearance_mm(one, other) for one, other in combinations(hulls, 2)) >= 4.0
     for teat in phantom.teats:
         assert 120.0 <= teat.shape.length_mm <= 145.0

@@ -47,7 +47,7 @@ def covariance(teat: Teat) -> Array:
 
 def test_it_is_a_detector() -> None:
     detector: Detector = FusedDetector()
-    assert (detector.name, detector.version) == ("fused", "2")
+    assert (detector.name, detector.version) == ("fused", "3")
     assert detector.parameters["prior"]["radius_mm"] == 11.0
     assert FusedDetector(Parameters(most_bars=0)).parameters != detector.parameters
 
@@ -93,8 +93,9 @@ def test_calibration_uncertainty_is_added(
     draw_scene: Draw, udder: list[Body], rig: Calibration
 ) -> None:
     frames = draw_scene(udder)
+    exact = replace(rig, covariance=ParameterCovariance((), np.zeros((0, 0))))
     shaky = replace(rig, covariance=ParameterCovariance((("world", "T1"),), np.array([[4.0]])))
-    found = [FusedDetector().detect(frames, calibration).teats for calibration in (rig, shaky)]
+    found = [FusedDetector().detect(frames, calibration).teats for calibration in (exact, shaky)]
     for plain, added in zip(*found, strict=True):
         assert np.array_equal(plain.world_mm, added.world_mm)
         more = covariance(added) - covariance(plain)

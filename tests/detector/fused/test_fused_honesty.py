@@ -1,5 +1,5 @@
 """Are the stated covariances honest? Normalised squared errors against chi-square, on two members
-of every family.
+of each of the first eleven families.
 
 The scenes are rendered by the bench's own renderer, which shares no code with the detector; the
 path-traced ones are next door.
@@ -8,7 +8,7 @@ path-traced ones are next door.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.scenes import rig_renderer, warm
 from bench.scoring.matching import gate_mm, match
+from detector.calibration import ParameterCovariance
 from detector.fused.detector import FusedDetector
 from detector.protocol import Detection
 from instruments.world.situations import SITUATIONS, situation
@@ -27,6 +28,8 @@ pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 SEEDS = (100, 101)
+# those of a cowshed are counted in campaigns
+FAMILIES = tuple(SITUATIONS)[:11]
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,8 @@ class Seen:
 def seen(families: tuple[str, ...], seeds: tuple[int, ...]) -> Iterator[Seen]:
     rig = load_rig(find_rig(None))
     renderer = rig_renderer(rig, 1)
+    # the scenes are drawn by it: it is exact, and says so
+    exact = replace(rig.calibration, covariance=ParameterCovariance((), np.zeros((0, 0))))
     for name in families:
         for seed in seeds:
             state = warm(situation(name, seed))
@@ -60,7 +65,7 @@ def seen(families: tuple[str, ...], seeds: tuple[int, ...]) -> Iterator[Seen]:
             visible = np.array([row.all() for row in renderer.visible_ends(state)])
             yield Seen(
                 name,
-                FusedDetector().detect(frames, rig.calibration),
+                FusedDetector().detect(frames, exact),
                 state.phantom.ends_mm,
                 visible,
             )
@@ -82,7 +87,7 @@ def squared(error: Array, covariance: Array | None) -> float:
 
 @pytest.fixture(scope="module")
 def members() -> list[Seen]:
-    return list(seen(tuple(SITUATIONS), SEEDS))
+    return list(seen(FAMILIES, SEEDS))
 
 
 def test_nothing_false_is_said_of_any_family(members: list[Seen]) -> None:

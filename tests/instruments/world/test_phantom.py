@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.script.phantom import layout_names, shipped_phantom
-from instruments.world.phantom import PIVOT_MM, Phantom, PlatePose, Teat, TeatShape, upright
+from instruments.world.phantom import (
+    PIVOT_MM,
+    Phantom,
+    PlatePose,
+    Teat,
+    TeatForm,
+    TeatShape,
+    upright,
+)
 
 LAYOUTS = [name for name in layout_names() if name != "random-udder"]
 TABLE_5_1_MM = [
@@ -52,7 +60,7 @@ def test_a_pose_is_a_rigid_motion(x: float, y: float, z: float, yaw: float, name
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_the_end_is_the_apex_of_the_ball(name: str) -> None:
     phantom = shipped_phantom(name).moved(PlatePose(5.0, -7.0, 0.0, 0.3))
-    for hull, end, axis, teat in zip(
+    for (hull,), end, axis, teat in zip(
         phantom.teat_hulls(), phantom.ends_mm, phantom.axes, phantom.teats, strict=True
     ):
         assert np.array(hull.b_mm) + teat.shape.radius_mm * axis == pytest.approx(end, abs=1e-9)
@@ -76,13 +84,40 @@ def test_overlapping_has_two_that_touch() -> None:
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_no_two_teats_share_room(name: str) -> None:
-    hulls = shipped_phantom(name).teat_hulls()
+    hulls = [hull for (hull,) in shipped_phantom(name).teat_hulls()]
     t = np.linspace(0.0, 1.0, 60)[:, None]
     lines = [np.array(h.a_mm) + t * (np.array(h.b_mm) - np.array(h.a_mm)) for h in hulls]
     for i, one in enumerate(lines):
         for j in range(i):
             gap = np.linalg.norm(one[:, None] - lines[j][None], axis=2).min()
             assert gap >= hulls[i].radius_a_mm + hulls[j].radius_a_mm - 1e-6
+
+
+def test_a_form_s_radii_are_those_of_its_solids() -> None:
+    form = TeatForm(((9.0, 9.0), (30.0, 11.0), (60.0, 14.0)), flat_mm=5.0, bend_per_mm=0.003)
+    end, axis = np.array([0.0, 0.0, 150.0]), np.array([0.0, 0.0, 1.0])
+    behind = np.array([0.0, 2.0, 9.0, 20.0, 45.0])
+    assert form.radii_mm(behind)[0] == pytest.approx(5.0)
+    assert form.radii_mm(behind)[2:] == pytest.approx([9.0, 10.0, 12.5], abs=0.1)
+    (foot, *_), top = form.hulls(end, axis), form.hulls(end, axis)[-1]
+    assert foot.a_mm[2] == pytest.approx(90.0)
+    assert np.hypot(*foot.a_mm[:2]) == pytest.approx(0.5 * 0.003 * 60.0**2)
+    assert (top.b_mm, top.radius_b_mm, top.flat_b) == ((0.0, 0.0, 150.0), 5.0, True)
+
+
+@pytest.mark.parametrize(
+    ("form", "said"),
+    [
+        (((9.0, 9.0),), "two balls or more"),
+        (((9.0, 9.0), (10.0, 12.0)), "none within the next"),
+        (((8.0, 9.0), (30.0, 12.0)), "touch the apex"),
+    ],
+)
+def test_a_form_that_cannot_be_is_refused(form: tuple[tuple[float, float], ...], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        TeatForm(form)
+    with pytest.raises(ValueError, match="flat as that"):
+        TeatForm(((9.0, 9.0), (30.0, 11.0)), flat_mm=9.0)
 
 
 def test_upright_teats_end_where_they_are_said_to() -> None:

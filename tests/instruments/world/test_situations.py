@@ -12,14 +12,8 @@ import pytest
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.optics import CameraModel
 from instruments.world.phantom import Phantom, Teat
-from instruments.world.situations import (
-    SITUATIONS,
-    Around,
-    Situation,
-    faults,
-    hidden_ways,
-    situation,
-)
+from instruments.world.setups import Situation, faults, hidden_ways
+from instruments.world.situations import SITUATIONS, Around, situation
 from instruments.world.solids import Solids
 from instruments.world.state import SceneState
 from tests.instruments.world.scenes import renderer
@@ -34,6 +28,7 @@ THESIS = (
     "hot_body_at_ends",
     "cooler_bodies",
 )
+COWSHED = ("cool_quarters", "warm_room", "straw_and_legs", "cow_teats", "wet", "cluttered")
 
 
 @cache
@@ -50,8 +45,9 @@ def visible(name: str) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
     return tuple(renderer().visible_ends(state(found)) for found in members(name))
 
 
-def test_there_are_the_eleven() -> None:
-    assert ("ideal", *THESIS, "low_contrast", "dim_light", "missing_or_hidden", "anywhere") == NAMES
+def test_there_are_the_eleven_and_those_of_a_cowshed() -> None:
+    eleven = "ideal", *THESIS, "low_contrast", "dim_light", "missing_or_hidden", "anywhere"
+    assert (*eleven, *COWSHED) == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -164,6 +160,98 @@ def _span(hulls: tuple[object, ...]) -> tuple[float, float]:
     return float(((solids.a[:, 2] - solids.radius_a - 62.0) / away).min()), float(
         ((solids.a[:, 2] + solids.radius_a - 62.0) / away).max()
     )
+
+
+def test_quarters_are_cooler_than_the_warmest_and_rooms_warm() -> None:
+    for found in members("cool_quarters"):
+        teats_c = np.array(state(found).teat_temps_c)
+        assert teats_c.max() == 32.5
+        assert teats_c.min() >= 27.5
+    assert any(min(state(found).teat_temps_c) < 29.0 for found in members("cool_quarters"))
+    rooms_c = {state(found).ambient_c for found in members("warm_room")}
+    assert min(rooms_c) >= 26.0
+    assert 29.0 < max(rooms_c) <= 31.0
+
+
+def test_straws_lie_before_teats_and_legs_behind() -> None:
+    for found in members("straw_and_legs"):
+        straws = [thing.hulls[0] for thing in found.objects if thing.name == "straw"]
+        legs = [thing for thing in found.objects if thing.name == "leg"]
+        assert 2 <= len(straws) <= 5
+        assert 1 <= len(legs) <= 2
+        back = max(hull.a_mm[1] for (hull,) in found.phantom.teat_hulls())
+        assert all(0.5 * (hull.a_mm[1] + hull.b_mm[1]) < back for hull in straws)
+        assert min(leg.hulls[1].a_mm[1] for leg in legs) > back
+        scene = state(found)
+        assert all(
+            19.0 < 20.0 + one.offset_k < 30.6 for one in found.objects if one.name == "straw"
+        )
+        assert all(23.0 < scene.temperature_c("teat") + leg.offset_k < 31.0 for leg in legs)
+
+
+def test_teats_of_a_cow_end_where_their_axes_leave_them() -> None:
+    flat, lengths = 0, []
+    for found in members("cow_teats"):
+        udder = found.phantom.udder
+        assert udder is not None
+        for hulls, end, axis, teat in zip(
+            found.phantom.teat_hulls(),
+            found.phantom.ends_mm,
+            found.phantom.axes,
+            found.phantom.teats,
+            strict=True,
+        ):
+            assert teat.shape.form is not None
+            flat += teat.shape.form.flat_mm > 0.0
+            reaches = [
+                float((np.array(at) - end) @ axis) + (0.0 if disc else radius)
+                for hull in hulls
+                for at, radius, disc in (
+                    (hull.a_mm, hull.radius_a_mm, hull.flat_a),
+                    (hull.b_mm, hull.radius_b_mm, hull.flat_b),
+                )
+            ]
+            assert max(reaches) == pytest.approx(0.0, abs=1e-6)
+            lengths.append((end[2] - udder.height_mm) / axis[2])
+    assert 34.9 < min(lengths) < 40.0
+    assert 65.0 < max(lengths) < 70.1
+    assert 0.3 < flat / len(lengths) < 0.7
+    scene = state(members("cow_teats")[0])
+    assert scene.teat_fall > SceneState(Phantom(()), (), 33.0, 20.0).teat_fall
+
+
+def test_pipes_cross_behind_the_teats_about_as_high_as_their_ends() -> None:
+    kinds = set()
+    for found in members("cluttered"):
+        kinds |= {thing.name for thing in found.objects}
+        back = found.phantom.ends_mm[:, 1].max()
+        first, *_ = (thing.hulls[0] for thing in found.objects if thing.name == "pipe")
+        assert min(first.a_mm[1], first.b_mm[1]) - first.radius_a_mm > back
+        assert 50.0 < min(first.a_mm[2], first.b_mm[2]) < max(first.a_mm[2], first.b_mm[2]) < 230.0
+    assert kinds == {"pipe", "rod", "hot_cup", "hose"}
+    emissivities = [thing.paint.emissivity for one in members("cluttered") for thing in one.objects]
+    assert min(emissivities) < 0.35  # bare steel mirrors the room
+
+
+def test_drops_and_dirt_sit_on_the_skin_of_wet_teats_and_leave_their_ends_free() -> None:
+    names = set()
+    for found in members("wet"):
+        scene = state(found)
+        assert max(scene.teat_temps_c) <= 31.5
+        assert found.teat_paint.gloss_exponent >= 60.0
+        things = [thing for thing in scene.everything() if thing.name in ("drops", "dirt")]
+        assert len(things) == len(found.phantom.spots)
+        for thing, spots in zip(things, found.phantom.spots, strict=True):
+            names.add(thing.name)
+            for hull, (teat, *_) in zip(thing.hulls, spots.places, strict=True):
+                end, axis = found.phantom.ends_mm[teat], found.phantom.axes[teat]
+                off = np.array(hull.a_mm) - end
+                along = float(off @ axis)
+                out = float(np.linalg.norm(off - along * axis)) + hull.radius_a_mm
+                skin = found.phantom.teats[teat].shape.radius_mm
+                assert along + hull.radius_a_mm <= -6.0
+                assert out == pytest.approx(skin + spots.out_mm)
+    assert names == {"drops", "dirt"}
 
 
 def test_low_contrast_is_low_and_dim_is_dim() -> None:

@@ -1,0 +1,161 @@
+"""Campaigns compared scene by scene: two of them, or the detectors of one.
+
+A scene is its family and member, whatever was done to its pictures. So two campaigns may differ in
+what their plans say, as in perturbations or seeds, and are still pairs; where pictures differ and
+the plans don't say why, the program draws other scenes, and nothing is compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.campaign.chunk import ASIDE, Scene
+from bench.campaign.plan import Plan, read_plan
+from bench.campaign.run import PLAN
+from bench.campaign.shards import Shards
+from bench.config import ConfigError
+from bench.record.reader import RunRecord
+from bench.results.comparison import Comparison, Side, sides
+from bench.scoring.comparison import ScenePair, compare
+from bench.scoring.matching import GATE_CEILING_MM, Match
+from bench.scoring.scene import SceneScore
+
+MARGIN_RATE = 0.01  # of right scenes
+SCORES = """
+SELECT family, member, frames, failure, hidden, false_teats, hidden_claimed, teats
+FROM everything WHERE detector = ? AND failure != ? ORDER BY family, member
+"""
+
+Scores = dict[Scene, tuple[SceneScore, str]]
+
+
+def compare_campaigns(
+    folders: Sequence[Path],
+    detectors: Sequence[str] = (),
+    *,
+    margin_mm: float | None = None,
+    margin_rate: float = MARGIN_RATE,
+    confidence: float = 0.95,
+) -> tuple[Comparison, ...]:
+    """Each later campaign with the first, or the detectors of one with its first. Raises
+    ConfigError where nothing can be compared.
+    """
+    plans = {folder: _plan(folder) for folder in folders}
+    runs = [_as_run(folder, plan) for folder, plan in plans.items()]
+    found = []
+    for old, new in sides(runs, detectors):
+        plan, other = plans[old.run.folder], plans[new.run.folder]
+        if plan.limit_mm != other.limit_mm:
+            raise ConfigError.plain(
+                f"{old.run.folder} was held against {plan.limit_mm:g} mm, {new.run.folder} against"
+                f" {other.limit_mm:g} mm: run both with one --limit-mm"
+            )
+        scores = _scores(old, plan), _scores(new, other)
+        both = [scene for scene in scores[0] if scene in scores[1]]
+        if not both:
+            raise ConfigError.plain(f"{old.label} and {new.label} have no scored scene in common")
+        same = [scores[0][scene][1] == scores[1][scene][1] for scene in both]
+        if not all(same):
+            _refuse_unexplained(old.run, new.run, both[same.index(False)], same.count(False))
+        pairs = tuple(
+            ScenePair(
+                scene.name, scene.name, scene.family, scores[0][scene][0], scores[1][scene][0]
+            )
+            for scene in both
+        )
+        alone = len(scores[0]) - len(both), len(scores[1]) - len(both)
+        compared = compare(
+            pairs,
+            margin_mm=margin_mm,
+            margin_rate=margin_rate,
+            confidence=confidence,
+            unpaired=alone[0],
+        )
+        found.append(Comparison(old, new, pairs, same.count(True), *alone, compared))
+    return tuple(found)
+
+
+def _plan(folder: Path) -> Plan:
+    if not (folder / PLAN).is_file():
+        raise ConfigError.plain(
+            f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out'"
+            " was given"
+        )
+    return read_plan(folder / PLAN)
+
+
+def _as_run(folder: Path, plan: Plan) -> RunRecord:
+    """What a comparison says of a campaign: its folder, detectors, and what made its rows."""
+    made = plan.made_by
+    items = {}
+    for one in made.get("detectors", "").split(", "):
+        name, _, rest = one.partition(" ")
+        items[name] = {"version": rest.rpartition(" ")[0]}
+    with Shards(folder).connect() as db:
+        names = db.execute("SELECT DISTINCT detector FROM scenes ORDER BY detector").fetchall()
+    there = [name for (name,) in names]
+    done = ", ".join(f"{one.name} {one.amount:g}" for one in plan.perturbations)
+    facts = {
+        "kind": "emulated",
+        "title": plan.title,
+        "detectors": [*(n for n in items if n in there), *(n for n in there if n not in items)],
+        "items": items,
+        "rig": made.get("rig"),
+        "seed": plan.seed,
+        "calibration_sha256": made.get("calibration"),
+        "program": made.get("teatbench"),
+        "perturbations": done or "none",
+        "ending": "finished",
+    }
+    if not there:
+        raise ConfigError.plain(f"{folder}: no scene has been scored there")
+    return RunRecord(folder, facts)
+
+
+def _refuse_unexplained(old: RunRecord, new: RunRecord, scene: Scene, count: int) -> None:
+    """Raises ConfigError for other pictures of one plan."""
+    if any(old.facts[key] != new.facts[key] for key in ("rig", "seed", "perturbations")):
+        return
+    raise ConfigError.plain(
+        f"{count} scenes have other pictures in {new.folder} than in {old.folder}, {scene.name} for"
+        " one, though rig, sensors, seed and perturbations are the same: the program draws them"
+        f" differently (teatbench {old.facts['program']} there, {new.facts['program']} here). Run"
+        " both with one version."
+    )
+
+
+def _scores(side: Side, plan: Plan) -> Scores:
+    with Shards(side.run.folder).connect() as db:
+        rows = db.execute(SCORES, [side.detector, ASIDE]).fetchall()
+    return {
+        Scene(family, member): (_score(plan.limit_mm, *rest), frames)
+        for family, member, frames, *rest in rows
+    }
+
+
+def _score(
+    limit_mm: float,
+    failure: str,
+    hidden: int,
+    false: int,
+    claimed: int | None,
+    teats: Sequence[dict[str, Any]],
+) -> SceneScore:
+    """A scene's score from its row; which answer belongs to which teat is not kept."""
+    found = [teat for teat in teats if teat["status"] == "found"]
+    errors = np.array([[teat[f"{axis}_mm"] for axis in "xyz"] for teat in found]).reshape(-1, 3)
+    match = Match(
+        pairs=tuple((number, teat["teat"] - 1) for number, teat in enumerate(found)),
+        distances_mm=tuple(map(math.hypot, *errors.T)) if found else (),
+        hidden_pairs=(),
+        missed=tuple(teat["teat"] - 1 for teat in teats if teat["status"] == "missed"),
+        false=tuple(range(len(found), len(found) + false)),
+        hidden=hidden,
+        gate_mm=GATE_CEILING_MM,
+    )
+    return SceneScore(match, errors, 0.0, True, limit_mm, 0.0, failure == "", (), claimed)

@@ -1,0 +1,175 @@
+"""Scenes of a campaign drawn and answered again: as trials that a page shows, and as a page of
+their own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from bench.campaign.chunk import Bench, Scene, digest_of_frames, draw_scene
+from bench.campaign.plan import Plan, differences, open_plan, read_plan
+from bench.campaign.run import PLAN
+from bench.campaign.shards import Shards
+from bench.config import ConfigError
+from bench.files import write_pictures
+from bench.record.reader import RunRecord, TrialRecord
+from bench.report.trials import trial_parts
+from bench.report.wording import key_values
+from bench.results.answers import close_detectors, examine
+from bench.run.rows import judged, truth_row
+from bench.scoring.comparison import why_failed
+from bench.scoring.rates import plural
+from detector.calibration import Calibration
+from instruments.world.situations import SITUATIONS, member, spoken
+from reports.frames import ImageView
+from reports.page import Banner, Page, Section, TrialPart
+from reports.render import write_report
+
+SCENES = "scenes"  # in a campaign's folder: the frames of each scene that was drawn again
+OF_A_RUN = ("repeat", "bath at capture", "teats' surface")  # which a scene has not
+NOTHING = dict.fromkeys(("captured_s", "bath_c", "bath_state", "note", "invalid"))
+
+
+def draw_again(
+    bench: Bench, scenes: Sequence[Scene], folder: Path, title: str
+) -> tuple[RunRecord, Calibration]:
+    """The scenes as the trials of a run, their frames in ``folder``/scenes, and what detectors were
+    told of the cameras. Raises OSError.
+    """
+    trials, stated = [], bench.calibration
+    for number, scene in enumerate(scenes, 1):
+        drawn, stated = draw_scene(bench, scene, member(scene.family, scene.member)[0])
+        taken = drawn.frames
+        pictures = {"left": taken.left, "right": taken.right}
+        pictures |= {} if taken.thermal is None else {"thermal": taken.thermal}
+        at = {camera: folder / SCENES / scene.name / f"{camera}.png" for camera in pictures}
+        write_pictures({path: pictures[camera] for camera, path in at.items()})
+        answers = [examine(one, taken, stated, timeout_s=math.inf) for one in bench.detectors]
+        rows = judged(scene.name, answers, drawn.truth, bench.limit_mm, math.inf)
+        head = {"id": scene.name, "name": scene.name, "number": number, "repeat": 1}
+        head |= {**NOTHING, "situation": scene.family, "frames": digest_of_frames(taken)}
+        frames = [
+            {"camera": camera, "path": path.relative_to(folder / SCENES).as_posix()}
+            for camera, path in at.items()
+        ]
+        truth = [{**truth_row(scene.name, row), "budget": None} for row in drawn.truth]
+        trials.append(TrialRecord(head, frames, [], truth, *rows))
+    names = [one.name for one in bench.detectors]
+    facts = {"kind": "emulated", "title": title, "detectors": names, "ending": "finished"}
+    return RunRecord(folder / SCENES, facts, tuple(trials)), stated
+
+
+def scene_parts(run: RunRecord, stated: Calibration, folder: Path) -> Iterator[TrialPart]:
+    """A part a scene for a page in ``folder``, which is in the campaign's or in its ``scenes``."""
+    up = "../" if folder.parent == run.folder else f"../{run.folder.name}/"
+
+    def whole(image: ImageView) -> ImageView:
+        path = image.original.removeprefix("../")
+        return replace(image, original=f"{up}{path}")
+
+    for part in trial_parts(run, stated, folder):
+        trial = next(one for one in run.trials if one.id == part.heading)
+        about = ("what it is", SITUATIONS[str(trial.head["situation"])][0])
+        summary = (about, *(entry for entry in part.summary if entry[0] not in OF_A_RUN))
+        images = tuple(map(whole, part.images))
+        yield replace(part, summary=summary, images=images)
+
+
+def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[str, str, str]]]:
+    """Write a page of scenes of the campaign in ``folder``, in its ``scenes``; gives back the
+    page's path, and scene, detector and outcome of each answer. Raises ConfigError, also where this
+    version of the program draws or answers otherwise.
+    """
+    plan, scenes = _asked(folder, names)
+    job, made_by = open_plan(plan)
+    detectors = job.make_detectors()
+    title = plan.title or "Campaign"
+    try:
+        run, stated = draw_again(job.bench(job.renderer(), detectors), scenes, folder, title)
+        _refuse_changed(folder, run, differences(plan, plan.made_by, plan, made_by))
+        place = folder / SCENES / (names[0] if len(names) == 1 else "several")
+        parts = tuple(scene_parts(run, stated, place))
+        outcomes = [
+            (trial.id, name, "success" if score.success else why_failed(score))
+            for trial in run.trials
+            for name, score in trial.scores.items()
+        ]
+        path = write_report(_page(plan, run, parts, outcomes), place)
+    except OSError as error:
+        raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
+    finally:
+        close_detectors(detectors)
+    return path, outcomes
+
+
+def _asked(folder: Path, names: Sequence[str]) -> tuple[Plan, list[Scene]]:
+    if not (folder / PLAN).is_file():
+        raise ConfigError.plain(
+            f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out'"
+            " was given"
+        )
+    plan, found = read_plan(folder / PLAN), []
+    for name in dict.fromkeys(names):
+        family, _, number = name.rpartition("-")
+        last = plan.first + plan.most_scenes - 1
+        inside = number.isdecimal() and plan.first <= int(number) <= last
+        if family not in plan.families or not inside:
+            example = Scene(plan.families[0], plan.first).name
+            raise ConfigError.plain(
+                f"{folder} has no scene {name!r}; it has members {plan.first} to {last} of"
+                f" {', '.join(plan.families)}, named as {example}"
+            )
+        found.append(Scene(family, int(number)))
+    return plan, found
+
+
+def _refuse_changed(folder: Path, run: RunRecord, why: str) -> None:
+    """Raises ConfigError for frames that differ from those that were scored."""
+    with Shards(folder).connect() as db:
+        for trial in run.trials:
+            family, _, number = trial.id.rpartition("-")
+            row = db.execute(
+                "SELECT frames FROM scenes WHERE family = ? AND member = ?", [family, int(number)]
+            ).fetchone()
+            if row and row[0] and row[0] != trial.head["frames"]:
+                raise ConfigError.plain(
+                    f"{trial.id} is drawn differently now than when it was scored:\n{why}\nGo back"
+                    f" to what made {folder}, or run the campaign again."
+                )
+
+
+def _page(
+    plan: Plan,
+    run: RunRecord,
+    parts: tuple[TrialPart, ...],
+    outcomes: Sequence[tuple[str, str, str]],
+) -> Page:
+    lines = [f"{scene}, {detector}: {outcome}." for scene, detector, outcome in outcomes]
+    families = dict.fromkeys(spoken(str(trial.head["situation"])) for trial in run.trials)
+    banner = Banner(
+        kind="emulated",
+        verdict="no verdict",
+        tested=f"{', '.join(run.detectors)} on {plural(len(run.trials), 'scene')} of a campaign.",
+        sentence="\n".join(lines),
+        confidence=(
+            "Drawn again from family, member and seed; the same pixels as those that were scored."
+        ),
+        next_action="Switch layers off to see the frames; a click on one opens it whole.",
+    )
+    asked = {"families": ", ".join(families), "seed": plan.seed, "limit": f"{plan.limit_mm:g} mm"}
+    if plan.perturbations:
+        asked["perturbations"] = ", ".join(
+            f"{one.name} {one.amount:g}" for one in plan.perturbations
+        )
+    section = Section("made", "Made with", (key_values("Plan and program", asked | plan.made_by),))
+    return Page(
+        ", ".join(trial.id for trial in run.trials[:3]),
+        f"{run.facts['title']}: frames, truth and answers",
+        banner,
+        (section,),
+        trials=parts,
+        trials_title="Frames",
+    )

@@ -1,0 +1,199 @@
+"""Do the cameras agree? The third view and the rows as witnesses of the calibration and of the
+pictures' time.
+
+Two numbers a frame, pooled over its teats: how far the right picture's edges lie off in rows, with
+each teat free to move, and how far the thermal outlines lie off what the stereo fit predicts. A
+column of the right picture's shifts nothing that two cameras could see; it moves the fit in depth,
+and so in the thermal picture: by ``(f_t B_t) / (f B)`` sensor pixels a pixel of disparity, at any
+depth (f: focal lengths, B: distances between centres, t: thermal). On the thesis's rig that is 0.2:
+0.25 sensor pixels, the limit of the warning, are 1.2 pixels of disparity, or 12 mm at 1.1 m. What
+is below widens the covariances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from detector.calibration import Calibration
+from detector.calibration.bundle import LENS, POSE
+from detector.fused.decide import ELSEWHERE, OUTLINE
+from detector.fused.edges import CLEAR
+from detector.fused.fit import Parameters, normal_equations
+from detector.fused.model import apexes
+from detector.fused.refine import FINE_OUTLINE, Fitted
+from detector.geometry import Array, Camera, Motion
+
+# beyond these no calibration of a rig that is fit for use is off
+_ROWS_PX = 0.4
+_THERMAL_PX = np.array([0.25, 0.6])  # sensor px, columns and rows: an end is less sure than a side
+_OF_FEW = 0.5  # one teat alone may have a warm neighbour: so much more for one, half for two
+_LEAST_INFORMATION = 300.0  # of a teat's thermal outline: a standard deviation of 0.06 px
+_EDGE_PX, _ROBUST_PX = 0.2, 0.3  # of thermal edges: sd beyond noise; farther off counts for less
+_SHIFT_SD, _SWELL_SD = 0.5, 0.5  # px, before a teat is looked at: no end, no rows
+_SDS = 3.0  # of what the calibration states
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """What the cameras tell of each other: right rows against left, px; thermal against optical
+    columns and rows, sensor px; NaN where no teat tells. ``ratio``: sensor px a px of disparity.
+    """
+
+    teats: int
+    rows_px: float
+    thermal_px: tuple[float, float]
+    ratio: float
+
+    @property
+    def disparity_px(self) -> float:
+        """The disparity (px) that would explain what the thermal columns show; 0 if unknown."""
+        return abs(float(np.nan_to_num(self.thermal_px[0]))) / self.ratio
+
+
+def agreement(
+    fitted: Fitted, reasons: list[str | None], calibration: Calibration, p: Parameters, size: float
+) -> Agreement:
+    """Pooled over the accepted fits, else over those that only a witness speaks against."""
+    which = [i for i, reason in enumerate(reasons) if reason is None]
+    which = which or [i for i, reason in enumerate(reasons) if reason in (ELSEWHERE, OUTLINE)]
+    lens, pose = _thermal_camera(calibration)
+    thermal_mm = abs(float((pose.R.T @ pose.T)[0]))
+    optical = calibration.right.fc[0] * calibration.baseline_mm
+    ratio = max(lens.fc[0] / size * thermal_mm / optical, 1e-3)
+    nothing = Agreement(0, np.nan, (np.nan, np.nan), ratio)
+    if not which:
+        return nothing
+    some = fitted.take(which)
+    rows, row_weight = _row_offsets(some, p)
+    shift, weight = _thermal_offsets(some)
+    told = weight > _LEAST_INFORMATION
+    columns, down = (
+        float(np.median(shift[told[:, i], i])) if told[:, i].any() else np.nan for i in range(2)
+    )
+    pooled = float(rows @ row_weight / max(row_weight.sum(), 1e-9))
+    return Agreement(len(which), pooled, (columns, down), ratio)
+
+
+def disagreement(found: Agreement, fitted: Fitted, calibration: Calibration) -> str | None:
+    """Why no end can be given, if the cameras differ by more than the limits and what the
+    calibration states of itself allow; else None.
+    """
+    few = 1.0 + _OF_FEW / max(found.teats, 1)
+    off = np.abs(np.nan_to_num([found.rows_px, *found.thermal_px]))
+    limit = few * np.array([_ROWS_PX, *_THERMAL_PX])
+    if (off <= limit).all():
+        return None
+    limit = np.maximum(limit, _SDS * _stated_px(apexes(fitted.teats), calibration))
+    if (off <= limit).all():
+        return None
+    worst = int(np.argmax(off / limit))
+    check = "check the calibration, and that all pictures are of one time"
+    if worst == 0:
+        return f"cameras disagree by {off[0]:.2g} px (rows of left and right): {check}"
+    like = f", as by {off[1] / found.ratio:.1f} px of disparity" if worst == 1 else ""
+    size = float(np.hypot(*off[1:]))
+    return f"cameras disagree by {size:.2g} px (thermal against optical{like}): {check}"
+
+
+def _row_offsets(fitted: Fitted, p: Parameters) -> tuple[Array, Array]:
+    """Rows px (m,) by which the right picture's edges are off, each teat free; their weights."""
+    n = len(FINE_OUTLINE.part)
+    seen, weight = fitted.seen, fitted.weight
+    H, _ = normal_equations(fitted.teats, seen, weight, p.prior)
+    used = weight > 0
+    j = np.where(used[..., None], seen.jacobian, 0.0) * weight[..., None]
+    r = np.where(used, seen.offset_px, 0.0)
+    down = np.zeros_like(r)
+    down[:, n : 2 * n] = seen.normals[:, n : 2 * n, 1]
+    down = np.where(used, down, 0.0)
+    b, a = (np.einsum("mki,mk->mi", j, x) for x in (down, r))
+    explained = np.linalg.solve(H, b[..., None])[..., 0]
+    weight_of_rows = (weight * down**2).sum(axis=1) - (b * explained).sum(axis=1)
+    score = (weight * down * r).sum(axis=1) - (a * explained).sum(axis=1)
+    return score / np.maximum(weight_of_rows, 1e-9), weight_of_rows
+
+
+def _thermal_offsets(fitted: Fitted) -> tuple[Array, Array]:
+    """Shifts (m, 2) sensor px of thermal outlines, each free to swell; their weights (m, 2)."""
+    n = len(FINE_OUTLINE.part)
+    at = slice(2 * n, 3 * n)
+    seen, off = fitted.seen, fitted.seen.offset_px[:, at]
+    clear = np.isfinite(off) & (seen.clarity[:, at] > CLEAR) & ~fitted.hidden[:, at]
+    weight = np.where(clear, 1.0 / (seen.sd_px[:, at] ** 2 + _EDGE_PX**2), 0.0)
+    off = np.where(clear, off, 0.0)
+    moves = np.concatenate([np.nan_to_num(seen.normals[:, at]), np.ones((*off.shape, 1))], axis=2)
+    least = np.diag([_SHIFT_SD**-2, _SHIFT_SD**-2, _SWELL_SD**-2])
+    trusted = weight
+    for _ in range(3):
+        G = np.einsum("mki,mk,mkj->mij", moves, trusted, moves) + least
+        b = np.einsum("mki,mk->mi", moves, trusted * off)
+        shift = np.linalg.solve(G, b[..., None])[..., 0]
+        left = off - np.einsum("mki,mi->mk", moves, shift)
+        trusted = weight / (1 + (left / _ROBUST_PX) ** 2)
+    return shift[:, :2], np.diagonal(G, axis1=1, axis2=2)[:, :2]
+
+
+def _stated_px(ends_mm: Array, calibration: Calibration) -> Array:
+    """Standard deviations (3,) of row offset and thermal columns and rows (sensor px) by what the
+    calibration states of its own parameters; zeros where it states nothing.
+    """
+    covariance = calibration.covariance
+    if covariance is None or len(ends_mm) == 0:
+        return np.zeros(3)
+    middle = np.mean(ends_mm, axis=0, keepdims=True)
+    left_px, right_px = calibration.project(calibration.world_from_right.apply(middle))
+    size = calibration.thermal.image_size[0] / calibration.thermal.sensor_size[0]
+
+    def seen(moved: Calibration) -> Array:
+        place = moved.in_right_mm(left_px, right_px)
+        left, right = moved.project(moved.world_from_right.apply(place))
+        lens, pose = _thermal_camera(moved)
+        rows = ((right - right_px) - (left - left_px))[0, 1]
+        return np.array([rows, *lens.project(pose.apply(place))[0] / size])
+
+    columns = []
+    for (owner, name), sd in covariance.sds.items():
+        step = max(0.1 * sd, 1e-9)
+        far, near = (seen(_moved(calibration, owner, name, s)) for s in (step, -step))
+        columns.append((far - near) / (2 * step))
+    slope = np.array(columns)
+    return np.asarray(np.sqrt(np.einsum("ki,kl,li->i", slope, covariance.matrix, slope)))
+
+
+def _thermal_camera(calibration: Calibration) -> tuple[Camera, Motion]:
+    lens, pose = calibration.thermal.lens, calibration.thermal_from_right
+    if lens is None or pose is None:
+        raise ValueError("the calibration has no lens and pose of the thermal camera")
+    return lens, pose
+
+
+def _moved(calibration: Calibration, owner: str, name: str, step: float) -> Calibration:
+    lens, pose = calibration.thermal.lens, calibration.thermal_from_left
+    if owner == "thermal" and lens is not None:
+        other = lens.with_lens(lens.lens + step * np.equal(LENS, name))
+        return replace(calibration, thermal=replace(calibration.thermal, lens=other))
+    if owner == "thermal pose" and pose is not None:
+        return replace(calibration, thermal_from_left=pose.shifted(step * np.equal(POSE, name)))
+    return calibration.moved(owner, name, step)
+
+
+def calibration_covariances(
+    found: Agreement, ends_mm: Array, calibration: Calibration, p: Parameters
+) -> Array:
+    """(m, 3, 3) mm^2 of ends (m, 3), right camera's frame, beside what the calibration states.
+
+    A disparity wrong by ``p.calibration_px``, where the calibration states nothing, and by as much
+    as the thermal picture shows beyond its noise, along the line of sight; across it half of the
+    latter, and half of what the rows are off.
+    """
+    depth = ends_mm[:, 2]
+    mm_a_px = depth / calibration.right.fc[0]
+    shown = max(found.disparity_px - p.thermal_noise_px / found.ratio, 0.0)
+    disparity = np.hypot(shown, p.calibration_px if calibration.covariance is None else 0.0)
+    between = 0.5 * calibration.right_from_left.T
+    sight = (ends_mm - between) / depth[:, None]
+    along = sight * (mm_a_px * depth / calibration.baseline_mm * disparity)[:, None]
+    across = np.diag(0.25 * np.array([shown, np.nan_to_num(found.rows_px), 0.0]) ** 2)
+    return np.asarray(along[:, :, None] * along[:, None] + (mm_a_px**2)[:, None, None] * across)

@@ -1,0 +1,327 @@
+"""Families of scenes with what a cowshed shows and the thesis's six leave out: quarters of unlike
+warmth, a warm room, straw, legs and a tail, teats of a cow, wet skin, pipes and hoses.
+
+Ranges are our choice where no source is named.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from instruments.world.draws import PLACES, Draw, plain, udder
+from instruments.world.objects import SceneObject, make_object
+from instruments.world.phantom import Phantom, Spots, Teat, TeatForm, TeatShape, Udder
+from instruments.world.setups import EYES_MM, Situation, collisions, hidden_ways
+from instruments.world.shading import Paint
+
+
+def cool_quarters(draw: Draw) -> Situation:
+    """The warmest quarter is as warm as the water makes it, each other up to 5 K cooler.
+
+    Quarters differ by up to 3.0 K in the mean with inflammation alone (33.2 to 36.2 degC; Colak et
+    al., J. Dairy Sci. 91, 2008, 4244); wind, wetness and blood flow add to it, 5 K is our choice.
+    """
+    found = plain(draw, udder(draw))
+    warmest = draw.count(0, len(found.phantom.teats) - 1)
+    cooler_k = [draw.between("quarter_cooler_k", 0.0, 5.0) for _ in found.phantom.teats]
+    cooler_k[warmest] = 0.0
+    return replace(found, cooler_k=tuple(cooler_k))
+
+
+def warm_room(draw: Draw) -> Situation:
+    """A room nearly as warm as the teats, as in a shed in summer; all that is not heated is as
+    warm as the room.
+    """
+    return replace(plain(draw, udder(draw)), room_c=draw.between("room_c", 26.0, 31.0))
+
+
+COATS = ((0.03, 0.12), (0.12, 0.35), (0.45, 0.75))  # albedo: black, brown, white
+STRAW_MM = 2.5  # radius at most
+
+
+def straw_and_legs(draw: Draw) -> Situation | None:
+    """Straws before the teats, one across each of some, no end hidden; a leg or two and a tail.
+
+    Legs and tail are cooler than teats: bare skin of the udder is the warmest outside of a cow, by
+    2 to 9 K in a shed (our choice); coat has an emissivity of 0.98. Straw is as warm as the air, a
+    stalk 2 to 5 mm across.
+    """
+    phantom = udder(draw, lean_deg=(0.0, 4.0))
+    straws = tuple(_straw(draw, phantom) for _ in range(draw.count(2, 5)))
+    alone = Situation("", 0, "", phantom, straws)
+    low = min(min(hull.a_mm[2], hull.b_mm[2]) for each in straws for hull in each.hulls)
+    if low < STRAW_MM or any(collisions(alone)) or hidden_ways(alone).any():
+        return None
+    legs = tuple(_leg(draw, number) for number in range(draw.count(1, 2)))
+    tail = (_tail(draw),) if draw.chance(0.6) else ()
+    return plain(draw, phantom, *straws, *legs, *tail)
+
+
+def _leg(draw: Draw, number: int) -> SceneObject:
+    """The first to the left of the other."""
+    return make_object(
+        "leg",
+        x_mm=draw.between("leg_x_mm", *((-430.0, -190.0), (-140.0, 130.0))[number]),
+        y_mm=draw.between("leg_y_mm", 350.0, 620.0),
+        share=draw.between("leg_share", 0.85, 1.15),
+        lean_deg=draw.between("leg_lean_deg", -5.0, 5.0),
+        offset_k=-draw.between("leg_cooler_k", 2.0, 8.0),
+        albedo=draw.between("leg_albedo", *COATS[draw.count(0, 2)]),
+    )
+
+
+def _tail(draw: Draw) -> SceneObject:
+    return make_object(
+        "tail",
+        x_mm=draw.between("tail_x_mm", -300.0, 20.0),
+        y_mm=draw.between("tail_y_mm", 330.0, 480.0),
+        z_mm=draw.between("tail_z_mm", 60.0, 220.0),
+        radius_mm=draw.between("tail_radius_mm", 10.0, 18.0),
+        sway_mm=draw.between("tail_sway_mm", -50.0, 50.0),
+        offset_k=-draw.between("tail_cooler_k", 3.0, 9.0),
+        albedo=draw.between("tail_albedo", *COATS[draw.count(0, 2)]),
+    )
+
+
+def _straw(draw: Draw, phantom: Phantom) -> SceneObject:
+    """Close before a teat, as the thermal camera sees it, at any angle across it."""
+    teat = draw.count(0, len(phantom.teats) - 1)
+    below = draw.between("straw_below_mm", 4.0, 90.0)
+    on_axis = phantom.ends_mm[teat] - below * phantom.axes[teat]
+    sight = np.asarray(EYES_MM[2]) - on_axis
+    before = phantom.teats[teat].shape.radius_mm + draw.between("straw_before_mm", 4.0, 25.0)
+    x, y, z = (on_axis + before * sight / np.linalg.norm(sight)).tolist()
+    length = draw.between("straw_length_mm", 50.0, 170.0)
+    rise = draw.between("straw_rise_deg", -85.0, 85.0)
+    aside = draw.between("straw_aside", -0.35, 0.35) * length
+    return make_object(
+        "straw",
+        x_mm=x + aside * math.cos(math.radians(rise)),
+        y_mm=y,
+        z_mm=z + aside * math.sin(math.radians(rise)),
+        length_mm=length,
+        radius_mm=draw.between("straw_radius_mm", 1.0, STRAW_MM),
+        rise_deg=rise,
+        turn_deg=draw.between("straw_turn_deg", -25.0, 25.0),
+        offset_k=draw.between("straw_offset_k", -0.5, 1.0),
+        albedo=draw.between("straw_albedo", 0.25, 0.6),
+    )
+
+
+FORMS = ("cylinder", "funnel", "bottle")  # of the barrel, as breeders class them
+ENDS = ("round", "flat", "flat", "pointed")
+# radius at the base, and near the end, as shares of the barrel's
+BASE = {"cylinder": (1.0, 1.12), "funnel": (1.2, 1.45), "bottle": (0.78, 0.92)}
+NEAR_END = {"cylinder": (0.92, 1.0), "funnel": (0.70, 0.85), "bottle": (1.04, 1.18)}
+
+
+def cow_teats(draw: Draw) -> Situation:
+    """Teats of a cow's length and shape on a warm udder, each end 0 to 2.5 K cooler than its base.
+
+    Lengths of 35 to 70 mm are our choice for dairy cows (Zwertvaegher et al., J. Dairy Sci.
+    95, 2012: front teats longer and wider than hind ones), barrels 18 to 27 mm across. A quarter of
+    ends is round, half flat within a round rim, a quarter pointed (after Appleman, J. Dairy Sci.
+    56, 1973, 411; his discs count as flat, his cones as pointed: a dish hides its own apex). Bends
+    of 0 to 12 degrees, leans and the udder are our choice. The end is where the axis leaves it.
+    """
+    x, y = draw.between("udder_x_mm", -165.0, -95.0), draw.between("udder_y_mm", 215.0, 265.0)
+    wide = (
+        draw.between("near_half_width_mm", 28.0, 42.0),
+        draw.between("far_half_width_mm", 52.0, 75.0),
+    )
+    deep, height = draw.between("half_depth_mm", 30.0, 48.0), draw.between("udder_mm", 60.0, 88.0)
+    feet = [
+        (
+            x + across * wide[int(away > 0.0)] + draw.between("teat_x_mm", -7.0, 7.0),
+            y + away * deep + draw.between("teat_y_mm", -8.0, 8.0),
+        )
+        for across, away in PLACES
+    ]
+    teats = tuple(_teat(draw, foot, height) for foot in feet)
+    found = plain(draw, Phantom(teats, udder=Udder(tuple(feet), height)))
+    # an udder faces up, to lamps and ceiling, and gets twice a teat's light
+    paint = replace(found.teat_paint, albedo=0.65 * found.teat_paint.albedo)
+    cooler_k = draw.between("ends_cooler_k", 0.0, 2.5)
+    return replace(found, teat_paint=paint, ends_cooler_k=cooler_k)
+
+
+def _teat(draw: Draw, foot_mm: tuple[float, float], height_mm: float) -> Teat:
+    """Out of the udder there, where that is so high."""
+    long = draw.between("teat_length_mm", 35.0, 70.0)
+    radius = draw.between("teat_radius_mm", 9.0, 13.5)
+    lean = math.radians(draw.between("lean_deg", 0.0, 12.0))
+    way = draw.between("lean_way_rad", 0.0, 2.0 * math.pi)
+    slope = math.tan(lean) * math.cos(way), math.tan(lean) * math.sin(way)
+    base = foot_mm[0] - slope[0] * height_mm, foot_mm[1] - slope[1] * height_mm
+    whole_mm = height_mm * math.hypot(1.0, *slope) + long
+    shape = TeatShape(whole_mm, radius, _form(draw, long, radius))
+    return Teat(base, shape, (math.atan(slope[0]), math.atan(slope[1])))
+
+
+def _form(draw: Draw, long_mm: float, radius_mm: float) -> TeatForm:
+    """Of a teat that stands out so far, its foot 12 mm within the udder. A pointed end is half an
+    ellipsoid; the barrel's radius is a quadratic curve from there to the base.
+    """
+    kind, end = FORMS[draw.count(0, 2)], ENDS[draw.count(0, 3)]
+    base = radius_mm * draw.between("base_share", *BASE[kind])
+    last = radius_mm * draw.between("end_share", *NEAR_END[kind])
+    flat = last * draw.between("flat_share", 0.5, 0.75) if end == "flat" else 0.0
+    tall = last * (draw.between("point_share", 1.25, 1.8) if end == "pointed" else 1.0)
+    focus2 = tall**2 - last**2
+    balls = [(tall, last)]
+    if focus2:
+        aways = np.linspace(focus2 / tall, 0.0, 5)
+        balls = [(tall - away, last * math.sqrt(1.0 - away**2 / focus2)) for away in aways]
+    start = balls[-1][0]
+    for part in np.linspace(0.0, 1.0, 6)[1:].tolist():
+        radius = (1.0 - part) ** 2 * last + 2.0 * part * (1.0 - part) * radius_mm + part**2 * base
+        balls.append((start + part * (long_mm - start), radius))
+    balls.append((long_mm + 12.0, 1.15 * base))
+    bend = math.radians(draw.between("bend_deg", 0.0, 12.0)) / long_mm
+    way = draw.between("bend_way_rad", 0.0, 2.0 * math.pi)
+    return TeatForm(tuple((float(at), float(r)) for at, r in balls), flat, bend, way)
+
+
+WATER = Paint(albedo=0.04, gloss=0.9, emissivity=0.96, gloss_exponent=300.0)
+DIRT = Paint(albedo=0.09, gloss=0.0, emissivity=0.95), Paint(0.45, 0.0, 0.94)  # muck, dried clay
+BARE_MM = 6.0  # from the end, where neither drop nor dirt hides it
+
+
+def wet(draw: Draw) -> Situation:
+    """Wet teats: narrow highlights, darker paint, drops and dirt, and skin that evaporation cools.
+
+    A film at 33 degC in a room of 20 degC and 60 % humidity loses some 60 K times the coefficient
+    of convection (Lewis relation, 16.5 K/kPa): 200 to 700 W/m2 for 3 to 12 W/(m2 K). The phantom's
+    water heats skin by some 200 W/(m2 K), so that it is 1 to 4 K cooler; its end up to 3 K more
+    than its base (our choice). Water has an emissivity of 0.96. A film takes 10 to 40 % of the
+    light (Lekner and Dorf, Applied Optics 27, 1988).
+    """
+    found = plain(draw, udder(draw, lean_deg=(0.0, 5.0)))
+    paint = Paint(
+        found.teat_paint.albedo * draw.between("wet_albedo_share", 0.6, 0.9),
+        draw.between("wet_gloss", 0.15, 0.9),
+        draw.between("wet_emissivity", 0.955, 0.98),
+        draw.between("wet_gloss_exponent", 60.0, 400.0),
+    )
+    drop_mm, cooler_k = draw.between("drop_mm", 0.9, 2.2), draw.between("wet_cooler_k", 1.0, 4.0)
+    drops = _scattered(draw, draw.count(4, 16), (0.7 * drop_mm, drop_mm))
+    dirt = [_scattered(draw, draw.count(0, 5), (4.0, 8.5)) for _ in DIRT]
+    spots = (
+        Spots("drops", WATER, drops, 0.6 * drop_mm, draw.between("drop_cooler_k", 0.0, 1.5)),
+        *(Spots("dirt", *each, 0.6) for each in zip(DIRT, dirt, strict=True)),
+    )
+    return replace(
+        found,
+        phantom=replace(found.phantom, spots=tuple(each for each in spots if each.places)),
+        teat_paint=paint,
+        cooler_k=(cooler_k,) * len(found.phantom.teats),
+        ends_cooler_k=draw.between("ends_cooler_k", 0.0, 3.0),
+    )
+
+
+def _scattered(
+    draw: Draw, most: int, radius_mm: tuple[float, float]
+) -> tuple[tuple[int, float, float, float], ...]:
+    """Up to so many places on each teat, by a seed of their own."""
+    rng = np.random.Generator(np.random.PCG64(draw.count(0, 2**31)))
+    return tuple(
+        (
+            teat,
+            float(rng.uniform(BARE_MM + radius_mm[1], 100.0)),
+            float(rng.uniform(0.0, 2.0 * np.pi)),
+            float(rng.uniform(*radius_mm)),
+        )
+        for teat in range(len(PLACES))
+        for _ in range(int(rng.integers(0, most + 1)))
+    )
+
+
+def cluttered(draw: Draw) -> Situation | None:
+    """A pipe or two across behind the teats, about as high as their ends, posts behind it, teat
+    cups and hoses beside and behind; no end hidden.
+
+    Milk leaves the udder at some 38 degC and wash water is warmer, cold water and steel as cold as
+    the room: 10 K cooler to 8 K warmer than the teats (our choice). Bare stainless steel has an
+    emissivity of 0.15 to 0.35 and mirrors the room, painted or dirty things 0.85 to 0.96.
+    """
+    phantom = udder(draw, lean_deg=(0.0, 4.0))
+    cups = tuple(_cup(draw) for _ in range(draw.count(0, 2)))
+    alone = Situation("", 0, "", phantom, cups)
+    if any(collisions(alone)) or hidden_ways(alone).any():
+        return None
+    pipes = tuple(_pipe(draw, number) for number in range(draw.count(1, 2)))
+    posts = tuple(_post(draw) for _ in range(draw.count(0, 3)))
+    hoses = tuple(_hose(draw) for _ in range(draw.count(0, 2)))
+    return plain(draw, phantom, *cups, *pipes, *posts, *hoses)
+
+
+def _metal(draw: Draw, name: str) -> dict[str, float]:
+    """What pipes and posts look like, bare or painted."""
+    bare = draw.chance(0.4)
+    return {
+        "offset_k": draw.between(f"{name}_offset_k", -10.0, 8.0),
+        "albedo": draw.between(f"{name}_albedo", 0.12, 0.65),
+        "gloss": draw.between(f"{name}_gloss", *((0.15, 0.5) if bare else (0.0, 0.1))),
+        "emissivity": draw.between(f"{name}_emissivity", *((0.15, 0.35) if bare else (0.85, 0.96))),
+    }
+
+
+def _pipe(draw: Draw, number: int) -> SceneObject:
+    """The second above the first."""
+    return make_object(
+        "pipe",
+        x_mm=draw.between("pipe_x_mm", -300.0, 50.0),
+        y_mm=draw.between("pipe_y_mm", 360.0, 450.0),
+        z_mm=draw.between("pipe_z_mm", *((90.0, 190.0), (240.0, 330.0))[number]),
+        length_mm=draw.between("pipe_length_mm", 700.0, 1300.0),
+        radius_mm=draw.between("pipe_radius_mm", 9.0, 25.0),
+        rise_deg=draw.between("pipe_rise_deg", -3.0, 3.0),
+        turn_deg=draw.between("pipe_turn_deg", -4.0, 4.0),
+        **_metal(draw, "pipe"),
+    )
+
+
+def _post(draw: Draw) -> SceneObject:
+    return make_object(
+        "rod",
+        x_mm=draw.between("post_x_mm", -430.0, 160.0),
+        y_mm=draw.between("post_y_mm", 560.0, 900.0),
+        height_mm=draw.between("post_height_mm", 300.0, 900.0),
+        radius_mm=draw.between("post_radius_mm", 8.0, 24.0),
+        temperature="teat",
+        **_metal(draw, "post"),
+    )
+
+
+def _cup(draw: Draw) -> SceneObject:
+    """Of a milking cluster, on the table beside the teats or behind them."""
+    radius = draw.between("cup_radius_mm", 22.0, 32.0)
+    return make_object(
+        "hot_cup",
+        x_mm=draw.between("cup_x_mm", -360.0, 120.0),
+        y_mm=draw.between("cup_y_mm", 140.0, 330.0),
+        height_mm=draw.between("cup_height_mm", 90.0, 170.0),
+        radius_mm=radius,
+        foot_radius_mm=radius * draw.between("cup_foot_share", 0.75, 1.0),
+        **_metal(draw, "cup"),
+    )
+
+
+def _hose(draw: Draw) -> SceneObject:
+    """Black rubber, as warm as the room or as what flows in it."""
+    return make_object(
+        "hose",
+        x_mm=draw.between("hose_x_mm", -330.0, 60.0),
+        y_mm=draw.between("hose_y_mm", 490.0, 530.0),
+        z_mm=draw.between("hose_z_mm", 40.0, 140.0),
+        span_mm=draw.between("hose_span_mm", 150.0, 400.0),
+        sag_mm=draw.between("hose_sag_mm", 60.0, 260.0),
+        radius_mm=draw.between("hose_radius_mm", 6.0, 12.0),
+        turn_deg=draw.between("hose_turn_deg", -3.0, 3.0),
+        temperature="teat",
+        offset_k=draw.between("hose_offset_k", -10.0, 3.0),
+        albedo=draw.between("hose_albedo", 0.03, 0.2),
+    )

@@ -1,0 +1,208 @@
+"""Chance for families of scenes, and what most of them draw: udder, light, background, bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from instruments.world.backdrop import Backdrop, Poster
+from instruments.world.boards import Weave
+from instruments.world.objects import SceneObject, make_object
+from instruments.world.phantom import Phantom, Teat, TeatShape
+from instruments.world.setups import Situation
+from instruments.world.shading import Lamp, Lighting, Paint
+
+# near left, near right, far left, far right
+PLACES = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """What a family draws evenly between ``low`` and ``high``; ``value`` is the member's."""
+
+    low: float
+    high: float
+    value: float
+
+
+class Draw:
+    """Chance, with the few ways in which families use it. ``point`` gives parameters by name, in
+    shares of their ranges, instead of chance.
+    """
+
+    def __init__(
+        self, name: str, seed: int, attempt: int, point: Mapping[str, float] | None = None
+    ) -> None:
+        self._rng = np.random.Generator(np.random.PCG64([seed, attempt, *name.encode()]))
+        self._point = point or {}
+        self.parameters: dict[str, Parameter] = {}
+
+    def between(self, name: str, low: float, high: float) -> float:
+        """Evenly. A name that was drawn before gets a number, as ``teat_x_mm_2``."""
+        value, again, key = float(self._rng.uniform(low, high)), 1, name
+        while key in self.parameters:
+            again += 1
+            key = f"{name}_{again}"
+        if key in self._point:
+            value = low + self._point[key] * (high - low)
+        self.parameters[key] = Parameter(low, high, value)
+        return value
+
+    def either(self) -> float:
+        """-1 or 1."""
+        return 1.0 if self._rng.random() < 0.5 else -1.0
+
+    def chance(self, share: float) -> bool:
+        """True in this share of draws."""
+        return bool(self._rng.random() < share)
+
+    def count(self, low: int, high: int) -> int:
+        """A whole number, both ends included."""
+        return int(self._rng.integers(low, high + 1))
+
+    def weave(self, *known: Weave) -> Weave:
+        """One of these."""
+        return known[self.count(0, len(known) - 1)]
+
+
+def udder(
+    draw: Draw, *, lean_deg: tuple[float, float] = (0.0, 2.0), spread: float = 1.0
+) -> Phantom:
+    """Four teats as seen from behind, the near ones closer together; ``lean_deg`` (least, most)."""
+    middle = draw.between("udder_x_mm", -165.0, -95.0), draw.between("udder_y_mm", 215.0, 265.0)
+    wide, deep = (
+        (
+            draw.between("near_half_width_mm", 26.0, 42.0),
+            draw.between("far_half_width_mm", 52.0, 78.0),
+        ),
+        draw.between("half_depth_mm", 30.0, 50.0),
+    )
+    teats = []
+    for x, y in PLACES:
+        base = (
+            middle[0] + spread * x * wide[int(y > 0.0)] + draw.between("teat_x_mm", -7.0, 7.0),
+            middle[1] + spread * y * deep + draw.between("teat_y_mm", -8.0, 8.0),
+        )
+        shape = TeatShape(
+            draw.between("teat_length_mm", 118.0, 150.0), draw.between("teat_radius_mm", 9.5, 12.5)
+        )
+        lean, way = (
+            np.radians(draw.between("lean_deg", *lean_deg)),
+            draw.between("lean_way_rad", 0.0, 2.0 * np.pi),
+        )
+        x_tilt, y_tilt = np.arctan(np.tan(lean) * np.array([np.cos(way), np.sin(way)])).tolist()
+        teats.append(Teat(base, shape, (x_tilt, y_tilt)))
+    return Phantom(tuple(teats))
+
+
+# albedo, gloss and emissivity: matt dark, as the thesis's phantom; light with some gloss, as skin
+PAINTED = ("teat_albedo", "teat_gloss", "teat_emissivity")
+PAINTS = (
+    ((0.04, 0.10), (0.01, 0.07), (0.94, 0.97)),
+    ((0.32, 0.60), (0.02, 0.20), (0.94, 0.98)),
+)
+# where each lamp usually hangs, how far off it may be in x, y and z, and the range of its power
+LAMPS = (
+    ((450.0, -350.0, 1350.0), ((-250, 250), (-250, 200), (-150, 250)), (1.8, 3.0)),
+    ((-1300.0, -700.0, 1100.0), ((-200, 300), (-150, 250), (-150, 250)), (1.0, 1.9)),
+    ((0.0, 0.0, 0.0), ((-600, 300), (100, 700), (1300, 1700)), (0.5, 1.2)),
+)
+
+
+def lighting(draw: Draw, brightness: tuple[float, float] = (0.95, 1.35)) -> Lighting:
+    """Two lamps or three, about where the usual two hang."""
+    lamps = []
+    for number, (usual_mm, off_mm, power) in enumerate(LAMPS):
+        if number < 2 or draw.chance(0.3):
+            x, y, z = (
+                at + draw.between(f"lamp_{axis}_mm", *off)
+                for axis, at, off in zip("xyz", usual_mm, off_mm, strict=True)
+            )
+            lamps.append(Lamp((x, y, z), draw.between("lamp_power", *power)))
+    return Lighting(
+        draw.between("brightness", *brightness),
+        tuple(lamps),
+        draw.between("room_light", 0.40, 0.60),
+    )
+
+
+def backdrop(
+    draw: Draw,
+    board_albedo: tuple[float, float],
+    *,
+    texture: tuple[float, float] = (0.02, 0.07),
+    weave: Weave = "cloud",
+) -> Backdrop:
+    """A board of that albedo and texture behind a light table."""
+    return Backdrop(
+        board_albedo=draw.between("board_albedo", *board_albedo),
+        board_texture=draw.between("board_texture", *texture),
+        board_weave=weave,
+        table_albedo=draw.between("table_albedo", 0.25, 0.5),
+        table_texture=draw.between("table_texture", 0.05, 0.18),
+        table_weave=draw.weave("cloud", "planks", "grain"),
+        front_albedo=draw.between("front_albedo", 0.12, 0.30),
+        room_albedo=draw.between("room_albedo", 0.04, 0.2),
+        texture_seed=draw.count(0, 2**31),
+        board_k=draw.between("board_k", -0.4, 0.6),
+        table_k=draw.between("table_k", -0.6, 0.3),
+    )
+
+
+def posters(draw: Draw, count: int) -> tuple[Poster, ...]:
+    """Rectangles of any grey, all over the board."""
+    ranges = {
+        "poster_x_mm": (-900.0, 850.0),
+        "poster_z_mm": (60.0, 640.0),
+        "poster_width_mm": (20.0, 180.0),
+        "poster_height_mm": (10.0, 110.0),
+        "poster_albedo": (0.03, 0.9),
+    }
+    return tuple(
+        Poster(*(draw.between(name, *each) for name, each in ranges.items())) for _ in range(count)
+    )
+
+
+def cooler_bodies(draw: Draw, count: int) -> tuple[SceneObject, ...]:
+    """Legs, flanks and bellies behind the teats, a few kelvin cooler."""
+    things = []
+    for _ in range(count):
+        look = {
+            "offset_k": -draw.between("body_offset_k", 2.5, 7.0),
+            "albedo": draw.between("body_albedo", 0.1, 0.5),
+            "gloss": draw.between("body_gloss", 0.0, 0.06),
+        }
+        x, y = draw.between("body_x_mm", -420.0, 160.0), draw.between("body_y_mm", 390.0, 640.0)
+        if draw.chance(0.3):
+            look |= {
+                "z_mm": draw.between("body_z_mm", 140.0, 260.0),
+                "radius_mm": draw.between("body_radius_mm", 45.0, 95.0),
+            }
+        else:
+            radius = draw.between("body_radius_mm", 35.0, 80.0)
+            top = {
+                "radius_mm": radius,
+                "top_radius_mm": radius * draw.between("body_top_share", 0.6, 0.95),
+            }
+            look |= top | {"height_mm": draw.between("body_height_mm", 150.0, 330.0)}
+        kind = "cooler_body" if "height_mm" in look else "ball"
+        things.append(make_object(kind, x_mm=x, y_mm=y, **look))
+    return tuple(things)
+
+
+def plain(draw: Draw, phantom: Phantom, *objects: SceneObject) -> Situation:
+    """A neutral background: dark teats on light, or one time in three light on dark."""
+    light = draw.chance(1 / 3)
+    return Situation(
+        "", 0, "", phantom, objects,
+        lighting=lighting(draw),
+        teat_paint=Paint(
+            *(
+                draw.between(name, *each)
+                for name, each in zip(PAINTED, PAINTS[light], strict=True)
+            )
+        ),
+        backdrop=backdrop(draw, (0.05, 0.12) if light else (0.40, 0.68)),
+    )  # fmt: skip

@@ -1,0 +1,177 @@
+"""A situation: what stands where before the cameras, and whether it can be set up: no overlaps,
+ends within reach of arm and cameras. The cameras are a box of the thesis rig's bearings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from instruments.world.backdrop import Backdrop
+from instruments.world.boards import Board
+from instruments.world.objects import TEAT_PAINT, SceneObject
+from instruments.world.optics import Floats
+from instruments.world.phantom import Phantom
+from instruments.world.sensor import Exposure
+from instruments.world.shading import Lighting, Paint
+from instruments.world.solids import Bools, Hull
+from instruments.world.state import TEAT_FALL, SceneState
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """One member of a family: what stands where, light, paint, exposure; no temperatures of teats.
+    ``about`` tells a person in one sentence what to set up. ``cooler_k``: how much cooler each teat
+    is than the water makes it, empty for not at all; ``ends_cooler_k``: each end than its base, in
+    addition; ``room_c``: the surroundings, None for as they are.
+    """
+
+    name: str
+    seed: int
+    about: str
+    phantom: Phantom
+    objects: tuple[SceneObject, ...] = ()
+    boards: tuple[Board, ...] = ()
+    lighting: Lighting = field(default_factory=Lighting)
+    backdrop: Backdrop = field(default_factory=Backdrop)
+    teat_paint: Paint = TEAT_PAINT
+    exposure: Exposure = field(default_factory=Exposure)
+    cooler_k: tuple[float, ...] = ()
+    ends_cooler_k: float = 0.0
+    room_c: float | None = None
+
+    def state(
+        self, teat_temps_c: tuple[float, ...], hose_temp_c: float, ambient_c: float, **more: Any
+    ) -> SceneState:
+        """The scene at these temperatures of the plant; ``more`` are fields of `SceneState`."""
+        shared = {f.name for f in fields(SceneState)}
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name in shared}
+        if self.cooler_k:
+            teat_temps_c = tuple(np.subtract(teat_temps_c, self.cooler_k).tolist())
+        room_c = ambient_c if self.room_c is None else self.room_c
+        temperatures = {
+            "teat_temps_c": teat_temps_c,
+            "hose_temp_c": hose_temp_c,
+            "ambient_c": room_c,
+        }
+        if self.ends_cooler_k and teat_temps_c:
+            excess_k = max(float(np.mean(teat_temps_c)) - room_c, 1.0)
+            usual = more.get("teat_fall", TEAT_FALL)
+            more["teat_fall"] = usual + self.ends_cooler_k / excess_k
+        return SceneState(**(own | temperatures | more))
+
+
+# left, right, thermal
+EYES_MM = ((-263.0, -840.0, 62.0), (-163.0, -841.0, 62.0), (-212.0, -841.0, 62.0))
+# to the right, per mm away: the thermal camera's view and some room to spare
+BEARINGS = (-0.050, 0.225)
+RISE = 0.103
+REACH_MM = ((-330.0, 100.0, 60.0), (50.0, 420.0, 185.0))  # where the arm touches with ease
+STYLUS_MM = 12.0  # room around the stylus, which comes from above
+STYLUS_LONG_MM = 120.0
+GAP_MM = 2.0  # between things that don't touch
+
+
+def faults(situation: Situation) -> tuple[str, ...]:
+    """What is wrong with a situation, in words; nothing for one that can be set up."""
+    found, (low, high) = [], np.asarray(REACH_MM)
+    for i, end in enumerate(situation.phantom.ends_mm, 1):
+        x, y, z = end.tolist()
+        if not np.all((end >= low) & (end <= high)):
+            found.append(
+                f"the end of teat {i} at {end.round().tolist()} mm is out of the arm's reach"
+            )
+        stylus = Hull((x, y, z + STYLUS_MM + 1.0), (x, y, z + STYLUS_LONG_MM), 1.0, 1.0)
+        for thing in situation.objects:
+            if any(_gap(stylus, hull) < STYLUS_MM for hull in thing.hulls):
+                found.append(f"{thing.name} is in the way of touching teat {i}")
+        away = end - np.asarray(EYES_MM[2])
+        if not (BEARINGS[0] <= away[0] / away[1] <= BEARINGS[1] and abs(away[2] / away[1]) <= RISE):
+            found.append(f"the end of teat {i} is out of the cameras' view")
+    return (*found, *collisions(situation))
+
+
+def collisions(situation: Situation) -> Iterator[str]:
+    """Things that stand within each other, in words."""
+    teats = situation.phantom.teat_hulls()
+    for (i, one), (j, other) in combinations(enumerate(teats), 2):
+        if min(_gap(a, b) for a in one for b in other) < 0.0:
+            yield f"teats {i + 1} and {j + 1} stand in each other"
+    upright = [hull for hulls in teats for hull in hulls]
+    feet = situation.phantom.flange_hulls(), situation.phantom.udder_hulls()
+    solid = (*upright, *feet[0], *feet[1])
+    for thing in situation.objects:
+        if min(_gap(hull, mine) for hull in thing.hulls for mine in solid) < GAP_MM:
+            yield f"{thing.name} stands within the phantom"
+    for one_thing, other_thing in combinations(situation.objects, 2):
+        if min(_gap(a, b) for a in one_thing.hulls for b in other_thing.hulls) < GAP_MM:
+            yield f"{one_thing.name} and {other_thing.name} stand in each other"
+    for board in situation.boards:
+        u, v = np.meshgrid(np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 25))
+        points = board.placed(np.column_stack([u.ravel(), v.ravel()]) * board.pattern.size_mm)
+        for hull in (*solid, *(hull for thing in situation.objects for hull in thing.hulls)):
+            if _apart(points, hull).min() < GAP_MM:
+                yield f"{board.name} stands within something else"
+                break
+
+
+def hidden_ways(situation: Situation) -> Bools:
+    """Whether objects or boards hide each end (n,) from three eyes (n, 3); teats don't count."""
+    ends = situation.phantom.ends_mm
+    hidden = np.zeros((len(ends), len(EYES_MM)), dtype=np.bool_)
+    for e, eye in enumerate(EYES_MM):
+        for i, end in enumerate(ends):
+            way = Hull(eye, tuple(eye + 0.995 * (end - eye)), 0.01, 0.01)
+            solid = any(
+                _gap(way, hull) < 0.0 for thing in situation.objects for hull in thing.hulls
+            )
+            hidden[i, e] = solid or any(
+                _crosses(np.asarray(eye), end, board.outline_mm) for board in situation.boards
+            )
+    return hidden
+
+
+def _crosses(start: Floats, end: Floats, outline: Floats) -> bool:
+    """Whether a way passes through a rectangle (4, 3)."""
+    corner, across, along = outline[0], outline[1] - outline[0], outline[3] - outline[0]
+    part, u, v = np.linalg.solve(np.column_stack([end - start, -across, -along]), corner - start)
+    return bool(0.0 < part < 1.0 and 0.0 <= u <= 1.0 and 0.0 <= v <= 1.0)
+
+
+def _gap(one: Hull, other: Hull) -> float:
+    """Gap between two solids taken as round, so a little small for flat ends; negative: overlap."""
+    a, b = np.asarray(one.a_mm), np.asarray(one.b_mm)
+    t = np.linspace(0.0, 1.0, 33)
+    radii = one.radius_a_mm + t * (one.radius_b_mm - one.radius_a_mm)
+    return float((_apart(a + t[:, None] * (b - a), other) - radii).min())
+
+
+def _apart(points: Floats, hull: Hull) -> Floats:
+    """Gaps (n,) between points (n, 3) and a solid taken as round."""
+    a, span = np.asarray(hull.a_mm), np.subtract(hull.b_mm, hull.a_mm)
+    along = np.clip((points - a) @ span / max(float(span @ span), 1e-9), 0.0, 1.0)
+    away = np.linalg.norm(points - a - along[:, None] * span, axis=1)
+    return np.asarray(away - hull.radius_a_mm - along * (hull.radius_b_mm - hull.radius_a_mm))
+
+
+def apart(phantom: Phantom, eyes_mm: Sequence[tuple[float, float, float]]) -> float:
+    """Least gap between two teats in any view, in mm at the nearer one; negative where covered."""
+    least = np.inf
+    hulls = phantom.teat_hulls()
+    for eye in eyes_mm:
+        bearings = []
+        for solids in hulls:
+            ends = np.array([solids[0].a_mm, solids[-1].b_mm]) - np.asarray(eye)
+            x, y = ends[:, 0], ends[:, 1]
+            widest = max(hull.radius_a_mm for hull in solids)
+            bearings.append((x / y, widest / y.mean(), y.mean()))
+        for i, (one, r_one, y_one) in enumerate(bearings):
+            for other, r_other, y_other in bearings[i + 1 :]:
+                gaps = np.abs(one - other) - r_one - r_other
+                crossed = (one[0] - other[0]) * (one[1] - other[1]) <= 0.0
+                least = min(least, -1.0 if crossed else float(gaps.min()) * min(y_one, y_other))
+    return float(least)

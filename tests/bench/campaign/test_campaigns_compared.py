@@ -1,0 +1,106 @@
+"""`campaign compare`: two campaigns scene by scene, from rows whose differences are known."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.campaign.chunk import ASIDE, Rows, SceneRow, Taken, TeatRow
+from bench.campaign.plan import PerturbationTable, Plan, plan_text
+from bench.campaign.shards import Shards
+from tests.bench.commands import Said
+
+SCENES = 40
+MADE_BY = {"teatbench": "0.2.0 a", "rig": "emulated a", "calibration": "c", "detectors": "d 1 x"}
+
+
+def written(
+    folder: Path,
+    lost: int = 0,
+    *,
+    off_mm: float = 0.2,
+    frames: str = "00" * 8,
+    aside: int = 0,
+    plan: dict[str, Any] | None = None,
+) -> Path:
+    """A campaign of two families: `d` loses so many of the second, its ends are so far off."""
+    asked = Plan(**{"families": ("ideal", "overlapping"), "scenes": SCENES, **(plan or {})})
+    (folder / "shards").mkdir(parents=True)
+    (folder / "plan.toml").write_text(plan_text(asked, MADE_BY), encoding="utf-8")
+    for family in asked.families:
+        rows, teats = [], []
+        for member in range(SCENES):
+            key = (family, member, "d")
+            fails = family == "overlapping" and member < lost
+            row = SceneRow(*key, 2, 0, 2 - fails, fails, 0, 0, off_mm, off_mm, "", frames)
+            row = replace(row, failure="missed") if fails else row
+            rows.append(replace(row, failure=ASIDE) if member >= SCENES - aside else row)
+            teats.append(TeatRow(*key, 1, "found", 0.0, off_mm, 0.0))
+            teats.append(
+                TeatRow(*key, 2, "missed" if fails else "found", *[None if fails else 0.0] * 3)
+            )
+        Shards(folder).write(
+            family, 0, Rows(tuple(rows), tuple(teats), (Taken(0.1, 0.1),) * SCENES)
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def old(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("compared") / "old")
+
+
+def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None:
+    same = tmp_path / "same"
+    shutil.copytree(old, same)
+    lost = written(tmp_path / "lost", 12)
+    # 80 scenes without a change rule out a fall by more than 4.6 % points: Tango's z^2 / (n + z^2)
+    told = said(4, "campaign compare {} {} --gate", old, same).out
+    assert "fell by 4.6 % points (margin 1)" in " ".join(told.split())
+    met = said(0, "campaign compare {} {} --gate --margin-rate 0.05", old, same)
+    assert "The new one is not worse" in met.out
+    out = said(1, "campaign compare {} {} --gate --json --out {}", old, lost, tmp_path / "page")
+    (found,) = json.loads(out.out)
+    assert found["gate"]["verdict"] == "worse"
+    assert found["gate"]["margin_rate"] == 0.01
+    assert (found["scenes"], found["same_frames"]) == (2 * SCENES, 2 * SCENES)
+    everything, ideal, overlapping = found["rows"]
+    assert (everything["success"]["only_old"], everything["teats"]) == (12, 4 * SCENES - 12)
+    assert overlapping["success"]["p_value"] == pytest.approx(2 / 2**12)
+    assert (ideal["success"]["p_value"], ideal["new"]["missed"]) == (1.0, 0)
+    assert overlapping["new"]["missed"] == 12
+    html = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+    assert "in overlapping teats the share of right poses fell by 30.0 % points" in html
+    far = written(tmp_path / "far", off_mm=0.9)
+    grown = said(0, "campaign compare {} {}", old, far).out
+    assert "the mean distance to the teat end grew by 0.350 mm" in grown
+
+
+def test_other_pictures_are_compared_only_where_the_plans_say_why(
+    old: Path, tmp_path: Path, said: Said
+) -> None:
+    other = written(tmp_path / "other", frames="11" * 8)
+    why = said(2, "campaign compare {} {}", old, other).err
+    assert f"{2 * SCENES} scenes have other pictures" in why
+    assert "ideal-0000" in why
+    dirty = {"perturbations": (PerturbationTable(name="dirt", amount=9.0),)}
+    perturbed = written(tmp_path / "dirty", 3, frames="22" * 8, aside=2, plan=dirty)
+    out = said(0, "campaign compare {} {}", old, perturbed).out
+    assert "perturbations: none (old), dirt 9 (new)" in " ".join(out.split())
+    assert "not compared: 4 trials of the old run" in " ".join(out.split())
+
+
+def test_what_can_not_be_compared_is_refused(old: Path, tmp_path: Path, said: Said) -> None:
+    strict = written(tmp_path / "strict", plan={"limit_mm": 3.0})
+    assert "run both with one --limit-mm" in said(2, "campaign compare {} {}", old, strict).err
+    assert "has one detector, d" in said(2, "campaign compare {}", old).err
+    assert "no campaign is there" in said(2, "campaign compare {} {}", old, tmp_path).err
+    wrong = said(2, "campaign compare {} {} --detector e", old, strict).err
+    assert "no detector of those named" in wrong
+    (tmp_path / "strict" / "shards").rename(tmp_path / "strict" / "gone")
+    assert "no scene has been scored" in said(2, "campaign compare {} {}", old, strict).err
