@@ -94,7 +94,7 @@ DETECTORS = option(
     f"{DETECTOR_HELP}; may be given several times",
     many=True,
 )
-EVENTS = option("--events FILE", "also tell what goes on as JSON lines, for others to watch")
+EVENTS = option("--events FILE", "also write each event as a JSON line, for other programs")
 DESPITE_DAMAGE = flag(
     "--despite-damage",
     "go on though the record is not as it was written: nothing is decided by it then",
@@ -103,7 +103,7 @@ LISTEN = option("--listen HOST", "address to listen on", default="127.0.0.1")
 REPLACE = flag("--replace", "write over a file that is there")
 
 COMPARED = (
-    option("--detector NAME", "only this one; may be given several times", many=True),
+    option("--detector NAME", "compare only this detector; may be given several times", many=True),
     option(
         "--margin-mm MM",
         "how much larger an error may be (default: 5 %% of the limit)",
@@ -111,7 +111,7 @@ COMPARED = (
     ),
     option(
         "--confidence P",
-        "of the intervals",
+        "confidence of the intervals",
         number("a number from 0.5 to below 1, such as 0.95", least=0.5, below=1.0),
         0.95,
     ),
@@ -237,12 +237,13 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             nargs="?",
         ),
         RIG_OPTION,
-        option("--seed", "seed of all chance (default: the rig file's)", whole(0)),
+        option("--seed", "seed of all random numbers (default: the rig file's)", whole(0)),
         option("--record DIR", "also write a recording that 'teatbench score' reads"),
         flag("--realtime", "emulated rig only: let time pass as it does"),
         flag(
             "--dry-run", "move nothing: look at each pose, then go through all trials on emulators"
         ),
+        flag("--json", "with --dry-run: one JSON object with each finding by its trial"),
         OUT_RUNS,
         DETECTORS,
         EVENTS,
@@ -258,7 +259,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         DESPITE_DAMAGE,
     ),
     "control": (
-        "ask a run that goes on to pause, go on, skip REASON, repeat REASON or abort",
+        "tell a run under way to pause, go on, skip REASON, repeat REASON or abort",
         "control runs/20260601-120000-six-situations pause",
         RUN,
         option("words", "pause, go on, skip REASON, repeat REASON or abort", nargs="+"),
@@ -267,7 +268,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "(re)write the report of a run",
         "report runs/20260601-120000-six-situations --single-file",
         RUN,
-        option("--baseline RUN", "also hold it against this older run of the same scenes"),
+        option("--baseline RUN", "also compare it with this older run of the same scenes"),
         flag(
             "--single-file", "also write single-file.html for mail: pictures in it, at most 20 MB"
         ),
@@ -282,13 +283,13 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "a page in the browser: what a run is doing, what it asks, and a button that ends it",
         "console --runs runs",
         option("--runs DIR", "where run folders are", default=Path("runs")),
-        option("--port N", "of this machine (default: one that is free)", whole(0, 65535), 0),
+        option("--port N", "TCP port of this machine (default: a free one)", whole(0, 65535), 0),
         option(
             "--listen ADDRESS",
             "an address of this machine that others reach (default: 127.0.0.1, this machine alone)",
             default="127.0.0.1",
         ),
-        flag("--no-open", "don't open the page"),
+        flag("--no-open", "don't open the page in the browser"),
     ),
     "runs": (
         "list all runs with each detector's verdicts, and write a page over them",

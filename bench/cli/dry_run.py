@@ -4,7 +4,8 @@ by a rehearsal on emulators.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from shutil import disk_usage
@@ -38,6 +39,8 @@ def look_ahead(
     out: Path,
     detectors: Sequence[str] = (),
     seed: int | None = None,
+    *,
+    as_json: bool = False,
 ) -> int:
     """Print what a dry run finds, and what the run will need, kept in ``out``; gives back the exit
     code: 2 where something is wrong.
@@ -64,13 +67,27 @@ def look_ahead(
         *of_poses,
         *(one for one in again if (one.trial, one.kind) not in known),
     ]
+    trials, poses = len(script.planned), len({one.name for one in script.planned})
+    wanted = [] if findings else list(_needs(rig, script, out))
+    if as_json:
+        found = {
+            "trials": trials,
+            "poses": poses,
+            "gone_through": rehearsal.trials if rehearsal else 0,
+            "frame_sets_rendered": rehearsal.rendered if rehearsal else 0,
+            "findings": [asdict(finding) for finding in findings],
+            "recovered": dict(rehearsal.recovered) if rehearsal else {},
+            "not_checked": [*unchecked, *why_not],
+            "needs": wanted,
+        }
+        print(json.dumps(found, indent=1, ensure_ascii=False))
+        return CODES.wrong_use if findings else CODES.met
     for finding in findings[:SHOWN]:
         print(f"{finding.trial}: {finding.kind}: {finding.text}")
     if (more := len(findings) - SHOWN) > 0:
         print(f"and {more} more")
     for what in (*unchecked, *why_not):
         print(f"not checked: {what}")
-    trials, poses = len(script.planned), len({one.name for one in script.planned})
     if rehearsal:
         rendered = (
             f"; frames of {rehearsal.rendered} were rendered and checked, and each detector was"
@@ -92,7 +109,7 @@ def look_ahead(
         print(f"{many}: {len(findings)} {problems}. Nothing was moved.")
         return CODES.wrong_use
     print(f"{many}: nothing wrong. Nothing was moved.")
-    _print_needs(rig, script, out)
+    print(*wanted, sep="\n")
     return CODES.met
 
 
@@ -117,8 +134,8 @@ def _rehearsed(
         close_detectors(under_test)
 
 
-def _print_needs(rig: LoadedRig, script: LoadedScript, out: Path) -> None:
-    """Time, room and prompts; a warning where the room is not there."""
+def _needs(rig: LoadedRig, script: LoadedScript, out: Path) -> Iterator[str]:
+    """Time, room and prompts, a line each; a warning where the room is not there."""
     measured = read_durations(out, rig)
     by = (
         "by what earlier runs took" if measured else "by assumed times, see 'teatbench trials show'"
@@ -130,12 +147,12 @@ def _print_needs(rig: LoadedRig, script: LoadedScript, out: Path) -> None:
         if seconds >= 1
     )
     how = f"; the operator's {by}" if rig.rig.operator.url in PEOPLE else ""
-    print(f"about {_time(wanted.time.total_s)} of the bench's time: {parts}{how}")
+    yield f"about {_time(wanted.time.total_s)} of the bench's time: {parts}{how}"
     asked = ", ".join(f"{count} {what}" for what, count in wanted.asked.items() if count)
-    print(f"at most {wanted.disk_mb:.0f} MB and the report, {wanted.prompts} prompts: {asked}")
+    yield f"at most {wanted.disk_mb:.0f} MB and the report, {wanted.prompts} prompts: {asked}"
     there = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
     if (free_mb := disk_usage(there).free / 1e6) < wanted.disk_mb:
-        print(f"NOT ENOUGH ROOM: {free_mb:.0f} MB are free in {there}")
+        yield f"NOT ENOUGH ROOM: {free_mb:.0f} MB are free in {there}"
 
 
 def _time(seconds: float) -> str:

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 
 
 def run(given: argparse.Namespace) -> int:
+    if given.json and not given.dry_run:
+        raise ConfigError.plain(
+            "--json is for --dry-run. What a run found is JSON in its report/run.json."
+        )
     rig = load_rig(find_rig(given.rig))
     path = find_script(given.script)
     if is_offset_script(path):  # no instrument takes part
@@ -43,7 +47,7 @@ def run(given: argparse.Namespace) -> int:
     if given.dry_run:
         from bench.cli.dry_run import look_ahead
 
-        return look_ahead(rig, script, given.out, given.detector, given.seed)
+        return look_ahead(rig, script, given.out, given.detector, given.seed, as_json=given.json)
     if given.console:
         from bench.cli.console import beside
 

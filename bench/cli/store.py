@@ -160,7 +160,7 @@ def _show(found: Sequence[Comparison]) -> None:
             table = Table(title=title)
             for at, column in enumerate(page.columns):
                 name = f"{column.title}, {column.unit}" if column.unit else column.title
-                table.add_column(name, justify="right" if at else "left", no_wrap=not at)
+                table.add_column(name, justify="right" if at else "left", overflow="fold")
             for row in page.rows:
                 table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in row))
             console.print(table)

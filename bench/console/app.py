@@ -93,6 +93,7 @@ class Console:
             Route("/api/lease", self.take_lease, methods=["POST"]),
             Route(one, self.snapshot),
             Route(f"{one}/stream", self.stream),
+            Route(f"{one}/thumbnails", self.thumbnails),
             Route(f"{one}/trials", self.trials),
             Route(f"{one}/trials/{{trial}}/{{camera}}", self.frame),
             Route(f"{one}/live/{{camera}}", self.live_frame),
@@ -155,6 +156,11 @@ class Console:
     async def trials(self, request: Request) -> Response:
         return JSONResponse({"trials": await _off(watching.trials, self._folder(request))})
 
+    async def thumbnails(self, request: Request) -> Response:
+        """The worst trial's frames, small: ``[[what it is, JPEG in base64], ...]``."""
+        found = await _off(watching.thumbnails, self._folder(request))
+        return JSONResponse({"thumbnails": found})
+
     async def frame(self, request: Request) -> Response:
         at = request.path_params
         return _picture(
@@ -214,8 +220,7 @@ class Console:
 
     async def dry_run(self, request: Request) -> Response:
         arguments = await self._chosen(await _body(request))
-        code, text = await _off(starting.dry_run, arguments, self.runs)
-        return JSONResponse({"exit_code": code, "text": text})
+        return JSONResponse(await _off(starting.dry_run, arguments, self.runs))
 
     async def start(self, request: Request) -> Response:
         given = await _body(request)

@@ -4,6 +4,7 @@ rig, a script and detectors from the lists made here; it never gives a path or a
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -12,6 +13,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from bench.rig.loading import NO_RIGS, RIGS, shipped
 from bench.script.detectors import declared
@@ -72,18 +74,24 @@ def _has(path: Path, table: str) -> bool:
         return False
 
 
-def dry_run(arguments: Sequence[str], runs: Path) -> tuple[int, str]:
-    """Exit code and text of the dry run of these arguments. Raises NotStartedError."""
+def dry_run(arguments: Sequence[str], runs: Path) -> dict[str, Any]:
+    """``exit_code`` of the dry run of these arguments; what it ``found``, as `--json` prints it;
+    None with a ``text`` that says why it was refused.
+    """
     done = subprocess.run(
-        [*_bench(), *arguments, "--out", str(runs), "--dry-run"],
+        [*_bench(), *arguments, "--out", str(runs), "--dry-run", "--json"],
         stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
+        capture_output=True,
         encoding="utf-8",
         errors="replace",
         check=False,
     )
-    return done.returncode, done.stdout
+    try:
+        found = json.loads(done.stdout)
+    except ValueError:
+        found = None
+    text = (done.stderr.strip() or done.stdout)[-TAIL:]
+    return {"exit_code": done.returncode, "found": found, "text": "" if found else text}
 
 
 def start(arguments: Sequence[str], runs: Path, clock: Clock, known: str = "") -> str:

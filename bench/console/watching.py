@@ -11,6 +11,7 @@ import json
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from bench.config import ConfigError, read_calibration
 from bench.record.reader import TrialRecord, opened, read_run
 from bench.record.schema import DATABASE
+from bench.report.runs import run_thumbnails
 from bench.report.trials import project_all
 from bench.run.events import EVENTS_FILE
 from bench.run.live import CAMERAS, LIVE
@@ -62,10 +64,12 @@ def _card(folder: Path) -> dict[str, Any]:
         stored = db.execute("SELECT key, value FROM facts").fetchall()
         (done,) = db.execute("SELECT COUNT(*) FROM trials").fetchone()
     facts = {key: json.loads(value) for key, value in stored}
+    ending = "under way" if under_way(folder) else facts.get("ending", "interrupted")
     verdicts: dict[str, str] = {}
-    with suppress(OSError, ValueError, KeyError):
-        written = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
-        verdicts = {one["detector"]: one["verdict"] for one in written["judgements"]}
+    if ending == "finished":  # part of a run has no verdict
+        with suppress(OSError, ValueError, KeyError):
+            written = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
+            verdicts = {one["detector"]: one["verdict"] for one in written["judgements"]}
     return {
         "name": folder.name,
         "title": facts["title"],
@@ -77,7 +81,7 @@ def _card(folder: Path) -> dict[str, Any]:
         "detectors": facts["detectors"],
         "set_point_c": facts.get("set_point_c"),
         "started": facts["wall_started"],
-        "ending": "under way" if under_way(folder) else facts.get("ending", "interrupted"),
+        "ending": ending,
         "verdicts": verdicts,
         "report": (folder / RUN_JSON).is_file(),
     }
@@ -95,6 +99,16 @@ def snapshot(folder: Path) -> dict[str, Any]:
         "events": last,
         "number": last[-1]["number"] if last else 0,
     }
+
+
+def thumbnails(folder: Path) -> tuple[tuple[str, str], ...]:
+    """Small frames of the worst trial that has its truth: what each is, and JPEG in base64."""
+    return _thumbnails(folder, (folder / DATABASE).stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=256)
+def _thumbnails(folder: Path, _: int) -> tuple[tuple[str, str], ...]:
+    return tuple(run_thumbnails(read_run(folder)))
 
 
 def live(folder: Path) -> dict[str, Any] | None:

@@ -174,7 +174,7 @@ def _listed(folder: Path) -> ListedRun:
             planned=facts.get("planned"),
             results=tuple(_results(run)),
             damage=damage,
-            thumbnails=tuple(_thumbnails(run)),
+            thumbnails=tuple(run_thumbnails(run)),
         )
 
 
@@ -200,7 +200,7 @@ def _results(run: RunRecord) -> Iterator[DetectorResult]:
         )
 
 
-def _thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:
+def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:
     """The views of the worst trial, or of the first where none failed, cut to the teats."""
     trial: TrialRecord | None = next(iter((*worst_trials(run), *run.trials)), None)
     if trial is None:

@@ -12,6 +12,7 @@ sessionStorage.setItem("client", CLIENT);
 const NAME = /Mobi|Android/.test(navigator.userAgent) ? "a telephone or tablet" : "a computer's browser";
 const RETRY_MS = 1000, EVENTS = 40, TONES = ["#2fbf71", "#e5533d", "#3d8fe5", "#c678dd", "#e5a13d"];
 const SHOWN = { left: "left camera", right: "right camera", thermal: "thermal camera" };
+const BAD = ["trip", "fault", "dropped out", "invalid"]; // kinds of events
 const main = document.getElementById("main"), controls = document.getElementById("controls");
 const byId = (id) => document.getElementById(id);
 
@@ -35,7 +36,7 @@ async function ask(path, body) {
   const options = body === undefined
     ? { headers: headers() }
     : { method: "POST", headers: headers({ "Content-Type": "application/json" }), body: JSON.stringify(body) };
-  const answer = await fetch(`/api${path}`, options);
+  const answer = await fetch(`/api${path}`, options).catch(() => { throw new Error("The console can't be reached. The page says when it can again."); });
   const found = await answer.json().catch(() => ({ error: answer.statusText }));
   if (!answer.ok) throw Object.assign(new Error(found.error), { status: answer.status });
   return found;
@@ -46,7 +47,8 @@ async function picture(path) {
 }
 function minutes(seconds) {
   if (seconds === null || seconds === undefined) return "";
-  return seconds < 90 ? `${Math.round(seconds)} s` : `${Math.round(seconds / 60)} min`;
+  if (seconds < 90) return `${Math.round(seconds)} s`;
+  return seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;
 }
 const number = (value, unit, digits = 2) => (value === null || value === undefined ? "–" : `${value.toFixed(digits)} ${unit}`);
 
@@ -86,12 +88,19 @@ async function follow(name) {
       if (mine.signal.aborted) return;
     }
     said("no connection to the console: trying again. The run goes on.", true);
-    await new Promise((then) => setTimeout(then, RETRY_MS));
+    await new Promise((then) => { setTimeout(then, RETRY_MS); addEventListener("online", then, { once: true }); });
   }
 }
-// a connection that says nothing for long is a dead one: the server sends a comment every 10 s
+// a connection that says nothing for long is a dead one (the server sends a comment every 10 s), and
+// so is one from before the network went
 function quickly(promise) {
-  return Promise.race([promise, new Promise((_, fail) => setTimeout(() => fail(new Error("silence")), 25000))]);
+  const after = new AbortController();
+  const dead = new Promise((_, fail) => {
+    const lost = setTimeout(() => fail(new Error("silence")), 25000);
+    addEventListener("offline", () => fail(new Error("no network")), { signal: after.signal });
+    after.signal.addEventListener("abort", () => clearTimeout(lost));
+  });
+  return Promise.race([promise, dead]).finally(() => after.abort());
 }
 function said(text, lost = false) {
   byId("connection").textContent = text;
@@ -99,11 +108,10 @@ function said(text, lost = false) {
 }
 function heard(kind, value) {
   if (kind === "snapshot") {
-    const asked = run.prompt;
     Object.assign(run, value, { name: run.name });
     page();
-    if (asked && value.prompt && asked.number === value.prompt.number) prompted(value.prompt);
   } else if (kind === "event") {
+    if (value.what === "doing") { run.doing = value.text; doing(); }
     if (["event", "warning"].includes(value.what)) {
       run.events.push(value);
       run.events.splice(0, run.events.length - EVENTS);
@@ -114,7 +122,7 @@ function heard(kind, value) {
   } else {
     run[kind] = value;
     if (kind === "live") live();
-    if (kind === "prompt") prompted(value);
+    if (kind === "prompt") { prompted(value); doing(); }
     if (kind === "lease") leased();
   }
 }
@@ -127,56 +135,88 @@ async function refreshed(tries = 40) {
 }
 const at = (path) => `/runs/${encodeURIComponent(run.name)}${path}`;
 
+const heading = (text) => make("h2", {}, text);
+const card = (given, ...children) => make("section", { ...given, className: `card ${given.className || ""}` }, ...children);
 function page() {
   byId("title").textContent = run.run.title;
+  run.framesShown = run.lastTrial = undefined;
+  // a prompt that was there before the connection was lost keeps what was ticked and typed
+  const kept = run.prompt && run.asked === run.prompt.number ? byId("ask") : null;
+  if (!kept) run.asked = 0;
+  run.doing = run.events.findLast((one) => one.what === "doing")?.text || "";
   main.replaceChildren(
-    make("section", { id: "ask", className: "card", hidden: true, "aria-live": "assertive" }),
-    make("section", { id: "problem", className: "card bad", hidden: true, role: "alert" }),
-    make("section", { id: "tip", className: "card", hidden: true }),
-    make("section", { className: "card wide" }, make("p", { id: "doing", className: "big" }), make("p", { id: "trial", className: "soft" }), make("progress", { id: "done", max: 1, value: 0, "aria-label": "trials done" }), make("div", { id: "ending" })),
-    make("section", { id: "bath", className: "card third" }, make("h2", {}, "Bath"), make("p", { id: "temperature", className: "huge" }, "–"), make("p", { id: "gate", className: "soft" })),
-    make("section", { className: "card half" }, make("h2", {}, "Temperature of the bath"), make("div", { id: "curve" })),
-    make("section", { className: "card half" }, make("h2", {}, "What happened"), make("ol", { id: "log", className: "log", tabIndex: 0, ariaLabel: "what happened" })),
-        make("section", { id: "seen", className: "card", hidden: true }, make("h2", {}, "Last frames"), make("div", { id: "frames", className: "frames" })),
-    make("section", { id: "result", className: "card", hidden: true }, make("h2", {}, "Last trial with its truth"), make("div", { id: "scored" })),
-    make("section", { className: "card" }, make("h2", {}, "Instruments and interlocks"), make("ul", { id: "instruments", className: "chips" }), make("p", { id: "tripped", className: "big bad" }), make("details", {}, make("summary", { id: "armed" }), make("ul", { id: "interlocks", className: "chips" }))),
+    card({ id: "tip", hidden: true }),
+    kept || card({ id: "ask", hidden: true, "aria-live": "assertive" }),
+    card({ id: "problem", className: "bad", hidden: true, role: "alert" }),
+    card({ className: "wide" }, make("p", { id: "doing", className: "big" }), make("p", { id: "step", className: "step" }), make("p", { id: "tripped", className: "big bad" }), make("p", { id: "trial", className: "soft" }), make("progress", { id: "done", max: 1, value: 0, ariaLabel: "trials done" }), make("div", { id: "ending" })),
+    card({ id: "bath", className: "third" }, heading("Bath"), make("p", { id: "temperature", className: "huge" }, "–"), make("p", { id: "gate", className: "soft" })),
+    card({ className: "half" }, heading("Temperature of the bath"), make("div", { id: "curve" }), make("p", { className: "soft" }, "Dashed: set point. Shaded: its band.")),
+    card({ className: "half" }, heading("What happened"), make("ol", { id: "log", className: "log", tabIndex: 0, ariaLabel: "what happened" })),
+    card({ id: "seen", hidden: true }, heading("Last frames"), make("div", { id: "frames", className: "frames" })),
+    card({ id: "result", hidden: true }, heading("Last trial with its truth"), make("div", { id: "scored" })),
+    card({ id: "health" }, heading("Instruments and interlocks"), make("ul", { id: "instruments", className: "chips" }), make("details", {}, make("summary", { id: "armed" }), make("ul", { id: "interlocks", className: "chips" }))),
   );
-  controls.hidden = run.run.ending !== "under way";
+  const under = run.run.ending === "under way";
+  controls.hidden = !under;
   chart(); events(); prompted(run.prompt); leased(); live(); ended(); trials();
 }
 let plot = null;
+const CHART_PX = 215;
+function curves() {
+  const [at, celsius] = run.curve, flat = (value) => at.map(() => value), set = run.run.set_point_c, band = run.band_k;
+  return [at, celsius, flat(set), flat(band ? set - band : null), flat(band ? set + band : null)];
+}
 function chart() {
   const place = byId("curve"), style = getComputedStyle(document.documentElement);
-  const soft = style.getPropertyValue("--soft"), line = style.getPropertyValue("--line");
-  const axis = { stroke: soft, grid: { stroke: line, width: 1 }, ticks: { stroke: line } };
-  const set = run.run.set_point_c;
+  const colour = (name) => style.getPropertyValue(`--${name}`);
+  const axis = { stroke: colour("soft"), grid: { stroke: colour("line"), width: 1 }, ticks: { stroke: colour("line") } };
+  const set = run.run.set_point_c, line = (name, more = {}) => ({ stroke: name && colour(name), points: { show: false }, ...more });
+  const clock = (s) => `${Math.floor(s / 60)}:${String(Math.round(s % 60)).padStart(2, "0")}`;
   plot = new uPlot({
-    width: Math.max(240, place.clientWidth), height: 215, cursor: { show: false },
+    width: Math.max(240, place.clientWidth), height: CHART_PX, cursor: { show: false }, legend: { show: false },
     scales: { x: { time: false }, y: { range: (_, low, high) => [Math.min(low, set - 0.5), Math.max(high, set + 0.5)] } },
-    axes: [{ ...axis, label: "minutes", values: (_, at) => at.map((s) => +(s / 60).toFixed(1)) }, { ...axis, label: "°C", size: 60 }],
-    series: [{}, { stroke: style.getPropertyValue("--accent"), width: 2, points: { show: false } }, { stroke: style.getPropertyValue("--good"), width: 1, dash: [6, 6], points: { show: false } }],
-  }, [run.curve[0], run.curve[1], run.curve[0].map(() => set)], place);
-  new ResizeObserver(() => plot.setSize({ width: Math.max(240, place.clientWidth), height: 215 })).observe(place);
+    axes: [{ ...axis, label: "minutes:seconds", space: 70, incrs: [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600], values: (_, at) => at.map(clock) }, { ...axis, label: "°C", size: 60 }],
+    series: [{}, line("accent", { width: 2 }), line("good", { width: 1, dash: [6, 6] }), line(""), line("")],
+    bands: [{ series: [4, 3], fill: colour("band") }],
+  }, curves(), place);
+  new ResizeObserver(() => plot.setSize({ width: Math.max(240, place.clientWidth), height: CHART_PX })).observe(place);
+}
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (run && byId("curve")) { byId("curve").replaceChildren(); chart(); } });
+function doing() {
+  const place = byId("step");
+  if (!place) return;
+  const under = run.run.ending === "under way";
+  place.textContent = !under ? "" : run.prompt ? "waiting for an answer" : run.doing;
 }
 function live() {
-  const now = run.live;
-  const under = run.run.ending === "under way";
+  const now = run.live, under = run.run.ending === "under way";
   byId("doing").textContent = now ? words(now.state) + (now.paused ? ", a pause is asked for" : "") : under ? "waiting for the run to say how it is" : words(run.run.ending);
-  if (!now) { byId("tip").hidden = byId("seen").hidden = true; return; }
+  doing();
+  byId("health").hidden = !now;
+  if (!now) {
+    byId("tip").hidden = byId("seen").hidden = true;
+    byId("temperature").className = "huge soft";
+    byId("temperature").textContent = number(run.curve[1].at(-1), "°C");
+    byId("gate").textContent = run.curve[1].length ? "last reading of this run; nothing is read now" : "no reading yet";
+    return;
+  }
   const left = now.left_s === null ? "" : `, about ${minutes(now.left_s)} left`;
-  byId("trial").textContent = `${now.done} of ${now.planned} trials done${left}${now.pose ? `; now: ${now.pose}` : ""}`;
+  const trial = now.pose && now.done < now.planned ? `Trial ${now.done + 1} of ${now.planned} (${now.pose})` : `${now.done} of ${now.planned} trials done`;
+  byId("trial").textContent = trial + left;
   byId("done").max = now.planned || 1;
   byId("done").value = now.done;
   byId("pause").textContent = now.paused ? "Go on" : "Pause";
   const bath = now.bath;
+  run.band_k = bath.band_k;
   byId("temperature").textContent = number(bath.temp_c, "°C");
   const steady = bath.state === "stable";
   byId("temperature").className = steady ? "huge good" : "huge warn";
-  byId("gate").textContent = `${steady ? "stable" : words(bath.state)} at ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}. ${bath.why_not_stable}`);
+  const why = bath.why_not_stable && !run.doing.includes("waiting for the bath") ? ` ${words(bath.why_not_stable)}.` : "";
+  byId("gate").textContent = `${bath.state}${bath.state === "heating" ? " to" : " at"} ${number(bath.set_point_c, "°C", 1)} ± ${number(bath.band_k, "K")}` + (steady ? "" : `; stable in about ${minutes(bath.stable_in_s)}.${why}`);
   if (plot && bath.t_s !== null && bath.t_s > (run.curve[0].at(-1) ?? -1)) {
     run.curve[0].push(bath.t_s); run.curve[1].push(bath.temp_c);
     if (run.curve[0].length > 1200) run.curve = run.curve.map((one) => one.filter((_, k) => k % 2 === 0));
-    plot.setData([run.curve[0], run.curve[1], run.curve[0].map(() => bath.set_point_c)]);
+    plot.setData(curves());
   }
   byId("instruments").replaceChildren(...Object.entries(now.instruments).map(([name, health]) => make("li", { className: health === "ok" ? "" : "bad" }, `${name}: ${health}`)));
   byId("interlocks").replaceChildren(...now.interlocks.map((one) => make("li", { className: one.state === "tripped" ? "bad" : "" }, `${one.name}: ${one.state}`)));
@@ -187,17 +227,28 @@ function live() {
   if (now.frames && now.frames !== run.framesShown) { run.framesShown = now.frames; frames(); }
 }
 const words = (text) => text.charAt(0).toUpperCase() + text.slice(1);
+const ROUND_MM = 45; // what the plan shows around the teats
 function tip(now) {
   const place = byId("tip");
   place.hidden = !now.tip;
   if (!now.tip) return;
-  const near = now.tip.nearest ? [make("p", { className: "huge" }, `${now.tip.away_mm.toFixed(0)} mm`), make("p", { className: "big" }, `off ${now.tip.nearest}`)] : [];
-  const all = [...now.ends.map((end) => end.mm), now.tip.mm];
-  const [low, high] = [0, 1].map((k) => [Math.min(...all.map((p) => p[k])) - 25, Math.max(...all.map((p) => p[k])) + 25]);
-  const plan = draw("svg", { viewBox: `${low[0]} ${-high[1]} ${low[1] - low[0]} ${high[1] - high[0]}`, role: "img", "aria-label": "teat ends and tip from above" });
-  for (const end of now.ends) plan.append(draw("circle", { cx: end.mm[0], cy: -end.mm[1], r: 7, fill: "none", stroke: "currentColor", "stroke-width": 1.5 }));
-  plan.append(draw("circle", { cx: now.tip.mm[0], cy: -now.tip.mm[1], r: 4, fill: "var(--bad)" }));
-  place.replaceChildren(make("div", {}, make("h2", {}, "The tip"), ...near), plan);
+  const asked = now.ends.find((end) => run.prompt?.text.includes(end.name));
+  const wrong = asked && now.tip.nearest && asked.name !== now.tip.nearest;
+  const near = now.tip.nearest ? [make("p", { className: "huge" }, `${now.tip.away_mm.toFixed(0)} mm`), make("p", { className: wrong ? "big warn" : "big" }, `off ${now.tip.nearest}`)] : [];
+  if (wrong) near.push(make("p", { className: "soft" }, `asked for: ${asked.name}`));
+  const ends = now.ends.map((end) => end.mm), all = ends.length ? ends : [now.tip.mm];
+  const edge = (k, most, sign) => most(...all.map((mm) => mm[k])) + sign * ROUND_MM;
+  const [left, right, bottom, top] = [edge(0, Math.min, -1), edge(0, Math.max, 1), edge(1, Math.min, -1), edge(1, Math.max, 1)];
+  const plan = draw("svg", { viewBox: `${left} ${-top} ${right - left} ${top - bottom}`, role: "img", "aria-label": "teat ends and tip from above, cameras below" });
+  for (const end of now.ends) {
+    const [x, y] = [end.mm[0], -end.mm[1]], short = end.name.match(/\((\w+)\)/)?.[1] || end.name.match(/\d+/)?.[0] || "";
+    plan.append(draw("circle", { cx: x, cy: y, r: 9, class: end === asked ? "end asked" : "end" }), draw("text", { x, y: y - 13, class: "name" }, short));
+  }
+  const held = (value, low, high) => Math.min(Math.max(value, low + 7), high - 7);
+  const [x, y] = [held(now.tip.mm[0], left, right), -held(now.tip.mm[1], bottom, top)];
+  const inside = x === now.tip.mm[0] && y === -now.tip.mm[1]; // else it is shown at the edge, hollow
+  plan.append(draw("circle", { cx: x, cy: y, r: 5, class: inside ? "tip" : "tip far" }));
+  place.replaceChildren(make("div", {}, heading("The tip"), ...near), plan);
 }
 async function frames() {
   byId("seen").hidden = false;
@@ -225,8 +276,9 @@ async function trials() {
     const image = new Image();
     image.src = src;
     await image.decode().catch(() => null);
-    const [w, h] = [image.naturalWidth, image.naturalHeight], r = w / 60;
-    const view = draw("svg", { viewBox: `0 0 ${w} ${h}`, role: "img", "aria-label": `${SHOWN[camera]} with truth and answers` });
+    const [w, h] = [image.naturalWidth, image.naturalHeight];
+    const [x0, y0, wide] = cut(last, camera, w, h), r = wide / 45;
+    const view = draw("svg", { viewBox: `${x0} ${y0} ${wide} ${(wide * 3) / 4}`, role: "img", "aria-label": `${SHOWN[camera]} with truth and answers` });
     view.append(draw("image", { href: src, width: w, height: h }));
     (last.px[camera] || []).forEach(([across, y], k) => {
       const x = last.mirrored.includes(camera) ? w - 1 - across : across;
@@ -236,21 +288,40 @@ async function trials() {
     });
     views.push(make("figure", {}, view, make("figcaption", {}, SHOWN[camera])));
   }
+  const key = (mark, colour, text) => { const shown = make("b", {}, mark); shown.style.color = colour; return make("span", {}, shown, ` ${text}`); };
   byId("result").hidden = false;
-  byId("scored").replaceChildren(make("p", { className: "big" }, `${last.name} (${last.situation})`), make("div", { className: "scroll" }, make("table", {}, make("tbody", {}, ...scores))), make("div", { className: "frames" }, ...views), make("p", { className: "soft" }, `Circles: truth. Crosses: ${names.join(", ")}.`));
+  byId("scored").replaceChildren(make("p", { className: "big" }, `${last.name} (${last.situation})`), make("div", { className: "scroll" }, make("table", {}, make("tbody", {}, ...scores))), make("div", { className: "frames" }, ...views), make("p", { className: "key" }, key("◯", TONES[0], "truth"), ...names.map((name) => key("✛", tone(name), name))));
+}
+// the part of a picture round the teats, 4:3: left, top and width
+function cut(trial, camera, w, h) {
+  const seen = (trial.px[camera] || []).filter((_, k) => trial.marks[k].of === "truth");
+  if (!seen.length || camera === "thermal") return [0, 0, w];
+  const xs = seen.map(([x]) => (trial.mirrored.includes(camera) ? w - 1 - x : x)), ys = seen.map(([, y]) => y);
+  const span = Math.max(Math.max(...xs) - Math.min(...xs), (Math.max(...ys) - Math.min(...ys)) * 4 / 3);
+  const wide = Math.min(w, (h * 4) / 3, span * 1.5 + w / 8);
+  const middle = (all, size, most) => Math.max(0, Math.min(most - size, (Math.min(...all) + Math.max(...all)) / 2 - size / 2));
+  return [middle(xs, wide, w), middle(ys, (wide * 3) / 4, h), wide];
 }
 function events() {
   const lines = run.events.filter((one) => ["event", "warning"].includes(one.what)).reverse();
-  byId("log").replaceChildren(...lines.map((one) => make("li", { className: one.what === "warning" ? "bad" : "" }, `${one.wall_time.slice(11, 19)} ${one.kind ? one.kind + ": " : ""}${one.text}`)));
+  byId("log").replaceChildren(...lines.map((one) => make("li", { className: one.what === "warning" || BAD.includes(one.kind) ? "bad" : "" }, `${one.wall_time.slice(11, 19)} ${one.kind ? one.kind + ": " : ""}${one.text}`)));
 }
+const resumed = (name) => started(ask(`/runs/${encodeURIComponent(name)}/resume`, {}));
+const verdicts = (known) => Object.entries(known.verdicts).map(([name, verdict]) => make("li", { className: { met: "good", "not met": "bad" }[verdict] || "warn" }, `${name}: ${verdict}`));
+const resumable = (known) => !["under way", "finished"].includes(known.ending);
 function ended() {
   const known = run.run, under = known.ending === "under way";
   controls.hidden = !under;
-  const verdicts = Object.entries(known.verdicts).map(([name, verdict]) => make("p", { className: "big" }, `${name}: ${verdict}`));
-  const report = known.report ? make("button", { onclick: () => report_of(run.name) }, "Open the report") : null;
-  const again = !under && known.ending !== "finished" ? make("button", { className: "quiet", onclick: () => started(ask(at("/resume"), {})) }, "Resume this run") : null;
-  byId("ending").replaceChildren(...(under ? [] : [...verdicts, make("p", { className: "row" }, report, again)]));
-  if (!under) { byId("trial").textContent = `${known.done} of ${known.planned ?? "?"} trials done`; byId("done").max = known.planned || 1; byId("done").value = known.done; if (!run.live) byId("doing").textContent = words(known.ending); }
+  if (under) { byId("ending").replaceChildren(); return; }
+  const trip = run.events.findLast((one) => one.kind === "trip");
+  byId("tripped").textContent = known.ending !== "finished" && trip ? trip.text : "";
+  byId("ending").replaceChildren(
+    make("ul", { className: "chips large" }, ...verdicts(known)),
+    make("p", { className: "row" }, known.report ? make("button", { onclick: () => report_of(run.name) }, "Open the report") : null, resumable(known) ? make("button", { className: "quiet", onclick: () => resumed(run.name) }, "Resume this run") : null));
+  byId("trial").textContent = `${known.done} of ${known.planned ?? "?"} trials done`;
+  byId("done").max = known.planned || 1;
+  byId("done").value = known.done;
+  if (!run.live) live();
 }
 async function report_of(name) {
   const tab = window.open("", "_blank");
@@ -265,6 +336,7 @@ function problem(text) {
 }
 
 // ---- prompts ----
+const REASONS = ["a teat came off", "the set-up can't be made", "an instrument is at fault"];
 async function prompted(prompt) {
   const place = byId("ask");
   if (!place) return;
@@ -282,20 +354,30 @@ async function prompted(prompt) {
       for (const button of place.querySelectorAll("button")) button.disabled = false;
     }
   };
-  const hidden = [...Array(prompt.hidden_to).keys()].map((k) => make("label", {}, make("input", { type: "checkbox", value: String(k + 1) }), `teat ${k + 1}`));
+  const text = prompt.text.split("\n").filter((line) => !line.startsWith("Picture: "));
+  const detail = text.findIndex((line) => line.startsWith("On the plate"));
+  const said_big = text.slice(0, detail < 0 ? undefined : detail), said_small = detail < 0 ? [] : text.slice(detail);
+  const called = (k) => prompt.text.match(new RegExp(`teat ${k}(, [^:\n]{1,40}?\\(\\w+\\))?`))?.[0] || `teat ${k}`;
+  const hidden = [...Array(prompt.hidden_to).keys()].map((k) => make("label", { className: "choice" }, make("input", { type: "checkbox", value: String(k + 1) }), called(k + 1)));
   const chosen = () => hidden.map((one) => one.firstChild).filter((box) => box.checked).map((box) => box.value).join(" ");
-  const why = make("input", { type: "text", id: "why", placeholder: "why?", ariaLabel: "why the trial is skipped", maxLength: 200 });
-  const skip = () => (why.value.trim() ? answer(`skip ${why.value}`) : (problem("A skipped trial needs a reason, for the record."), why.focus()));
   const buttons = [make("button", { className: "done", id: "answer-done", onclick: () => answer(chosen() ? `hidden ${chosen()}` : "go") }, "Done")];
-  if (prompt.in_trial) buttons.push(make("button", { className: "quiet", id: "answer-repeat", onclick: () => answer("repeat") }, "Repeat the trial"), make("span", { className: "row" }, why, make("button", { className: "quiet", id: "answer-skip", onclick: skip }, "Skip the trial")));
+  let skipping = null;
+  if (prompt.in_trial) {
+    const why = make("input", { type: "text", id: "why", placeholder: "another reason", ariaLabel: "why the trial is skipped", maxLength: 200 });
+    const skip = () => (why.value.trim() ? answer(`skip ${why.value}`) : (problem("A skipped trial needs a reason, for the record."), why.focus()));
+    skipping = make("p", { className: "row", id: "skipping", hidden: true }, ...REASONS.map((reason) => make("button", { className: "quiet", onclick: () => answer(`skip ${reason}`) }, words(reason))), why, make("button", { className: "quiet", id: "answer-skip", onclick: skip }, "Skip for this reason"));
+    const open = make("button", { className: "quiet", id: "skip", ariaExpanded: "false", onclick: () => { skipping.hidden = !skipping.hidden; open.ariaExpanded = String(!skipping.hidden); } }, "Skip the trial …");
+    buttons.push(make("button", { className: "quiet", id: "answer-repeat", onclick: () => answer("repeat") }, "Repeat the trial"), open);
+  }
   if (prompt.enough) buttons.push(make("button", { className: "quiet", onclick: () => answer("enough") }, "Enough"));
-  const text = prompt.text.split("\n").filter((line) => !line.startsWith("Picture: ")).join("\n");
   place.replaceChildren(
-    make("p", { className: "soft" }, prompt.progress), make("p", { className: "what" }, text),
-    ...(hidden.length ? [make("p", { className: "soft" }, "Teat ends that a camera can't see:"), make("p", { className: "row" }, ...hidden)] : []),
-    make("p", { className: "row" }, ...buttons),
+    make("div", { className: "words" },
+      make("p", { className: "soft" }, prompt.progress), make("p", { className: "what" }, said_big.join("\n")),
+      ...(said_small.length ? [make("details", { open: innerWidth >= 600 }, make("summary", {}, said_small[0]), make("p", { className: "coordinates" }, said_small.slice(1).join("\n")))] : []),
+      ...(hidden.length ? [make("p", {}, "Tick the teat ends that a camera can't see:"), make("p", { className: "row" }, ...hidden)] : []),
+      make("p", { className: "row answers" }, ...buttons), skipping,
+      make("details", {}, make("summary", {}, "What does each answer do?"), make("pre", {}, prompt.explained))),
     make("div", { className: "view" }),
-    make("details", {}, make("summary", {}, "What does each answer do?"), make("pre", {}, prompt.explained)),
   );
   leased();
   sounded();
@@ -306,6 +388,7 @@ async function prompted(prompt) {
 }
 function leased() {
   const mine = !run.lease?.name || run.lease.mine;
+  byId("lease").className = mine ? "mine" : "";
   byId("lease").replaceChildren(run.lease?.name ? (mine ? "You answer the prompts." : `${words(run.lease.name)} answers the prompts. `) : "");
   if (!mine) byId("lease").append(make("button", { className: "quiet", id: "take", onclick: () => ask("/lease", { name: NAME }).then((lease) => { run.lease = lease; leased(); }) }, "Take over"));
   for (const button of document.querySelectorAll("#ask button, #pause")) button.disabled = !mine;
@@ -334,43 +417,74 @@ document.addEventListener("keydown", (event) => {
 async function home() {
   byId("title").textContent = "";
   controls.hidden = true;
-  main.replaceChildren(make("section", { id: "problem", className: "card bad", hidden: true, role: "alert" }), make("section", { className: "card", id: "new" }, make("h2", {}, "Start a run")), make("section", { className: "card scroll", id: "list" }, make("h2", {}, "Runs")));
+  main.replaceChildren(make("section", { id: "problem", className: "card bad", hidden: true, role: "alert" }), make("section", { className: "card", id: "new" }, make("h2", {}, "Start a run")), make("section", { className: "card", id: "list" }, make("h2", {}, "Runs")));
   try {
     const [{ runs }, known] = await Promise.all([ask("/runs"), ask("/choices")]);
     said("connected");
     const now = runs.find((one) => one.ending === "under way");
     if (now && hint === "now") { hintUsed(now.name); return; }
     starter(known);
-    const rows = runs.map((one) => make("tr", {},
-      make("td", {}, make("a", { href: `#/${encodeURIComponent(one.name)}` }, one.name)),
-      make("td", { className: one.ending === "under way" ? "good" : "" }, one.ending),
-      make("td", {}, `${one.done} of ${one.planned ?? "?"}`),
-      make("td", {}, Object.entries(one.verdicts).map(([name, verdict]) => `${name}: ${verdict}`).join(", ") || one.detectors.join(", ")),
-      make("td", {}, one.report ? make("button", { className: "quiet", onclick: () => report_of(one.name) }, "Report") : "")));
-    byId("list").append(rows.length ? make("table", {}, make("thead", {}, make("tr", {}, ...["run", "ended", "trials", "verdict", ""].map((text) => make("th", { scope: "col" }, text)))), make("tbody", {}, ...rows)) : make("p", {}, "No runs yet."));
+    byId("list").append(...(runs.length ? runs.map(listed) : [make("p", {}, "No runs yet.")]));
   } catch (error) {
     said("no connection to the console", true);
     problem(error.message);
   }
 }
 function hintUsed(name) { location.hash = `#/${encodeURIComponent(name)}`; }
+function listed(one) {
+  const place = make("div", { className: "thumbnails" });
+  if (one.done) shown.observe(Object.assign(place, { run: one.name }));
+  const said_done = `${one.ending}; ${one.done} of ${one.planned ?? "?"} trials`;
+  return make("article", { className: "run" },
+    make("div", { className: "about" },
+      make("h3", {}, make("a", { href: `#/${encodeURIComponent(one.name)}` }, one.name)),
+      make("p", { className: "soft" }, `${one.title}; on ${one.rig || "a recording"}`),
+      make("p", { className: one.ending === "under way" ? "good" : "" }, said_done),
+      make("ul", { className: "chips" }, ...(verdicts(one).length ? verdicts(one) : one.detectors.map((name) => make("li", {}, name))))),
+    place,
+    make("p", { className: "row" },
+      one.report ? make("button", { className: "quiet", ariaLabel: `Report of ${one.name}`, onclick: () => report_of(one.name) }, "Report") : null,
+      resumable(one) && one.kind !== "recorded" ? make("button", { className: "quiet", ariaLabel: `Resume ${one.name}`, onclick: () => resumed(one.name) }, "Resume") : null));
+}
+// thumbnails are asked for when they come into sight: a folder may have hundreds of runs
+const shown = new IntersectionObserver((entries) => {
+  for (const { isIntersecting, target } of entries) {
+    if (!isIntersecting) continue;
+    shown.unobserve(target);
+    ask(`/runs/${encodeURIComponent(target.run)}/thumbnails`).then(({ thumbnails }) => target.append(...thumbnails.map(([alt, data]) => make("img", { src: `data:image/jpeg;base64,${data}`, alt })))).catch(() => null);
+  }
+});
 function starter(known) {
   const choice = (label, names, first) => {
     const select = make("select", { ariaLabel: label }, ...names.map((name) => make("option", { value: name, selected: name === first }, name)));
-    return [make("label", {}, label, select), select];
+    return [make("label", { className: "above" }, label, select), select];
   };
   const [rigLabel, rig] = choice("Rig", known.rigs, "emulated-browser"), [scriptLabel, script] = choice("Script", known.scripts, "six-situations");
   const boxes = known.detectors.map((name) => make("input", { type: "checkbox", value: name, checked: name === "fused" }));
   const realtime = make("input", { type: "checkbox", checked: true });
   const chosen = () => ({ rig: rig.value, script: script.value, detectors: boxes.filter((box) => box.checked).map((box) => box.value), realtime: realtime.checked && rig.value.startsWith("emulated") });
-  const result = make("pre", { id: "dry" });
-  const tried = make("button", { className: "quiet", onclick: async () => {
-    tried.disabled = true; problem(""); result.textContent = "Trying the script on emulators: this takes a while.";
-    try { const found = await ask("/dry-run", chosen()); result.textContent = found.text; } catch (error) { result.textContent = ""; problem(error.message); }
+  const result = make("div", { id: "dry", role: "status" });
+  const tried = make("button", { className: "quiet", id: "try", onclick: async () => {
+    tried.disabled = true; problem(""); result.replaceChildren("Going through the script on emulators: this takes a while.");
+    try { dried(result, await ask("/dry-run", chosen())); } catch (error) { result.replaceChildren(); problem(error.message); }
     tried.disabled = false;
   } }, "Dry run");
   const go = make("button", { id: "start", onclick: async () => { go.disabled = true; await started(ask("/start", chosen())); go.disabled = false; } }, "Start");
-  byId("new").append(make("p", { className: "row" }, rigLabel, scriptLabel), make("p", { className: "row" }, "Detectors:", ...boxes.map((box) => make("label", {}, box, box.value))), make("p", { className: "row" }, make("label", {}, realtime, "emulated rigs in real time")), make("p", { className: "row" }, tried, go), result);
+  byId("new").append(make("p", { className: "row" }, rigLabel, scriptLabel),
+    make("fieldset", {}, make("legend", {}, "Detectors"), ...boxes.map((box) => make("label", { className: "choice" }, box, box.value))),
+    make("p", { className: "row" }, make("label", { className: "choice" }, realtime, "emulated rigs in real time")),
+    make("p", { className: "row" }, tried, go), result);
+}
+// what a dry run found: each finding under its trial
+function dried(place, { exit_code, text, found }) {
+  if (!found) { place.replaceChildren(make("p", { className: "bad" }, exit_code ? "It can't be run:" : ""), make("pre", {}, text)); return; }
+  const by = Map.groupBy(found.findings, (one) => one.trial), count = found.findings.length;
+  const rows = [...by].map(([trial, of]) => make("tr", {}, make("th", { scope: "row" }, trial), make("td", {}, make("ul", {}, ...of.map((one) => make("li", {}, `${words(one.kind)}: ${one.text}`))))));
+  place.replaceChildren(
+    make("p", { className: count ? "big bad" : "big good" }, count ? `${count} problem${count > 1 ? "s" : ""}` : "Nothing wrong was found"),
+    make("p", { className: "soft" }, `${found.gone_through} of ${found.trials} trials gone through on emulators. Nothing was moved.`),
+    ...(rows.length ? [make("div", { className: "scroll" }, make("table", {}, make("tbody", {}, ...rows)))] : []),
+    make("ul", {}, ...[...found.not_checked.map((what) => `Not checked: ${what}`), ...found.needs.map(words)].map((line) => make("li", {}, line))));
 }
 async function started(asked) {
   problem("");

@@ -66,6 +66,10 @@ DRY = "run {} --dry-run --out {}"
 NO_STAGE = "/dev/tty-there-is-none"
 
 
+def test_json_is_of_a_dry_run(tmp_path: Path, said: Said) -> None:
+    assert "--json is for --dry-run" in said(2, "run --json --out {}", tmp_path / "runs").err
+
+
 def one(folder: Path, pose: str = "") -> tuple[Path, Path]:
     """A script in Python, and where its runs would go."""
     (folder / "one.py").write_text(PYTHON.replace("POSE", pose), encoding="utf-8")

@@ -49,8 +49,13 @@ def test_started_from_the_page_a_run_outlives_its_console(tmp_path: Path) -> Non
         wrong = one.ask("/start", {"rig": "../rig.toml", "script": "script.toml"})
         assert (wrong.status, "there is no rig" in wrong.body["error"]) == (422, True)
         chosen = {"rig": "rig.toml", "script": "script.toml", "detectors": []}
-        dry = one.ask("/dry-run", chosen)
-        assert (dry.status, dry.body["exit_code"]) == (200, 0), dry.body
+        far = SCRIPT.replace("x_mm = 12.0", "x_mm = 900.0")
+        (tmp_path / "far.toml").write_text(far, encoding="utf-8")
+        dry = one.ask("/dry-run", {**chosen, "script": "far.toml"}).body
+        assert dry["exit_code"] == 2, dry
+        findings = {(found["trial"], found["kind"]) for found in dry["found"]["findings"]}
+        assert ("place", "view") in findings
+        assert {trial for trial, _ in findings} == {"place"}
         name = one.ask("/start", chosen).body["run"]
     finally:
         served.end(one)

@@ -4,6 +4,7 @@ within reach, hostile names as text, and nothing asked for beyond this machine.
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 
@@ -21,6 +22,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.slow]
 HOSTILE = "<img src=x onerror=document.title='pwned'> & </script>"
 SIZES = ((360, 640), (768, 1024), (1920, 1080))
 SOON_MS = 60_000
+OFFLINE_S = float(os.environ.get("TEATBENCH_OFFLINE_S", "0.5"))  # 30 by hand
 ON_TOP = """() => { const box = document.getElementById('abort').getBoundingClientRect();
  const at = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
  return at && at.id === 'abort' && box.bottom <= innerHeight && box.right <= innerWidth; }"""
@@ -70,25 +72,49 @@ def test_a_run_by_clicks_and_an_abort(tmp_path: Path) -> None:
         before = number(folder)
         page.reload()
         expect(page.locator("#ask .what")).to_contain_text(HOSTILE, timeout=SOON_MS)
+        page.locator("#ask .choice input").first.check()
         page.context.set_offline(True)
-        time.sleep(2.0)
+        expect(page.locator("#connection")).to_contain_text("no connection", timeout=SOON_MS)
+        page.locator("#answer-done").click()  # into nothing
+        expect(page.locator("#problem")).to_be_visible(timeout=SOON_MS)
+        time.sleep(OFFLINE_S)
         page.context.set_offline(False)
-        page.reload()
+        back_s = time.monotonic()
+        expect(page.locator("#connection")).to_have_text("connected", timeout=SOON_MS)
         expect(page.locator("#ask .what")).to_contain_text(HOSTILE, timeout=SOON_MS)
+        back_s = time.monotonic() - back_s
+        expect(page.locator("#ask .choice input").first).to_be_checked()
+        page.locator("#ask .choice input").first.uncheck()
+        print(f"after {OFFLINE_S:g} s without network: the same prompt within {back_s:.2f} s")
         assert number(folder) == before
+        abort_in_reach(page)
         click_done(page, folder)
         while "Touch the end of" in page.locator("#ask").inner_text():
             expect(page.locator("#tip")).to_contain_text("off teat", timeout=SOON_MS)
+            abort_in_reach(page)
             click_done(page, folder)
         expect(page.locator("#result")).to_contain_text("4 of 4 found", timeout=SOON_MS)
         abort_in_reach(page)
         assert not violations(page)
+        page.locator("#pause").click()
+        expect(page.locator("#pause")).to_have_text("Go on", timeout=SOON_MS)
+        abort_in_reach(page)
+        page.locator("#pause").click()
+        expect(page.locator("#pause")).to_have_text("Pause", timeout=SOON_MS)
+        page.locator("#skip").click()
+        abort_in_reach(page)
         page.locator("#why").fill("the teat came off")
         page.locator("#answer-skip").click()
         expect(page.locator("#ask")).to_contain_text("trial 3 of 3", timeout=SOON_MS)
         page.locator("#abort").click()
         process.wait()
         expect(page.locator("#ending")).to_contain_text("Resume this run", timeout=SOON_MS)
+        page.locator("h1 a").click()  # all runs
+        history = page.locator(".run")
+        expect(history.locator(".thumbnails img")).to_have_count(3, timeout=SOON_MS)
+        expect(history).to_contain_text("aborted; 1 of 3 trials")
+        expect(history.get_by_role("button", name="Resume")).to_be_visible()
+        assert not violations(page)
         assert page.title() == "teatbench console"
         ours = [f"http://127.0.0.1:{one.port}/", "blob:", "data:"]
         assert not [url for url in seen.requests if not url.startswith(tuple(ours))]
