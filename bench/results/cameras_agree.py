@@ -73,7 +73,7 @@ def camera_offsets(trials: Sequence[TrialRecord]) -> tuple[CameraOffset, ...]:
     u_mm = 0.0
     for trial in trials:
         for row in trial.truth:
-            if row["cameras"]:
+            if row.get("cameras"):
                 seen = json.loads(row["cameras"])
                 figures = [seen["disparity_px"], seen["rows_px"], *seen["thermal_px"]]
                 scale = [seen["mm_a_px"], seen["thermal_mm_a_px"], seen["deg_a_px"]]
@@ -99,6 +99,16 @@ def camera_offsets(trials: Sequence[TrialRecord]) -> tuple[CameraOffset, ...]:
             CameraOffset(name, float(values.mean()), uncertainty, n, float(mm), float(deg))
         )
     return tuple(found)
+
+
+def depth_error_mm(trials: Sequence[TrialRecord]) -> float:
+    """How far the cameras' disparity alone puts an end off in depth, at the least, with confidence;
+    0 where it may be right.
+    """
+    for one in camera_offsets(trials):
+        if one.name == NAMES[0]:
+            return max(abs(one.value) - one.uncertainty, 0.0) * one.mm
+    return 0.0
 
 
 def _median(rows: Array) -> Array:
