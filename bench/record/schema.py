@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import Any
 
 Row = Mapping[str, Any]
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 DATABASE, SCRIPT, RULES = "run.sqlite", "script.toml", "rules.toml"
 GUARDIAN = "guardian.json"  # written by the guardian, when it had to act
 
@@ -41,7 +41,7 @@ CREATE TABLE touches (trial TEXT NOT NULL REFERENCES trials, teat TEXT NOT NULL,
   refused TEXT, wall_time TEXT, PRIMARY KEY (trial, teat, touch));
 CREATE TABLE truth (trial TEXT NOT NULL REFERENCES trials, teat TEXT NOT NULL,
   x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, u_mm REAL, visible INTEGER NOT NULL, exact_mm TEXT,
-  how TEXT, budget TEXT, covariance_mm2 TEXT, PRIMARY KEY (trial, teat));
+  how TEXT, budget TEXT, covariance_mm2 TEXT, cameras TEXT, PRIMARY KEY (trial, teat));
 CREATE TABLE checks (number INTEGER NOT NULL, teat TEXT NOT NULL, after_trial TEXT NOT NULL REFERENCES trials, t_s REAL NOT NULL,
   x_mm REAL NOT NULL, y_mm REAL NOT NULL, z_mm REAL NOT NULL, carried_x_mm REAL NOT NULL, carried_y_mm REAL NOT NULL,
   carried_z_mm REAL NOT NULL, off_mm REAL NOT NULL, limit_mm REAL NOT NULL, held INTEGER NOT NULL, wall_time TEXT,
@@ -102,7 +102,11 @@ ALTER TABLE detections ADD COLUMN wall_cpu_s REAL;
 ALTER TABLE detections ADD COLUMN wall_load REAL;
 """
 
-STEPS = {2: TO_2, 3: TO_3, 4: TO_4}  # the version that a step leads to
+TO_5 = """
+ALTER TABLE truth ADD COLUMN cameras TEXT;
+"""
+
+STEPS = {2: TO_2, 3: TO_3, 4: TO_4, 5: TO_5}  # the version that a step leads to
 
 
 def version_of(db: sqlite3.Connection) -> int:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from bench.record.reader import RunRecord, TrialRecord
+from bench.results.cameras_agree import depth_error_mm
 from bench.safety.stability import State
 
 OPERATORS_EVENT = "the operator skipped it"
@@ -21,6 +22,7 @@ class Cause(StrEnum):
     DETECTOR = "detector"
     TRUTH = "truth"
     BENCH = "bench"
+    CALIBRATION = "calibration"
     OPERATOR = "operator"
     NOT_VISIBLE = "not visible"
 
@@ -49,6 +51,7 @@ class Attributed:
 def attributed(run: RunRecord, detector: str) -> tuple[Attributed, ...]:
     """All of ``detector`` in the order of the trials; then the trials that were not judged."""
     found = []
+    depth_mm = depth_error_mm(run.counted)
     for trial in run.trials:
         bath = trial.head["bath_state"]
         for what, teat, cause, why in _wrong(trial, detector):
@@ -57,6 +60,9 @@ def attributed(run: RunRecord, detector: str) -> tuple[Attributed, ...]:
             elif bath not in (None, State.STABLE.value) and cause is Cause.DETECTOR:
                 cause = Cause.BENCH
                 why = f"the bath was {bath}, not stable, when the frames were taken"
+            elif cause is Cause.DETECTOR and depth_mm > 0.5 * trial.scores[detector].limit_mm:
+                cause = Cause.CALIBRATION
+                why += f"; but the cameras put every end some {depth_mm:.1f} mm off in depth"
             found.append(Attributed(trial.id, detector, teat, what, cause, why))
     judged_not = (
         Attributed(trial, detector, "", What.NOT_JUDGED, cause, why)

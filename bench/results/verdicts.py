@@ -14,6 +14,7 @@ import numpy as np
 
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
+from bench.results.cameras_agree import decide_cameras
 from bench.rig.arm_files import Limits, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
     Decision,
@@ -32,6 +33,7 @@ from bench.script.model import (
     ArmRequirement,
     BathRequirement,
     CalibrationRequirement,
+    CamerasRequirement,
     ErrorRequirement,
     FalseRequirement,
     Requirement,
@@ -159,7 +161,7 @@ class Judgement:
 
 def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     """Each detector's judgement. An unfinished run is judged on the trials that it has."""
-    bench = ArmRequirement | BathRequirement | CalibrationRequirement
+    bench = ArmRequirement | BathRequirement | CalibrationRequirement | CamerasRequirement
     of_bench = frozenset(rule.name for rule in rules.requirements if isinstance(rule, bench))
     found = []
     for name in run.detectors:
@@ -203,6 +205,8 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
             return decide_arm(rule, run.facts)
         case CalibrationRequirement():
             return decide_calibration(rule, run.facts)
+        case CamerasRequirement():
+            return decide_cameras(rule, run.counted)
     u_mm = truth_u_mm([run], scores, detector)
     return decide_detector(rule, scores, latency_of(run, detector), u_mm)
 

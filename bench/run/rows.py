@@ -13,6 +13,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from bench.rig.arm_files import as_dict
 from bench.rig.loading import LoadedRig
 from bench.scoring.scene import SceneScore
 from bench.truth.uncertainty import TruthPoint
+from detector.fused.known_ends import EndOffsets
 from detector.protocol import Detector
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import TruthRow
@@ -56,8 +58,11 @@ def truth_row(
     row: TruthRow,
     exact: NDArray[np.float64] | None = None,
     point: TruthPoint | None = None,
+    seen: EndOffsets | None = None,
 ) -> Row:
-    """The row of the table ``truth``; ``point`` has the budget of a truth of the bench's own."""
+    """The row of the table ``truth``; ``point`` has the budget of a truth of the bench's own,
+    ``seen`` where the cameras show it.
+    """
     found: dict[str, Any] = {
         "trial": trial_id,
         "teat": row.teat,
@@ -66,6 +71,7 @@ def truth_row(
         "visible": int(row.visible),
         "exact_mm": _json(exact),
         "covariance_mm2": None if point is None else _json(point.covariance_mm2),
+        "cameras": None if seen is None else json.dumps(asdict(seen)),
     }
     if point is not None:
         found |= {"how": point.how.value, "budget": json.dumps(point.uncertainty.as_dict())}

@@ -17,6 +17,7 @@ from bench.config import ConfigError
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import Row
 from bench.results.answers import Answer, Examiner
+from bench.results.cameras_agree import where_seen
 from bench.rig.frame_capture import FrameTaker
 from bench.rig.loading import LoadedRig
 from bench.rig.model import Stage as StageSettings
@@ -410,8 +411,9 @@ class TrialRun:
         script, store, trial_id = self._ctx.script.script, self._ctx.store, str(head["id"])
         exact = self._exact_ends() if self._exact_ends else None
         ends = [None] * len(rows) if exact is None else list(exact)
+        seen = {} if self.rehearsing else where_seen(frames, self._ctx.rig.calibration, rows)
         truth_rows = [
-            truth_row(trial_id, row, end, point)
+            truth_row(trial_id, row, end, point, seen.get(row.teat))
             for row, end, point in zip(rows, ends, truth.points, strict=True)
         ]
         scored = judged(trial_id, answers, rows, script.visible_within_mm, script.time_limit_s)

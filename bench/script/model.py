@@ -195,6 +195,16 @@ class CalibrationRequirement(_Named):
     max_age_days: Positive
 
 
+class CamerasRequirement(_Named):
+    """Every camera shows the touched ends where the calibration says: disparity and rows of the
+    optical pictures within ``limit_px``, the thermal one within ``thermal_limit_px`` of its sensor.
+    """
+
+    kind: Literal["cameras_agree"]
+    limit_px: Positive = 0.25
+    thermal_limit_px: Positive = 1.0
+
+
 class CalibrationTable(Section):
     """``[calibration]``: a run with an older one, or one of unknown age, is refused before
     anything is opened.
@@ -210,7 +220,8 @@ Requirement = Annotated[
     | FalseRequirement
     | BathRequirement
     | ArmRequirement
-    | CalibrationRequirement,
+    | CalibrationRequirement
+    | CamerasRequirement,
     Field(discriminator="kind"),
 ]
 

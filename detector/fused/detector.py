@@ -90,7 +90,7 @@ def _detect(
 ) -> Detection:
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
-    thermal = _thermal(frames, calibration)
+    thermal = thermal_picture(frames, calibration)
     teats, maps, ends = _start(thermal, left, right, calibration, p, trace)
     judged = _fit(teats, maps, thermal, p)
     # every fitted teat with evidence and objection, empty if accepted
@@ -162,7 +162,7 @@ def _judge(fitted: Fitted, thermal: _Thermal, p: Parameters) -> _Judged:
     return _Judged(fitted, covariances, evidence, reasons)
 
 
-def _thermal(frames: Frames, calibration: Calibration) -> _Thermal:
+def thermal_picture(frames: Frames, calibration: Calibration) -> _Thermal:
     warm = pictures.thermal(frames, calibration.thermal)
     camera, motion = calibration.thermal, calibration.thermal_from_right
     lens = camera.lens
@@ -222,7 +222,7 @@ def _start(
         for n in (ends, upright)
     )
     above = of_bars - [0, _ROOM_ABOVE_MM, 0, 0, 0, 0, 0, 0]
-    views = _views(left, right, calibration, np.concatenate([of_ends, above, of_bars]))
+    views = optical_views(left, right, calibration, np.concatenate([of_ends, above, of_bars]))
     maps = tuple(Map.of(view, _OPTICAL_BLUR_PX) for view in views)
     coarse = Map.of(thermal.view, _THERMAL_BLUR_PX)
     starts = sweep_ends(of_ends, ends.score, maps, p)
@@ -232,7 +232,7 @@ def _start(
     return teats, (*maps, coarse), ends
 
 
-def _views(
+def optical_views(
     left: NDArray[Any], right: NDArray[Any], calibration: Calibration, guesses: Array
 ) -> list[View]:
     """The parts of both pictures that the guesses (n, d, 8) reach."""

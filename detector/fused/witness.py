@@ -66,8 +66,8 @@ def agreement(
     if not which:
         return nothing
     some = fitted.take(which)
-    rows, row_weight = _row_offsets(some, p)
-    shift, weight = _thermal_offsets(some)
+    rows, row_weight = row_offsets(some, p)
+    shift, weight = thermal_offsets(some)
     told = weight > _LEAST_INFORMATION
     columns, down = (
         float(np.median(shift[told[:, i], i])) if told[:, i].any() else np.nan for i in range(2)
@@ -97,7 +97,7 @@ def disagreement(found: Agreement, fitted: Fitted, calibration: Calibration) -> 
     return f"cameras disagree by {size:.2g} px (thermal against optical{like}): {check}"
 
 
-def _row_offsets(fitted: Fitted, p: Parameters) -> tuple[Array, Array]:
+def row_offsets(fitted: Fitted, p: Parameters) -> tuple[Array, Array]:
     """Rows px (m,) by which the right picture's edges are off, each teat free; their weights."""
     n = len(FINE_OUTLINE.part)
     seen, weight = fitted.seen, fitted.weight
@@ -115,7 +115,7 @@ def _row_offsets(fitted: Fitted, p: Parameters) -> tuple[Array, Array]:
     return score / np.maximum(weight_of_rows, 1e-9), weight_of_rows
 
 
-def _thermal_offsets(fitted: Fitted) -> tuple[Array, Array]:
+def thermal_offsets(fitted: Fitted) -> tuple[Array, Array]:
     """Shifts (m, 2) sensor px of thermal outlines, each free to swell; their weights (m, 2)."""
     n = len(FINE_OUTLINE.part)
     at = slice(2 * n, 3 * n)

@@ -114,7 +114,7 @@ def test_the_report_counts_them_apart_and_names_what_is_not_the_detectors() -> N
     )
     table, notes = attribution_parts(record)
     assert isinstance(table, Table)
-    assert table.rows[0] == ("missed", "1", "0", "2", "0", "0")
+    assert table.rows[0] == ("missed", "1", "0", "2", "0", "0", "0")
     assert isinstance(notes, Notes)
     assert len(notes.items) == 2
     found = attributed(record, "d")
