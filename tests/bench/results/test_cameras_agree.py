@@ -44,8 +44,8 @@ def trials(
     return found
 
 
-def decided(*given: float, **more: int) -> Decision:
-    return decide_cameras(RULE, trials(*given, **more))
+def decided(disparity_px: float, **more: int) -> Decision:
+    return decide_cameras(RULE, trials(disparity_px, **more))
 
 
 def test_twelve_poses_notice_half_a_pixel_and_accuse_no_sound_rig() -> None:
