@@ -21,7 +21,7 @@ from bench.results.answers import Answer, examine, score_answer
 from bench.rig.loading import LoadedRig
 from bench.rig.scenes import Drawn, draw, rig_renderer, warm
 from bench.scoring.scene import SceneScore
-from detector.calibration import Calibration
+from detector.calibration import Calibration, ParameterCovariance
 from detector.protocol import Detector, Outcome, Teat
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import TruthRow
@@ -38,6 +38,7 @@ DIGEST_BYTES = 8  # of SHA-256: a million scenes have the same one with a chance
 # sure and wrong: beyond both of a true end, or a false one that states no more
 WRONG_MM, WRONG_SD, FALSE_SD_MM = 3.0, 4.0, 1.0
 CHI2_95_OF_3 = 7.815  # 95 % of true statements have a NEES below
+EXACT = ParameterCovariance((), np.zeros((0, 0)))
 SHARES = 255  # a parameter's share of its range is kept in so many steps
 
 
@@ -56,7 +57,9 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """What is the same for all scenes; made once a process."""
+    """What is the same for all scenes; made once a process. ``exact``: the cameras are drawn by the
+    calibration, which states no uncertainty, so detectors are told that it is exact.
+    """
 
     renderer: Renderer
     calibration: Calibration
@@ -64,6 +67,7 @@ class Bench:
     seed: int
     limit_mm: float = LIMIT_MM
     perturbations: Sequence[Applied] = ()
+    exact: bool = False
 
     @classmethod
     def of_rig(
@@ -77,7 +81,8 @@ class Bench:
     ) -> Bench:
         """The emulated cameras of a rig file, detectors told what they are drawn by."""
         renderer = rig_renderer(rig, seed)
-        return cls(renderer, rig.calibration, detectors, seed, limit_mm, perturbations)
+        exact = rig.calibration.covariance is None
+        return cls(renderer, rig.calibration, detectors, seed, limit_mm, perturbations, exact)
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +200,8 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
     if at := varied(scene.family):
         renderer = at.renderer(bench.renderer, bench.seed)
         stated = at.quantity.stated(at.value, scene.member, bench.calibration)
-        bench = replace(bench, renderer=renderer, calibration=stated)
+        exact = bench.exact and stated is bench.calibration
+        bench = replace(bench, renderer=renderer, calibration=stated, exact=exact)
         found = at.quantity.set_up(at.value, scene.member, renderer)
     if found is None:
         found, parameters = member_of(scene.family, scene.member)
@@ -233,6 +239,8 @@ def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[Drawn, Cal
     frames = drawn.frames
     for perturbation in bench.perturbations:
         frames = perturbation.frames(frames, seeds)
+    if bench.exact and stated is bench.calibration:
+        stated = replace(stated, covariance=EXACT)
     return Drawn(frames, drawn.truth), stated
 
 
