@@ -11,9 +11,12 @@ import socket
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from bench.record.reader import read_run
+from bench.record.schema import Row
 from bench.run.events import EVENTS_FILE
 from instruments.operators.mailbox import read_answer
 from tests.bench.console import served
@@ -21,18 +24,38 @@ from tests.bench.operated_runs import SCRIPT
 from tests.bench.small_run import write_small_run
 
 KILLS = int(os.environ.get("TEATBENCH_KILLS", "3"))  # 50 by hand
+Floats = NDArray[np.float64]
 # ends that a detector gave, in any answer: only those of trials that have their truth
 SEEN = ("found", "detections", "covariance")
 
 
 @pytest.mark.slow
 def test_killed_consoles_change_nothing_and_lose_no_answer(tmp_path: Path) -> None:
+    whole, _ = answered(tmp_path / "undisturbed", 0)
+    folder, acknowledged = answered(tmp_path / "killed", KILLS)
+    (said, places), (of_whole, of_whole_mm) = contents(folder), contents(whole)
+    assert said == of_whole
+    # an emulated hand trembles in real time
+    np.testing.assert_allclose(places, of_whole_mm, atol=0.5)
+    record = read_run(folder)
+    assert record.ending == "finished"
+    # each end touched once, none twice, none left out
+    assert [[row["teat"] for row in trial.touches] for trial in record.trials] == [list("1234")] * 3
+    given = {number: read_answer(folder, number) for number in acknowledged}
+    assert {number: one.by for number, one in given.items() if one} == acknowledged
+    # homing, three set-ups, twelve touches; those that were not acknowledged were answered too
+    assert max(acknowledged) == 16
+
+
+def answered(here: Path, kills: int) -> tuple[Path, dict[int, str]]:
+    """A run whose prompts are answered by consoles of which so many are killed; what was
+    acknowledged, by prompt.
+    """
+    here.mkdir()
+    chance, left, acknowledged = random.Random(20261123), kills, dict[int, str]()
     script = SCRIPT.replace('["thesis"]', '["fused"]')
-    chance = random.Random(20261123)
-    acknowledged: dict[int, str] = {}
-    kills = 0
-    with served.operated_run(tmp_path, script=script) as (process, folder):
-        one = served.serve(tmp_path / "runs", tmp_path)
+    with served.operated_run(here, script=script) as (process, folder):
+        one = served.serve(here / "runs", here)
         try:
             at = f"/runs/{folder.name}"
             while process.poll() is None:
@@ -41,8 +64,8 @@ def test_killed_consoles_change_nothing_and_lose_no_answer(tmp_path: Path) -> No
                     nothing_before_its_truth(one, at, folder)
                     prompt = snapshot["prompt"]
                     if prompt and prompt["number"] not in acknowledged:
-                        if kills < KILLS and chance.random() < 0.8:
-                            kills += 1
+                        if left and chance.random() < 0.8:
+                            left -= 1
                             one.process.kill()  # while it may be answering
                         words = {"words": "go", "name": "the test"}
                         reply = one.ask(f"{at}/answers/{prompt['number']}", words)
@@ -51,19 +74,29 @@ def test_killed_consoles_change_nothing_and_lose_no_answer(tmp_path: Path) -> No
                             acknowledged[prompt["number"]] = reply.body["taken"]["by"]
                 except OSError:
                     served.end(one)
-                    one = served.serve(tmp_path / "runs", tmp_path)
+                    one = served.serve(here / "runs", here)
                 time.sleep(0.02)
         finally:
             served.end(one)
-    record = read_run(folder)
-    assert (process.returncode, record.ending, kills) == (0, "finished", KILLS)
-    assert [trial.id for trial in record.trials] == [f"00{n}-place-{n}-1" for n in (1, 2, 3)]
-    # each end touched once, none twice, none left out
-    assert [[row["teat"] for row in trial.touches] for trial in record.trials] == [list("1234")] * 3
-    given = {number: read_answer(folder, number) for number in acknowledged}
-    assert {number: one.by for number, one in given.items() if one} == acknowledged
-    # homing, three set-ups, twelve touches; those that were not acknowledged were answered too
-    assert max(acknowledged) == 16
+    assert (process.returncode, left) == (0, 0)
+    return folder, acknowledged
+
+
+EXACT = (
+    *("id", "number", "name", "situation", "repeat", "invalid", "trial", "teat", "touch"),
+    *("packets", "refused", "visible", "exact_mm", "how", "detector"),
+)
+
+
+def contents(folder: Path) -> tuple[list[Row], Floats]:
+    """What a run's record says but for its times: trials, touches, truths and what was found, in
+    their order; and where all of it is, mm.
+    """
+    rows: list[Row] = []
+    for trial in read_run(folder).trials:
+        rows += [trial.head, *trial.touches, *trial.truth, *trial.found]
+    places = [[row[f"{axis}_mm"] for axis in "xyz"] for row in rows if "x_mm" in row]
+    return [{key: row[key] for key in EXACT if key in row} for row in rows], np.array(places)
 
 
 def nothing_before_its_truth(one: served.Served, at: str, folder: Path) -> None:
