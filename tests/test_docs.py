@@ -30,6 +30,7 @@ from bench.script.phantom import load_layout
 from bench.toml import toml_text
 from detector import registry
 from detector.geometry import Motion
+from instruments.bath.profile import load_profile
 from tests.bench import operated_runs, small_run
 from tests.bench.calibrate.arm_terminal import at_terminal
 from tests.bench.calibrate.board_pictures import (
@@ -268,6 +269,7 @@ LOADED: dict[str, Callable[[str, Path], object]] = {  # by a key that only such 
     "command": lambda text, folder: read_config(written(text, folder), DetectorFile),
     "answers": lambda text, folder: load_answers(written(text, folder)),
     "project": entry_point_of,
+    "comms_loss": lambda text, folder: load_profile(written(text, folder)),
 }
 
 

@@ -138,12 +138,13 @@ def decide_cameras(rule: CamerasRequirement, trials: Sequence[TrialRecord]) -> D
         return nothing
     sure = [one for one in offsets if abs(one.value) - one.uncertainty > limits[one.name]]
     open_ = [one for one in offsets if abs(one.value) + one.uncertainty > limits[one.name]]
-    worst = max(offsets, key=lambda one: abs(one.value) / limits[one.name])
+    worst = max(sure or offsets, key=lambda one: abs(one.value) / limits[one.name])
     text = "; ".join(one.text for one in sure or open_ or offsets[:2])
-    if sure and worst.name == "disparity":
+    if depth := next((one for one in sure if one.name == "disparity"), None):
+        off = abs(depth.value)
         text += (
-            f", as if the right camera were turned by {abs(worst.value) * worst.deg:.2f}°; it puts"
-            f" every stereo detector's ends some {abs(worst.value) * worst.mm:.1f} mm off in depth"
+            f"; that disparity is as if the right camera were turned by {off * depth.deg:.2f}°, and"
+            f" puts every stereo detector's ends some {off * depth.mm:.1f} mm off in depth"
         )
     verdict = Verdict.NOT_MET if sure else Verdict.INCONCLUSIVE if open_ else Verdict.MET
     advice = " It is the calibration's fault, not a detector's: calibrate again." if sure else ""

@@ -27,6 +27,7 @@ from bench.scoring.decisions import (
     overall,
 )
 from bench.scoring.errors import percentile
+from bench.scoring.rates import Rate
 from bench.scoring.scene import Pool, pool
 from bench.script.calibration_age import decide_calibration
 from bench.script.model import (
@@ -273,7 +274,26 @@ def _decided(
                 confidence=rule.confidence,
                 poses=timed.poses,
             )
-    return replace(decision, sentence=f"{decision.sentence} {timed.starved}".strip())
+    sentence, verdict = f"{decision.sentence} {timed.starved}".strip(), decision.verdict
+    if isinstance(rule, SuccessRequirement) and scores.accurate != scores.success:
+        sentence += f" Without the time limit {_share(scores.accurate)} succeeded."
+    if timed.starved and verdict is Verdict.NOT_MET and not _fails_without_time(rule, scores):
+        verdict = Verdict.INCONCLUSIVE
+    return replace(decision, sentence=sentence, verdict=verdict)
+
+
+def _share(rate: Rate) -> str:
+    return f"{rate.successes} of {rate.trials} poses"
+
+
+def _fails_without_time(rule: DetectorRequirement, scores: Pool) -> bool:
+    """Whether a rate isn't met however long answers may take; a time then decides nothing."""
+    if not isinstance(rule, SuccessRequirement):
+        return False
+    decided = decide_rate(
+        rule.name, scores.accurate, required=rule.rate, confidence=rule.confidence
+    )
+    return decided.verdict is Verdict.NOT_MET
 
 
 def truth_u_mm(runs: Sequence[RunRecord], scores: Pool, detector: str) -> float | None:

@@ -60,6 +60,12 @@ class SceneScore:
         return self.match.distances_mm
 
     @property
+    def accurate(self) -> bool:
+        """All visible teats within the limit and nothing false, whenever the answer came."""
+        right = not self.match.missed and not self.match.false
+        return right and max(self.radial_mm, default=0.0) <= self.limit_mm
+
+    @property
     def surely_succeeded(self) -> bool:
         """A success that the truth's uncertainty can't turn."""
         return self.success and not self.doubtful
@@ -216,6 +222,11 @@ class Pool:
     def success(self) -> Rate:
         """Poses that succeeded in all repeats, of the poses."""
         return self._poses_where(attrgetter("success"))
+
+    @property
+    def accurate(self) -> Rate:
+        """Poses that succeeded in all repeats but for the time, of the poses."""
+        return self._poses_where(attrgetter("accurate"))
 
     def _poses_where(self, holds: Callable[[SceneScore], bool | None]) -> Rate:
         """Poses that hold in all repeats, of the poses; scenes with None are left out."""

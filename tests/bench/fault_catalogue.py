@@ -32,7 +32,8 @@ PAGE = ROOT / "docs" / "faults.md"
 STATES = ("preparing", "settling", "running", "paused", "safing")
 FOR_S = 15.0
 INSTRUMENTS = ("arm", "bath", "cameras", "stage")
-NO_SUCH = {("bath", "bad CRC")}  # over Modbus TCP, as on the emulated rig, there is no check sum
+# over Modbus TCP, as on the emulated rig, there is no check sum; the others are of lines of ASCII
+NO_SUCH = {("bath", "bad CRC"), ("bath", "cut answer"), ("bath", "doubled answer")}
 FAULTS = tuple(
     (instrument, str(name))
     for instrument in INSTRUMENTS

@@ -154,6 +154,32 @@ def test_a_machine_that_was_too_busy_is_reported_where_times_count(
     assert [why in text for text in page] == ([True] if why else [])
 
 
+@pytest.mark.parametrize(
+    ("cpu_s", "off_mm", "time", "reliability"),
+    [
+        (0.3, 1.0, OPEN, OPEN),  # accurate, and slow as the machine was starved
+        (8.9, 1.0, NOT_MET, NOT_MET),  # slow by itself
+        (0.3, 7.0, OPEN, NOT_MET),  # inaccurate, however long it may take
+    ],
+)
+def test_a_starved_machine_decides_no_time(
+    tmp_path: Path, cpu_s: float, off_mm: float, time: Verdict, reliability: Verdict
+) -> None:
+    late = {"seconds": 9.0, "in_time": False, "success": False}
+    slow = [
+        replace(
+            timed(one, 9.0, wall_cpu_s=cpu_s),
+            scores={name: replace(score, **late) for name, score in one.scores.items()},
+        )
+        for one in off_by([off_mm] * 59)
+    ]
+    found = decided(record(tmp_path, slow))
+    assert found["detection time, limit"].verdict is time
+    assert found["reliability"].verdict is reliability
+    told = "Without the time limit 59 of 59 poses succeeded." in found["reliability"].sentence
+    assert told is (off_mm < 5.0)
+
+
 def test_first_calls_and_short_times_say_nothing_of_the_machine(tmp_path: Path) -> None:
     cold = [timed(one, 9.0, cold=1, wall_cpu_s=0.1) for one in off_by([1.0])]
     short = [timed(one, 0.01, wall_cpu_s=0.0) for one in off_by([1.0] * 9)]

@@ -16,6 +16,7 @@ from bench.record.reader import RunRecord
 from bench.script.phantom import shipped_phantom
 from instruments.world.phantom import PlatePose
 from tests.bench.operated_runs import CHECK_POINT, STAGE, files, run, texts
+from tests.plain_text import plain_text
 
 WILLING = (
     "otherwise homing: go\notherwise check point: go\notherwise set up: go\notherwise touch: go\n"
@@ -28,7 +29,7 @@ def answered(folder: Path, answers: str, **more: Any) -> tuple[int, RunRecord]:
 
 
 def page_of(record: RunRecord) -> str:
-    return (record.folder / "report" / "index.html").read_text(encoding="utf-8")
+    return plain_text(record.folder / "report" / "index.html")
 
 
 @pytest.mark.slow

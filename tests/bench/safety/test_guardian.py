@@ -22,6 +22,7 @@ from bench.record.reader import read_run
 from instruments.clock import wall_time
 from tests.bench.real_rig import Bench, RealRig, bench, real_rig, touch_as_asked
 from tests.bench.safety.guards import HANG_S, STANDBY_S, Measured, guardian_record, standby_after
+from tests.plain_text import plain_text
 
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
@@ -43,7 +44,7 @@ def reported(rig: RealRig, capsys: pytest.CaptureFixture[str]) -> tuple[str, str
     """What `teatbench report` says of the run: on the terminal, and on the page."""
     assert main(["report", str(rig.run_folder())]) == 3
     page = rig.run_folder() / "report" / "index.html"
-    return " ".join(capsys.readouterr().out.split()), page.read_text(encoding="utf-8")
+    return " ".join(capsys.readouterr().out.split()), plain_text(page)
 
 
 def test_the_report_of_a_killed_bench_says_when_it_died_and_when_the_bath_was_safe(

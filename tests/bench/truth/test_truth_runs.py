@@ -35,6 +35,7 @@ from reports.page import Notes
 from tests.bench.commands import Said, teatbench
 from tests.bench.run.test_trial import PLANNED, Context, attempts
 from tests.bench.truth.touches import axes_turned, registered, stage_of
+from tests.plain_text import plain_text
 
 pytestmark = pytest.mark.slow
 
@@ -112,7 +113,7 @@ def done(rig: Path, script: Path, folder: Path) -> Done:
     runs, recording = folder / "runs", folder / "recording"
     teatbench("run {} --rig {} --out {} --record {}", script, rig, runs, recording)
     (run,) = runs.iterdir()
-    page = (run / "report" / "index.html").read_text(encoding="utf-8")
+    page = plain_text(run / "report" / "index.html")
     return Done(read_run(run), page, recording)
 
 
@@ -170,7 +171,7 @@ def test_checks_confirm_and_are_in_the_report(carried: Done) -> None:
     after = [row["after_trial"] for row in run.checks if row["teat"] == "1"]
     assert after == [run.trials[i].id for i in (3, 6, 7)]
     assert all(row["held"] for row in run.checks)
-    parts = "Check touches of the carried truth, Registration of the stage, The stage&#39;s axes"
+    parts = "Check touches of the carried truth, Registration of the stage, The stage's axes"
     for words in (*parts.split(", "), "worst of 28 ends", "guard band"):
         assert words in carried.page
 
