@@ -165,11 +165,13 @@ def test_a_machine_that_was_too_busy_is_reported_where_times_count(
 def test_a_starved_machine_decides_no_time(
     tmp_path: Path, cpu_s: float, off_mm: float, time: Verdict, reliability: Verdict
 ) -> None:
-    late = {"seconds": 9.0, "in_time": False, "success": False}
     slow = [
         replace(
             timed(one, 9.0, wall_cpu_s=cpu_s),
-            scores={name: replace(score, **late) for name, score in one.scores.items()},
+            scores={
+                name: replace(score, seconds=9.0, in_time=False, success=False)
+                for name, score in one.scores.items()
+            },
         )
         for one in off_by([off_mm] * 59)
     ]
