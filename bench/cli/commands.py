@@ -677,9 +677,10 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         JSON,
     ),
     "camera focus": (
-        "a live figure of sharpness, to set a lens by, until Ctrl-C",
-        "camera focus opencv:0",
+        "live sharpness and pictures, to place cameras and set lenses by, until Ctrl-C",
+        "camera focus my-rig.toml --page",
         SOURCES,
+        flag("--page", "show the pictures in the browser, with cross, blur and exposure"),
         UNTIL,
         option("--every N", "seconds between two figures", SECONDS, 0.2),
     ),
