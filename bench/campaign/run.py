@@ -135,14 +135,14 @@ class Campaign:
         self.shards.merge(rest=True)
         return self._status(families)
 
-    def do_chunk(self, number: int, executor: Executor) -> bool:
-        """Do one chunk; False where it was done before."""
+    def do_chunk(self, number: int, executor: Executor) -> Rows | None:
+        """The rows of one chunk, written; None where it was done before."""
         chunk = self.plan.chunk(number)
         if (chunk.family, chunk.number) in self.shards.done():
-            return False
-        for one, rows in executor.results(iter([chunk])):
-            self.shards.write(one.family, one.number, rows)
-        return True
+            return None
+        ((one, rows),) = executor.results(iter([chunk]))
+        self.shards.write(one.family, one.number, rows)
+        return rows
 
     def _known(self) -> dict[str, _Family]:
         """What the folder holds."""
