@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -334,6 +334,8 @@ def _of_scenes(value: Any) -> Any:
         )
     if isinstance(value, tuple | list):
         return type(value)(map(_of_scenes, value))
+    if isinstance(value, Mapping):
+        return {_of_scenes(key): _of_scenes(one) for key, one in value.items()}
     if is_dataclass(value) and not isinstance(value, type):
         parts = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
         changed = {name: new for name, old in parts.items() if (new := _of_scenes(old)) != old}
