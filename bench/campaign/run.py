@@ -210,7 +210,11 @@ def _rates(rows: Rows) -> dict[str, Rate]:
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Keep other campaign commands off the folder. Raises ConfigError where one has it."""
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = "a file of this name is there" if folder.is_file() else error
+        raise ConfigError.plain(f"--out {folder}: no folder can be made: {why}") from error
     lock = FileLock(folder / LOCK)
     try:
         lock.acquire(timeout=0)

@@ -283,6 +283,9 @@ def test_what_the_commands_write_and_refuse(
     assert "SELEC" in said(2, "campaign query {} SELEC", folder).err
     assert "no campaign is there" in said(2, "campaign query {} SELECT", tmp_path).err
 
+    assert "the query is empty" in said(2, "campaign query {} {}", folder, [" "]).err
+    assert "a file of this name" in said(2, line, "thesis", plan.rig, plan.rig).err
+
     shown = said(0, "campaign show {} overlapping-0002", folder)
     assert "overlapping-0002  thesis    " in shown.out
     page = folder / "scenes" / "overlapping-0002" / "index.html"
