@@ -471,7 +471,9 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             many=True,
         ),
         option("--limit-mm MM", "of each teat's error (default: 5)", LENGTH),
-        option("--chunk-scenes N", "scenes worked on together (default: 25)", whole(1, 10_000)),
+        option(
+            "--chunk-scenes N", "scenes worked on together (default: up to 50)", whole(1, 10_000)
+        ),
         one_of(
             WORKERS,
             option("--dask ADDRESS", "a Dask scheduler instead, such as tcp://lab-pc:8786"),
