@@ -66,6 +66,13 @@ def perturbation(text: str) -> Applied:
         raise ArgumentTypeError(str(error)) from error
 
 
+PERTURB = option(
+    "--perturb NAME=AMOUNT",
+    "what is done to every scene, such as vergence=0.1 (docs/campaigns.md); may be given several"
+    " times",
+    perturbation,
+    many=True,
+)
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
 LENGTH = number("a length in mm above 0", above=0.0)
@@ -388,6 +395,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *SITUATIONS,
         option("--seeds N", "members of each family", whole(1), 20),
         *FIRST_SEEDS,
+        PERTURB,
         option(
             "--out DIR",
             "default: recordings/situations; is added to",
@@ -453,13 +461,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--seed N", "of noise and of the cameras' fixed patterns (default: 1)", whole(0)),
         option("--rig", "whose cameras: a shipped rig by name, or a .toml file"),
         option("--calibration FILE", "what detectors are told (default: the cameras' own)", str),
-        option(
-            "--perturb NAME=AMOUNT",
-            "what is done to every scene, such as vergence=0.1 (docs/campaigns.md); may be given"
-            " several times",
-            perturbation,
-            many=True,
-        ),
+        PERTURB,
         option("--limit-mm MM", "of each teat's error (default: 5)", LENGTH),
         option("--chunk-scenes N", "scenes worked on together (default: 25)", whole(1, 10_000)),
         one_of(
