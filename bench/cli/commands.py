@@ -761,7 +761,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *_part("calibration.toml"),
     ),
     "calibrate check": (
-        "measure a board or touched points again with an existing calibration: does it still hold?",
+        "does an existing calibration still hold? By a board, touched points or touched teat ends",
         "calibrate check calibration.toml --rig my-rig.toml --board chessboard-9x6-40",
         CAPTURE,
         option("calibration CAL", "the calibration, or the cameras' file where a board is shown"),
@@ -770,6 +770,11 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *FINDER,
         *LIVE,
         option("--points CSV", "touched points in the place of a board, as for 'calibrate world'"),
+        option(
+            "--ends DIR",
+            "a run or recording with touched teat ends, in the place of a board; with --rig the"
+            " phantom is seen anew, standing as in its last trial",
+        ),
         option("--pixel-sd PX", "of a pixel coordinate of a point", SD, 0.1),
         TOUCH_SD,
         option("--page DIR", "where the page goes (default: none is written)"),

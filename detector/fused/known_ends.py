@@ -13,6 +13,7 @@ other shifts of the right picture, the same for all ends of a frame. What is far
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -36,6 +37,7 @@ _NEAR_MM = 8.0  # across the line of sight; farther off it is another thing
 _LEAST_INFORMATION = 15.0  # of a thermal outline: sd 0.26 px; one far off counts for less anyway
 REACH_PX = (25.0, 10.0)  # of the right picture, columns and rows
 THERMAL_REACH_PX = 10.0  # of the thermal sensor
+NO_THERMAL_MM = 1.0  # `EndOffsets.thermal_mm_a_px` where no thermal picture was looked at
 # (left columns, right columns, right rows) tried, px
 _ROW_SHIFTS = tuple((0.0, 0.0, y) for y in (-4.0, 4.0, -8.0, 8.0))
 _COLUMN_SHIFTS = tuple(
@@ -45,7 +47,7 @@ _THERMAL_SHIFTS = sorted(product((0.0, -4.0, 4.0, -8.0, 8.0), repeat=2), key=np.
 _LEAST_END = 0.5  # of the end's outline, in either picture: wrong fits have 0.46 at most
 _AGREE_PX = 2.0  # ends of one frame: a camera that is off is off alike for all of them
 _THERMAL_CLOSE_PX = 0.5
-_STAYS_PX, _AGAIN = 0.3, 5
+_STAYS_PX, _AGAIN, _AGAIN_SHIFTED = 0.3, 5, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +57,7 @@ class EndOffsets:
     ``disparity_px``: left column minus right column; ``rows_px``: right row minus left row;
     ``thermal_px``: column and row, sensor pixels. A pixel of disparity moves this end by
     ``mm_a_px`` in depth, and is what the right camera shows when turned by ``deg_a_px``; a pixel of
-    the thermal sensor is ``thermal_mm_a_px`` there.
+    the thermal sensor is ``thermal_mm_a_px`` there, `NO_THERMAL_MM` where there is none.
     """
 
     disparity_px: float | None
@@ -76,8 +78,8 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
         if not seen.good:
             tried = [_seen(left, right, calibration, known, shift) for shift in shifts]
             seen = max((seen, *(one for one in tried if one.good)), key=lambda one: one.ends)
-    thermal, thermal_mm = np.full((len(known), 2), np.nan), np.ones(len(known))
-    if calibration.thermal.lens is not None and calibration.thermal_from_right is not None:
+    thermal, thermal_mm = np.full((len(known), 2), np.nan), np.full(len(known), NO_THERMAL_MM)
+    with suppress(pictures.UnusableError):  # no lens, no thermal picture
         warm = thermal_picture(frames, calibration)
         thermal = _thermal(seen, warm.view, known)
         depth = warm.view.camera_from_teats.apply(known)[:, 2]
@@ -131,7 +133,7 @@ def _seen(
     x_left, x_right, y = shift
     stated = stated.moved("left", "cx", x_left).moved("right", "cx", x_right)
     p = Parameters()
-    for _ in range(_AGAIN):
+    for _ in range(_AGAIN if shift == (0.0, 0.0, 0.0) else _AGAIN_SHIFTED):
         calibration = stated.moved("right", "cy", y)
         starts = _starts(known, calibration, p)
         views = tuple(optical_views(left, right, calibration, starts))
