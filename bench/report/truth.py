@@ -65,8 +65,7 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
     for text in check.unseen:
         yield Paragraph(f"{text[0].upper()}{text[1:]}.", tone="warn")
     for name, one in answers.items():
-        _, text = told_apart(check, one, limit_px)
-        if text:
+        if text := told_apart(check, one, limit_px):
             yield Paragraph(f"{name}: {text}.", tone="warn")
 
 

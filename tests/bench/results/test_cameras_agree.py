@@ -143,9 +143,8 @@ def test_a_shift_of_the_answers_is_the_cameras_only_where_they_have_it_too(
     made = answered(seen_px, answers_px)
     answers = answers_of(made, "d", TOLD)
     apart = told_apart(cameras_of(made), answers, 0.25)
-    assert words in apart[1]
-    assert bool(words) == bool(apart[1])
-    assert apart[0] == (words == "calibration, not detector")
+    assert apart.endswith(words)
+    assert bool(words) == bool(apart)
     if answers_px is not None:
         assert answers is not None
         assert answers.value == pytest.approx(answers_px, abs=0.02)
