@@ -67,6 +67,13 @@ def perturbation(text: str) -> Applied:
         raise ArgumentTypeError(str(error)) from error
 
 
+PERTURB = option(
+    "--perturb NAME=AMOUNT",
+    "what is done to every scene, such as vergence=0.1 (docs/campaigns.md); may be given several"
+    " times",
+    perturbation,
+    many=True,
+)
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
 LENGTH = number("a length in mm above 0", above=0.0)
@@ -398,6 +405,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *SITUATIONS,
         option("--seeds N", "members of each family", whole(1), 20),
         *FIRST_SEEDS,
+        PERTURB,
         option(
             "--out DIR",
             "default: recordings/situations; is added to",
@@ -463,13 +471,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--seed N", "of noise and of the cameras' fixed patterns (default: 1)", whole(0)),
         option("--rig", "whose cameras: a shipped rig by name, or a .toml file"),
         option("--calibration FILE", "what detectors are told (default: the cameras' own)", str),
-        option(
-            "--perturb NAME=AMOUNT",
-            "what is done to every scene, such as vergence=0.1 (docs/campaigns.md); may be given"
-            " several times",
-            perturbation,
-            many=True,
-        ),
+        PERTURB,
         option("--limit-mm MM", "of each teat's error (default: 5)", LENGTH),
         option(
             "--chunk-scenes N", "scenes worked on together (default: up to 50)", whole(1, 10_000)
@@ -772,7 +774,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *_part("calibration.toml"),
     ),
     "calibrate check": (
-        "measure a board or touched points again with an existing calibration: does it still hold?",
+        "does an existing calibration still hold? By a board, touched points or touched teat ends",
         "calibrate check calibration.toml --rig my-rig.toml --board chessboard-9x6-40",
         CAPTURE,
         option("calibration CAL", "the calibration, or the cameras' file where a board is shown"),
@@ -781,6 +783,11 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *FINDER,
         *LIVE,
         option("--points CSV", "touched points in the place of a board, as for 'calibrate world'"),
+        option(
+            "--ends DIR",
+            "a run or recording with touched teat ends, in the place of a board; with --rig the"
+            " phantom is seen anew, standing as in its last trial",
+        ),
         option("--pixel-sd PX", "of a pixel coordinate of a point", SD, 0.1),
         TOUCH_SD,
         option("--page DIR", "where the page goes (default: none is written)"),

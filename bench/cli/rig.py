@@ -224,7 +224,7 @@ def record(given: argparse.Namespace) -> int:
     from bench.rig.scenes import record as recorded
 
     rig = load_rig(find_rig(given.rig))
-    frames = recorded(rig, given.situation, _members(given), given.out, given.seed)
+    frames = recorded(rig, given.situation, _members(given), given.out, given.seed, given.perturb)
     return _shown(frames, given.out, len(chosen(given.situation)) * given.seeds)
 
 

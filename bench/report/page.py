@@ -29,7 +29,7 @@ from bench.report.trials import (
     trial_table,
     worst_trials,
 )
-from bench.report.truth import arm_parts, deviation_parts, truth_parts
+from bench.report.truth import arm_parts, cameras_parts, deviation_parts, truth_parts
 from bench.report.wording import headline, headlines, id_of, key_values, table
 from bench.results.exports import write_exports
 from bench.results.verdicts import (
@@ -178,7 +178,7 @@ def _pages(
     """What stands behind the first page, by name."""
     limit_mm = rules.visible_within_mm
     listed = (*([looks] if looks else []), trial_table(run))
-    blamed = tuple(tables.attribution_parts(run))
+    blamed = tuple(tables.attribution_parts(run, calibration))
     deviations = (*deviation_parts(run), *fault_parts(run))
     accuracy = (
         Section("results", "Results by situation", tuple(_result_parts(run, rules))),
@@ -189,7 +189,8 @@ def _pages(
         Section("latency", "Time", tuple(_latency_parts(run, rules))),
     )
     reference = (
-        *(*truth_parts(run), *gage_parts(run, limit_mm)),
+        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
+        *gage_parts(run, limit_mm),
         *(*arm_parts(run), *record_parts(run)),
     )
     thesis = thesis_chapter(run, rules, calibration)

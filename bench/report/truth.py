@@ -13,16 +13,20 @@ import numpy as np
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.tables import covariance_of
 from bench.report.wording import key_values, listed, number, spanned, table, xyz
+from bench.results.cameras_agree import LIMIT_PX, NAMES, answers_of, cameras_of, told_apart
 from bench.results.verdicts import VERIFICATION_FACT, age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
 from bench.run.rows import FRAME_FACT
+from bench.script.model import CamerasRequirement, Rules
 from bench.truth.arm_tip import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
 from bench.truth.carrying import counted, resumed
 from bench.truth.registration import Registration, registration_from_facts
 from bench.truth.uncertainty import CHI2_95, How
+from detector.calibration import Calibration
 from instruments.teat_end import DEFINITION
 from reports.page import Cell, Column, Notes, Paragraph, Part, Table
 
+DISPARITY = NAMES[0]
 LOCATIONS = (
     "divot | >touches | >largest deviation [mm] ~.2f # from the mean of the touches: articulated"
     " location error, ASME B89.4.22 | >2 sd [mm] ~.2f"
@@ -30,6 +34,39 @@ LOCATIONS = (
     " | >swing [°] ~.0f # largest angle between two stylus directions"
     " | >shift [mm] ~.2f? # of the mean from the known place"
 )
+
+
+def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
+    """Where the cameras show the known ends, and whether the detectors' answers share what they are
+    off; nothing where no picture was held against an end.
+    """
+    check = cameras_of(run.counted)
+    if not check.ends:
+        return
+    asked = [r.limit_px for r in rules.requirements if isinstance(r, CamerasRequirement)]
+    limit_px = min(asked, default=LIMIT_PX)
+    answers = {name: answers_of(run.counted, name, calibration) for name in run.detectors}
+    found = [("cameras", one) for one in check.offsets]
+    found += [(f"answers of {name}", one) for name, one in answers.items() if one is not None]
+    thermal = "" if check.thermal is None else f", {check.thermal} in the thermal picture"
+    yield table(
+        "Cameras and answers against the known ends",
+        "of | figure | >off [px] ~+.2f | >± [px] ~.2f | >poses"
+        " | >a pixel is, in depth [mm] ~.1f | >as if a camera were turned by [°] ~.3f",
+        [
+            (who, one.name, one.value, one.uncertainty, one.poses, one.mm, abs(one.value) * one.deg)
+            if one.name == DISPARITY
+            else (who, one.name, one.value, one.uncertainty, one.poses, "", "")
+            for who, one in found
+        ],
+        f"{check.told} of {check.ends} ends told in left and right{thermal}. Means over poses, with"
+        " 95 % confidence; px of the sensor for the thermal camera. Answers: of matched ends.",
+    )
+    for text in check.unseen:
+        yield Paragraph(f"{text[0].upper()}{text[1:]}.", tone="warn")
+    for name, one in answers.items():
+        if text := told_apart(check, one, limit_px):
+            yield Paragraph(f"{name}: {text}.", tone="warn")
 
 
 def arm_parts(run: RunRecord) -> Iterator[Part]:

@@ -91,6 +91,7 @@ class TruthTable(Section):
 
 TRIALS = Path(__file__).parents[1] / "trials"
 RECORDING_RULES = Path(__file__).parents[1] / "rules" / "recording.toml"
+CAMERAS_RULE = RECORDING_RULES.with_name("cameras.toml")  # of a recording that shows known ends
 Rate = Annotated[float, Field(gt=0, lt=1)]
 
 
