@@ -589,7 +589,12 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *HOMED,
         option("--distances N", "divots: 1 middle, 2 near and far, 3 all", whole(1, 3), 3),
         option("--touches N", "touches in each divot", whole(5, 100), 10),
-        option("--length-mm L", "a calibrated length to measure too", ABOVE_0),
+        option("--length-mm L", "a calibrated length to measure too, cones at its ends", ABOVE_0),
+        option("--length-u-mm U", "its standard uncertainty (certificate)", SD, 0.0),
+        option(
+            "--gauge TEXT", "which one it is, and its certificate: kept and printed", default=""
+        ),
+        option("--accuracy-mm U", "the arm's stated u, to hold the touches against", ABOVE_0, 0.23),
         option("--directions N", "directions to measure it in", whole(1, 7), 7),
         option("--script SCRIPT", "whose limits to hold it against (default: six-situations)"),
         *ARM_FILE,

@@ -55,6 +55,8 @@ class Arm(Section):
     baud: Baud = 115200
     answer_s: Annotated[float, Field(ge=0.05, le=60)] = 0.12
     accuracy_mm: Positive = 0.23
+    accuracy_source: Annotated[str, Field(max_length=200)] = ""
+    accuracy_df: Annotated[float, Field(ge=3, le=1e6)] | None = None
     packets: Annotated[int, Field(ge=2, le=1000)] = 8
     max_spread_mm: Positive = 1.0
     touches: Annotated[int, Field(ge=1, le=100)] = 3
@@ -66,6 +68,14 @@ class Arm(Section):
     verification: Annotated[str, AfterValidator(beside_if_named)] = ""
     check_point_mm: Point | None = None
     check_touches: Annotated[int, Field(ge=2, le=100)] = 5
+
+    @property
+    def u_mm(self) -> float:
+        """Standard uncertainty of one position along an axis: as stated, widened as Student's t of
+        its degrees of freedom is (JCGM 101:2008, 6.4.9.4).
+        """
+        df = self.accuracy_df
+        return self.accuracy_mm * (math.sqrt(df / (df - 2.0)) if df else 1.0)
 
 
 def _profile(names: Callable[[], list[str]], *, needed: bool) -> AfterValidator:
