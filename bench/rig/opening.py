@@ -21,6 +21,7 @@ from detector.calibration import Calibration
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.profile import Profile
 from instruments.camera.cameras import KNOWN, Camera, CameraSet
+from instruments.camera.files import FileCamera
 from instruments.camera.frame import Conversion
 from instruments.camera.genicam import GenicamCamera
 from instruments.camera.opencv import OpenCvCamera
@@ -157,6 +158,8 @@ def open_camera(name: str, table: OneCamera, folder: Path, clock: Clock) -> Came
     kind, _, rest = table.url.partition(":")
     if kind == "genicam":
         return GenicamCamera(name, rest, clock, table.settings)
+    if kind == "files":
+        return FileCamera(name, folder / rest, clock)
     beside = folder / rest
     source = str(beside) if "://" not in rest and beside.is_file() else rest
     return OpenCvCamera(name, int(rest) if rest.isdecimal() else source, clock, table.settings)

@@ -7,11 +7,12 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.camera.pixel_formats import unpack
-from instruments.camera.settings import Settings, Value, apply
+from instruments.camera.settings import Settings, Value, apply, hold_still
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 
@@ -26,6 +27,9 @@ DAMAGED = dict.fromkeys(
     ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT"), FrameFault.LOST_PACKETS
 ) | {"SIZE_MISMATCH": FrameFault.HALF}
 FAKE = "Fake_"  # how the library's own camera in this process is named
+# of the SFNC, and one of FLIR; "Once" is on until it has ended
+AUTOMATIC = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "FocusAuto", "BlackLevelAuto")
+OFF = "Off"
 DRIFT = 1e-4  # two crystals of 50 ppm each
 KEPT_S = 600.0  # frames older than this say no more than their drift
 
@@ -166,11 +170,6 @@ class GenicamCamera:
     def _apply_settings(self) -> tuple[str, ...]:
         camera, who = self._camera, self._who
 
-        def set_exposure(exposure_us: float) -> None:
-            if camera.is_exposure_auto_available():
-                camera.set_exposure_time_auto(0)
-            camera.set_exposure_time(exposure_us)
-
         ways = {
             "pixel_format": (
                 camera.set_pixel_format_from_string,
@@ -178,12 +177,46 @@ class GenicamCamera:
             ),
             "resolution": (lambda size: camera.set_region(0, 0, *size), lambda: _size(camera)),
             "fps": (camera.set_frame_rate, camera.get_frame_rate),
-            "exposure": (set_exposure, camera.get_exposure_time),
+            "exposure": (camera.set_exposure_time, camera.get_exposure_time),
             "gain": (camera.set_gain, camera.get_gain),
         }
         device = camera.get_device()
         ways |= {name: _by_name(who, device, name) for name in self._settings.features}
-        return apply(who, self._settings, ways, (self._failure, DeviceError))
+        failures = (self._failure, DeviceError)
+        offered = [name for name in AUTOMATIC if name not in self._settings.features]
+        automatic = {
+            name: partial(self._automatic, name)
+            for name in offered
+            if device.get_feature(name) is not None and device.is_feature_available(name)
+        }
+        held = hold_still(who, self._settings, automatic)
+        return (*held, *apply(who, self._settings, ways, failures))
+
+    def _automatic(self, name: str, switch_off: bool) -> str:
+        """What an automatic function is set to; "" where it is off."""
+        write, read = _by_name(self._who, self._camera.get_device(), name)
+        try:
+            if switch_off and read() != OFF:
+                write(OFF)
+        except self._failure:  # what it says now decides
+            pass
+        try:
+            state = str(read())
+        except self._failure as error:
+            return f"can't be read: {error}"
+        return "" if state == OFF else state
+
+    def prepare(self) -> None:
+        """Have the shutter close where that is asked for, and wait for it. Raises LinkError."""
+        if not self._settings.shutter or self._stream is None:
+            return
+        try:
+            self._camera.get_device().execute_command(self._settings.shutter)
+        except self._failure as error:
+            what = f"did not close its shutter: {error}"
+            hint = "Correct shutter in the rig file: the name of its command, or false."
+            raise LinkError(self._who, what, asked=self._settings.shutter, hint=hint) from error
+        self._clock.sleep(self._settings.shutter_s)
 
     def begin(self) -> None:
         """Return old buffers, and trigger by software where set. Raises LinkError; FrameError when

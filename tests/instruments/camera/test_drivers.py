@@ -135,6 +135,9 @@ class Still:
         self.frame = RawFrame(np.full((4, 6), 7, np.uint8) if pixels is None else pixels, 1.0, bits)
         self.identity = "still"
 
+    def prepare(self) -> None:
+        pass
+
     def begin(self) -> None:
         pass
 
