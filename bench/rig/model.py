@@ -138,7 +138,7 @@ class Stage(Section):
 
 Share = Annotated[float, Field(gt=0, le=1)]
 Setting = Literal["resolution", "pixel_format", "exposure", "gain", "fps"]
-GENICAM_ONLY = ("features", "trigger", "trigger_source")
+GENICAM_ONLY = ("features", "trigger", "trigger_source", "ptp")
 
 
 def _all_url(url: str) -> str:
@@ -183,6 +183,7 @@ class OneCamera(Section):
     flip: Flip = "none"
     white: Annotated[int, Field(gt=0, le=65535)] | None = None
     auto: bool = False
+    ptp: bool = False
 
     @field_validator("tries")
     @classmethod

@@ -5,9 +5,12 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -206,6 +209,8 @@ class OpenCvCamera:
             capture.release()
             asked = f"cv2.VideoCapture({self._source!r})"
             hint = "Check its number, path or URL, and that no other program holds it."
+            if used_by := in_use(self._source):
+                hint = f"It is in use by {used_by}: end that program."
             raise LinkError(self._who, "can't be opened", asked=asked, hint=hint)
         try:
             notes = apply_settings(self._who, capture, self._settings)
@@ -225,6 +230,17 @@ class OpenCvCamera:
             self._live = LiveReader(capture, self._clock, self._name)
         else:
             self._file = capture
+
+
+def in_use(source: Source) -> str:
+    """Which other program of this user holds a device of Linux: name and number; "" for none."""
+    path = f"/dev/video{source}" if isinstance(source, int) else source
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError):
+            if (pid := link.parts[2]) != str(os.getpid()) and str(link.readlink()) == path:
+                name = Path("/proc", pid, "comm").read_text(encoding="utf-8").strip()
+                return f"{name} (process {pid})"
+    return ""
 
 
 def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:

@@ -22,7 +22,8 @@ class Settings:
     ``features``: further GenICam features, set last in that order. ``trigger_source``: line of a
     hardware trigger. ``tries``: names that may fail, "all" for every one. ``auto``: automatic
     functions are left as they are, else switched off. ``counts``: 16-bit counts are needed as the
-    sensor gives them. ``shutter``: GenICam command before each capture, which takes ``shutter_s``.
+    sensor gives them. ``ptp``: its clock is set by PTP, and the bench waits for that. ``shutter``:
+    GenICam command before each capture, which takes ``shutter_s``.
     """
 
     resolution: tuple[int, int] | None = None
@@ -36,6 +37,7 @@ class Settings:
     tries: frozenset[str] = frozenset()
     auto: bool = False
     counts: bool = False
+    ptp: bool = False
     shutter: str = ""
     shutter_s: float = 1.0
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import pytest
 from instruments.camera.cameras import CameraSet
 from instruments.camera.files import FileCamera, pictures_at
 from instruments.camera.frame import Conversion, FrameError, Radiometry
-from instruments.camera.opencv import OpenCvCamera, words
+from instruments.camera.opencv import OpenCvCamera, in_use, words
 from instruments.camera.radiometric import PROFILES
 from instruments.camera.settings import Settings
 from instruments.clock import VirtualClock
@@ -201,3 +203,18 @@ def test_eight_bits_among_files_of_temperatures_are_refused(tmp_path: Path) -> N
     cameras = CameraSet(openers, {"thermal": Conversion(radiometry=Radiometry(0.01))})
     with pytest.raises(ProtocolError, match="but a frame of 8 bits came"):
         cameras.capture()
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="needs Linux's /proc")
+def test_a_device_in_use_is_told_with_its_program(tmp_path: Path) -> None:
+    path = tmp_path / "video9"
+    path.touch()
+    assert in_use(str(path)) == ""
+    hold = "import sys; held = open(sys.argv[1]); print(flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
+        assert other.stdout
+        other.stdout.readline()
+        assert in_use(str(path)).endswith(f"(process {other.pid})")
+        other.communicate()

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from instruments.camera.frame import Conversion, FrameError, FrameFault, Radiometry, RawFrame
-from instruments.camera.genicam import AUTOMATIC, GenicamCamera, load_aravis
+from instruments.camera.genicam import AUTOMATIC, PTP, DeviceTime, GenicamCamera, load_aravis
 from instruments.camera.radiometric import PROFILES
 from instruments.camera.settings import Settings, Trigger
 from instruments.clock import RealClock
@@ -334,3 +334,35 @@ def test_temperatures_and_shutter_of_a_flir_a(
         pytest.raises(LinkError, match=r"did not close its shutter.*Correct shutter"),
     ):
         camera.prepare()
+
+
+@pytest.mark.parametrize("enable", ["PtpEnable", "GevIEEE1588"])
+def test_clocks_that_ptp_keeps_in_step_are_waited_for_and_told(
+    aravis: Any, plain: str, clock: RealClock, tmp_path: Path, enable: str
+) -> None:
+    with pytest.raises(DeviceError, match=r"offers no PTP.*Leave ptp out"):
+        opened(IN_PROCESS, clock, ptp=True)
+    switch = f"""
+<Boolean Name="{enable}"><pValue>PtpRegister</pValue><OnValue>1</OnValue><OffValue>0</OffValue>
+</Boolean>
+<IntReg Name="PtpRegister"><Address>0x2e00</Address><Length>4</Length>
+  <AccessMode>RW</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign>
+  <Endianess>BigEndian</Endianess></IntReg>
+"""
+    status = dict(PTP)[enable]
+    state = AUTO_XML.format(
+        name=status, address="0x2e00", by="Register", on="Listening", off="Slave"
+    )
+    text = plain.replace("<StringReg", f"{switch}{state}<StringReg", 1)
+    (tmp_path / "ptp.xml").write_text(text, encoding="utf-8")
+    aravis.set_fake_camera_genicam_filename(str(tmp_path / "ptp.xml"))
+    with opened(IN_PROCESS, clock, ptp=True) as camera:
+        assert camera.identity.endswith("; PTP Slave")
+
+
+def test_clocks_in_step_tell_the_skew_by_their_stamps() -> None:
+    """Two cameras that expose 3 ms apart, and whose frames come 80 ms apart, the later one first."""
+    time = DeviceTime()
+    assert time.bench_s(1000.003, 10.010) - time.bench_s(1000.0, 10.090) == pytest.approx(
+        0.003, abs=1e-4
+    )
