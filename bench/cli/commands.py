@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 TASKS = {
     "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
     "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
-    "set up a rig": ("check", "rigs", "calibrate", "emulate"),
+    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
     "keep and exchange what was recorded": ("store", "replay-wire"),
     "this program": ("completion",),
@@ -548,6 +548,19 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
         REPLACE,
         flag("--paced", "serial instruments at the rig's baud rate, 10 bits a byte"),
+    ),
+    "init": (
+        "find instruments and cameras, ask for the rest, write a rig file; nothing moves or heats",
+        "init --out my-rig.toml",
+        option("--out FILE", "the rig file", Path, Path("my-rig.toml")),
+        REPLACE,
+        option(
+            "--port URL",
+            "look here only, as in a rig file's url; may be given several times (default: every"
+            " serial port)",
+            many=True,
+        ),
+        flag("--yes", "ask nothing: what isn't found is marked in the file"),
     ),
     "arm read": (
         "one position",
