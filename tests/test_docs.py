@@ -58,6 +58,7 @@ STAND_INS = {
     r" run$": " run short.toml --rig my-rig.toml",  # the shipped script on the shipped rig: CI's demo
     r"plane-map --dry-run": "short.toml --rig my-rig.toml --dry-run",
     r"/dev/ttyUSB0": "emulator:",
+    r"--page$": "--page --seconds 0.1",
     r"opencv:http://\S+": "my-rig.toml --seconds 0.1",
     r"resume runs/\S+": "resume runs/stopped",
     r"runs/20261120-\S+": "runs/kept",

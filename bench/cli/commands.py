@@ -31,13 +31,14 @@ TASKS = {
     "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
     "set up a rig": ("init", "check", "rigs", "calibrate", "emulate"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
-    "keep and exchange what was recorded": ("store", "replay-wire"),
+    "keep and exchange what was recorded": ("store", "recording", "replay-wire"),
     "this program": ("completion",),
 }
 
 GROUPS = {
     "store": "a run's record: whether it is as it was written, and for other programs"
     " (docs/record.md)",
+    "recording": "frames with calibration and truth, to publish (docs/record.md)",
     "scene": "the simulated scene: situations from families, drawn without a run (docs/scene.md)",
     "campaign": "many simulated scenes, scored on all processors (docs/campaigns.md)",
     "arm": "a MicroScribe arm alone: read, watch, home, set the table frame, verify",
@@ -367,6 +368,15 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         DESPITE_DAMAGE,
         option("--out DIR", "where to; files of the same names are replaced", required=True),
     ),
+    "recording pack": (
+        "make a recording to publish of a run: frames, truth with its budgets, data card, digests",
+        "recording pack runs/20260601-120000-six-situations --out six --licence CC-BY-4.0",
+        RUN,
+        option("--out DIR", "the new folder", Path, required=True),
+        option("--title TEXT", "of the data card (default: the script's and the rig's)"),
+        option("--licence SPDX", "under which others may use it, CC-BY-4.0 for one"),
+        DESPITE_DAMAGE,
+    ),
     "detect": (
         "detect only: what each detector finds in recorded frames",
         "detect recordings/six --detector fused",
@@ -695,9 +705,10 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         JSON,
     ),
     "camera focus": (
-        "a live figure of sharpness, to set a lens by, until Ctrl-C",
-        "camera focus opencv:0",
+        "live sharpness and pictures, to place cameras and set lenses by, until Ctrl-C",
+        "camera focus my-rig.toml --page",
         SOURCES,
+        flag("--page", "show the pictures in the browser, with cross, blur and exposure"),
         UNTIL,
         option("--every N", "seconds between two figures", SECONDS, 0.2),
     ),
@@ -908,7 +919,7 @@ MODULES = {
     "alone": ("camera", "stage"),
     "rig": ("check", "detect", "emulate", "replay-wire", "rigs", "scene"),
     "run": ("report", "resume", "score"),
-    "store": ("compare", "control"),
+    "store": ("compare", "control", "recording"),
     "trials": ("plan",),
 }
 # a command's function, unless it has the name of its last word

@@ -1,5 +1,5 @@
-"""What is done with runs' folders: `store check` and `store export`, `compare` of detectors or
-versions on the same scenes, and `control` of a run that goes on.
+"""What is done with runs' folders: `store check`, `store export`, `recording pack`, `compare` of
+detectors or versions on the same scenes, and `control` of a run that goes on.
 """
 
 from __future__ import annotations
@@ -76,6 +76,26 @@ def export(given: argparse.Namespace) -> int:
         raise ConfigError.plain(
             f"the export can't be written to {given.out}: {error.strerror or error}"
         ) from error
+    return CODES.met
+
+
+def pack(given: argparse.Namespace) -> int:
+    from bench.run.packing import pack_run
+
+    try:
+        with undamaged([given.run], given), working("packing the run"):
+            folder = pack_run(given.run, given.out, given.title or "", given.licence or "")
+    except OSError as error:
+        raise ConfigError.plain(
+            f"the recording can't be written to {given.out}: {error.strerror or error}"
+        ) from error
+    print(folder)
+    if not given.licence:
+        print(
+            "no licence is stated: others may not use it. Pack it again with --licence, CC-BY-4.0"
+            " for one.",
+            file=sys.stderr,
+        )
     return CODES.met
 
 

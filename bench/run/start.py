@@ -24,6 +24,7 @@ from bench.run.engine import Ending, Engine
 from bench.run.estimate import needs, read_durations
 from bench.run.events import Events, Progress
 from bench.run.lock import lock_path, locked, run_lock
+from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
 from bench.run.rows import frame_rows, judged, truth_row, write_facts
@@ -247,6 +248,7 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
     """Score detectors over a recording; gives back the run's folder. Raises ConfigError,
     RecordingError.
     """
+    check_pack(path)
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
     examiner = Examiner(read_calibration(recording.calibration_path))
     rules, files = read_config(RECORDING_RULES, Rules), {RULES: read_text(RECORDING_RULES)}

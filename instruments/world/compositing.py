@@ -205,9 +205,12 @@ def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
 
 def _of_corners(corners: Sequence[Floats], owners: Sequence[int], camera: CameraModel) -> Cover:
     """Polygons (m, 2) in the ideal plane, each with the number of its solid."""
-    owner = np.repeat(np.asarray(owners, dtype=np.intp), [len(outline) for outline in corners])
-    end = np.concatenate([np.roll(outline, -1, axis=0) for outline in corners])
-    start = np.concatenate(corners)
+    counts = np.array([len(outline) for outline in corners], dtype=np.intp)
+    owner = np.repeat(np.asarray(owners, dtype=np.intp), counts)
+    start, after = np.concatenate(corners), np.arange(1, len(owner) + 1)
+    lasts = np.cumsum(counts) - 1
+    after[lasts] = lasts - counts + 1  # an outline is closed
+    end = start[after]
     # edges in pieces of STEP_PX, those near the image kept, and distorted
     length_px = np.linalg.norm((end - start) * camera.fc, axis=1)
     pieces = np.maximum(np.ceil(length_px / STEP_PX), 1.0).astype(np.intp)
@@ -281,8 +284,10 @@ def _bent(plane: Floats, camera: CameraModel, low: Floats, high: Floats) -> Floa
 def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cover:
     """Signed areas in one flat buffer of windows; a closed outline's rows sum to zero."""
     low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
-    np.minimum.at(low, owner, start)
-    np.maximum.at(high, owner, start)
+    # an outline's points follow each other
+    runs = np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))
+    low[owner[runs]] = np.minimum.reduceat(start, runs)
+    high[owner[runs]] = np.maximum.reduceat(start, runs)
     (x0, y0), (right, bottom) = np.floor(low).astype(np.intp).T, np.floor(high).astype(np.intp).T
     width, height = right - x0 + 2, bottom - y0 + 1
     offset = np.concatenate([[0], np.cumsum(width * height)])

@@ -52,14 +52,22 @@ class Surfaces:
     ) -> list[Layer]:
         """A layer for each of ``count`` things, from a value for each pair."""
         ends = np.searchsorted(self.owner, np.arange(count + 1))
-        at, depth_mm = self.cover, self.depth_mm
-        return [
-            merged(
-                at.row[part], at.column[part], at.share[part], depth_mm[part], value[part],
-                None if along is None else along[part],
-            )
-            for part in (slice(start, end) for start, end in pairwise(ends))
-        ]  # fmt: skip
+        return [self._layer(slice(*part), value, along) for part in pairwise(ends)]
+
+    def _layer(
+        self, part: slice, value: NDArray[np.float32] | Floats, along: Floats | None
+    ) -> Layer:
+        at = self.cover
+        solid, row, column, share = at.solid[part], at.row[part], at.column[part], at.share[part]
+        several = len(solid) > 0 and solid[0] != solid[-1]  # else no two meet in a pixel
+        return (merged if several else Layer)(
+            row,
+            column,
+            share,
+            self.depth_mm[part],
+            value[part],
+            None if along is None else along[part],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
