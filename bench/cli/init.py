@@ -96,7 +96,7 @@ def _chosen(kind: str, there: list[Found], ask: Ask) -> Found | None:
 
 
 def _arm(found: Found, ask: Ask) -> Mapping[str, object]:
-    known = next((model for model in MODELS if model in found.who.split()), "3DX")
+    known = next((one for one in MODELS if one.removeprefix("3") in found.who.split()), "3DX")
     answer = ask(f"Which MicroScribe ({', '.join(MODELS)})?", known)
     accuracy_mm = _one_of("the model", answer, MODELS)
     return {"accuracy_mm": accuracy_mm, "accuracy_source": f"maker's data sheet, {answer}"}

@@ -107,10 +107,11 @@ def _bath(url: str, name: str, clock: Clock) -> str:
     try:
         with open_instruments(rig, ("bath",), clock) as devices:
             reading = devices.bath.read()
-            said = [devices.bath.identity.get(key) for key in ("model", "version", "firmware")]
+            known = devices.bath.identity
+            said = [str(known[key]) for key in ("model", "version", "firmware") if known.get(key)]
     except InstrumentError:
         return ""
-    return f"{' '.join(filter(None, map(str, said)))}, at {reading.temp_c:.2f} degC".lstrip(", ")
+    return f"{' '.join(said) or 'it'}, at {reading.temp_c:.2f} degC"
 
 
 # The file

@@ -224,7 +224,8 @@ class OpenCvCamera:
             [f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes]
         )
         # undecoded, since the library scales a frame of another size to the first one's
-        is_mjpeg = _is_url(self._source) and fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)) == "MJPG"
+        is_mjpeg = fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)) == "MJPG"
+        is_mjpeg &= capture.getBackendName() == "FFMPEG"
         self._is_jpeg = is_mjpeg and capture.set(cv2.CAP_PROP_FORMAT, -1)
         if is_live(self._source):
             self._live = LiveReader(capture, self._clock, self._name)
