@@ -1,5 +1,5 @@
-"""The tables of measured figures in README and docs, each from a CSV file of docs/figures: one
-place that renders them.
+"""The tables of docs/figures/measured.md, each from a CSV file beside it: one place that renders
+them.
 
 python -m tests.doc_figures                         write the pages' tables from the CSV files
 python -m tests.doc_figures families SET RUN        write the rows of SET in families.csv from a run of `teatbench score`
@@ -21,6 +21,7 @@ from tests.bench.scoring.coverage import DRAWS, coverage
 from tests.conftest import ROOT
 
 FOLDER = ROOT / "docs" / "figures"
+MEASURED = "docs/figures/measured.md"
 OWN, PATH_TRACED = "members 400 to 599", "path-traced"
 Row = Mapping[str, str]
 
@@ -97,7 +98,7 @@ def _coverage() -> Iterator[Sequence[str]]:
 # page, the table's first line, its rows
 TABLES: tuple[tuple[str, str, Callable[[], Iterator[Sequence[str]]]], ...] = (
     (
-        "docs/detectors.md",
+        MEASURED,
         (
             "| situation | fused found | false | mean, p95, max (mm) | thesis found | false | mean,"
             " p95, max (mm) |"
@@ -105,7 +106,7 @@ TABLES: tuple[tuple[str, str, Callable[[], Iterator[Sequence[str]]]], ...] = (
         _families,
     ),
     (
-        "docs/detectors.md",
+        MEASURED,
         (
             "| situation | no fit near it (2) | end not seen | side not seen, or one side and too"
             " little else (3) | other |"
@@ -113,12 +114,12 @@ TABLES: tuple[tuple[str, str, Callable[[], Iterator[Sequence[str]]]], ...] = (
         _missed,
     ),
     (
-        "docs/detectors.md",
+        MEASURED,
         "| situation | ours | over 11.3 | path-traced |",
         _covariances,
     ),
     (
-        "docs/scoring.md",
+        MEASURED,
         "| changes | mean (mm) | 8 poses | 20 poses | 60 poses | 150 poses |",
         _coverage,
     ),

@@ -16,6 +16,7 @@ from bench.report.sensitivity import PAGE, POINTS, numbers_page
 from bench.report.tables import ALL
 from tests.conftest import ROOT
 from tests.doc_figures import (
+    MEASURED,
     OWN,
     PATH_TRACED,
     TABLES,
@@ -69,14 +70,14 @@ def test_what_was_missed_is_what_the_families_lack() -> None:
         for name, row in rows.items()
         if name != ALL and (by := int(row["visible"]) - int(row["found"]))
     }
-    total, note = rows[ALL], page("docs/detectors.md")
+    total, note = rows[ALL], page(MEASURED)
     assert f"Missed, {int(total['visible']) - int(total['found'])}, by what" in note
     assert f"Off by more than 4 mm, of those {total['found']} " in note
 
 
 def test_the_ends_that_are_far_off_are_the_largest_of_their_families() -> None:
     table = standing(
-        (ROOT / "docs/detectors.md").read_text(encoding="utf-8"),
+        (ROOT / MEASURED).read_text(encoding="utf-8"),
         "| situation | frame | what | cause |",
     )
     worst: dict[str, float] = {}
@@ -110,7 +111,7 @@ def test_sentences_on_the_path_traced_frames() -> None:
 
 def test_the_sentence_on_covariances() -> None:
     over = {row["situation"]: row["over_percent"] for row in read("covariances.csv")}[ALL]
-    assert f"and {over} % are beyond one in a hundred" in page("docs/detectors.md")
+    assert f"and {over} % are beyond one in a hundred" in page(MEASURED)
 
 
 def test_sensitivity_as_measured_is_that_of_its_points() -> None:
