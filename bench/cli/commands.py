@@ -610,7 +610,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--plane-checks N", "further touches anywhere in the plane", whole(0, 20), 1),
         option(
             "--check X,Y,Z",
-            "also touch this known point, mm in world axes; may be given several times (--check=-60,80,0)",
+            "also touch this known point, world mm; may be given several times (--check=-60,80,0)",
             point(3, 10_000.0),
             many=True,
         ),
