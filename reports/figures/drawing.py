@@ -160,7 +160,8 @@ def _lay_out(figure: Figure) -> None:
         axes.apply_aspect()
     engine = figure.get_layout_engine()
     assert engine is not None  # noqa: S101 - it was given with the figure
-    engine.execute(figure)
+    if figure.axes:  # matplotlib warns where there is nothing to place
+        engine.execute(figure)
     figure.set_layout_engine("none")
 
 
