@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 TASKS = {
     "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
     "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
-    "set up a rig": ("check", "rigs", "calibrate", "emulate"),
+    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
     "keep and exchange what was recorded": ("store", "recording", "replay-wire"),
     "this program": ("completion",),
@@ -473,7 +473,9 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--calibration FILE", "what detectors are told (default: the cameras' own)", str),
         PERTURB,
         option("--limit-mm MM", "of each teat's error (default: 5)", LENGTH),
-        option("--chunk-scenes N", "scenes worked on together (default: 25)", whole(1, 10_000)),
+        option(
+            "--chunk-scenes N", "scenes worked on together (default: up to 50)", whole(1, 10_000)
+        ),
         one_of(
             WORKERS,
             option("--dask ADDRESS", "a Dask scheduler instead, such as tcp://lab-pc:8786"),
@@ -561,6 +563,19 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         REPLACE,
         flag("--paced", "serial instruments at the rig's baud rate, 10 bits a byte"),
     ),
+    "init": (
+        "find instruments and cameras, ask for the rest, write a rig file; nothing moves or heats",
+        "init --out my-rig.toml",
+        option("--out FILE", "the rig file", Path, Path("my-rig.toml")),
+        REPLACE,
+        option(
+            "--port URL",
+            "look here only, as in a rig file's url; may be given several times (default: every"
+            " serial port)",
+            many=True,
+        ),
+        flag("--yes", "ask nothing: what isn't found is marked in the file"),
+    ),
     "arm read": (
         "one position",
         "arm read --port /dev/ttyUSB0 --json",
@@ -601,7 +616,12 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *HOMED,
         option("--distances N", "divots: 1 middle, 2 near and far, 3 all", whole(1, 3), 3),
         option("--touches N", "touches in each divot", whole(5, 100), 10),
-        option("--length-mm L", "a calibrated length to measure too", ABOVE_0),
+        option("--length-mm L", "a calibrated length to measure too, cones at its ends", ABOVE_0),
+        option("--length-u-mm U", "its standard uncertainty (certificate)", SD, 0.0),
+        option(
+            "--gauge TEXT", "which one it is, and its certificate: kept and printed", default=""
+        ),
+        option("--accuracy-mm U", "the arm's stated u, to hold the touches against", ABOVE_0, 0.23),
         option("--directions N", "directions to measure it in", whole(1, 7), 7),
         option("--script SCRIPT", "whose limits to hold it against (default: six-situations)"),
         *ARM_FILE,

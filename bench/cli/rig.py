@@ -262,7 +262,6 @@ def sensitivity(given: argparse.Namespace) -> int:
         seed=given.seed,
         detectors=wanted,
         rig=str(path),
-        chunk_scenes=min(given.seeds, 25),
     )
     folder = given.out / "campaign"
     results: dict[str, list[Measured]] = {}

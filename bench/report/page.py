@@ -46,6 +46,7 @@ from bench.scoring.rates import zero_failure_n
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.script.model import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
+from instruments.camera.settings import AUTOMATIC
 from instruments.world.situations import spoken
 from reports import figures
 from reports.mail import write_single_file
@@ -482,7 +483,15 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def fault_parts(run: RunRecord) -> Iterator[Part]:
-    """Frames taken again and requests repeated; nothing where there were none."""
+    """Frames taken again, requests repeated, automatic functions of cameras; nothing where there
+    were none.
+    """
+    cameras = (run.facts.get("identities") or {}).get("cameras", {})
+    if on := [f"{name}: {who}" for name, who in cameras.items() if AUTOMATIC in str(who)]:
+        yield Notes(
+            "The rig file lets cameras adjust themselves (auto = true): trials may differ by it",
+            tuple(on),
+        )
     for fact, title in FAULTS.items():
         counts = sorted((run.facts.get(fact) or {}).items())
         if counts:

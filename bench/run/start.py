@@ -105,7 +105,7 @@ def resume_run(
     """
     how, events = how or RunOptions(), _stream(progress)
     rig, script = files_of(run := read_run(folder))
-    if rig.rig.cameras.url.startswith("recording:"):
+    if rig.rig.cameras.recorded:
         raise ConfigError.plain(
             f"{folder} can't be resumed: its cameras play a recording, which would begin anew."
             " Start a new run."
@@ -151,7 +151,7 @@ def _begun(
     table, trials = script.script, script.script.trials
     order = pose_set(trials, script.planned, seed=table.seed, order=table.order)
     today = wall_time().date()
-    recorded = rig.rig.cameras.url.startswith("recording:")
+    recorded = rig.rig.cameras.recorded
     kind = "emulated" if rig.rig.all_emulated else "recorded" if recorded else "real"
     facts = {
         "kind": kind,
