@@ -67,7 +67,8 @@ class Applied:
             raise ValueError(f"there is no perturbation {self.name!r}{hint} (there are: {there})")
         if not kind.low <= self.amount <= kind.high:
             raise ValueError(
-                f"{self.name} = {self.amount:g}: from {kind.low:g} to {kind.high:g} {kind.unit}"
+                f"{self.name} has to be from {kind.low:g} to {kind.high:g} {kind.unit}, is"
+                f" {self.amount:g}"
             )
 
     @classmethod

@@ -188,7 +188,10 @@ def detect(given: argparse.Namespace) -> int:
         print(json.dumps(line) if given.json else text, flush=True)
         answered = answered or "outcome" not in line
     if not answered:
-        return complain("no frame had an answer: nothing was detected", CODES.fault)
+        return complain(
+            "no frame had an answer: 'teatbench detectors try' says what is wrong with a detector",
+            CODES.fault,
+        )
     return CODES.met
 
 
