@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 TASKS = {
     "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
     "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
-    "set up a rig": ("check", "rigs", "calibrate", "emulate"),
+    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
     "keep and exchange what was recorded": ("store", "recording", "replay-wire"),
     "this program": ("completion",),
@@ -65,6 +65,12 @@ def perturbation(text: str) -> Applied:
         raise ArgumentTypeError(str(error)) from error
 
 
+PERTURB = option(
+    "--perturb NAME=AMOUNT",
+    "change every scene, such as vergence=0.1 (docs/campaigns.md); may be given several times",
+    perturbation,
+    many=True,
+)
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
 LENGTH = number("a length in mm above 0", above=0.0)
@@ -402,6 +408,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *SITUATIONS,
         option("--seeds N", "members of each family", whole(1), 20),
         *FIRST_SEEDS,
+        PERTURB,
         option(
             "--out DIR",
             "the recording; one that is there is added to",
@@ -475,15 +482,9 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "the calibration that detectors get (default: the cameras' own)",
             str,
         ),
-        option(
-            "--perturb NAME=AMOUNT",
-            "change every scene, such as vergence=0.1 (docs/campaigns.md); may be given several"
-            " times",
-            perturbation,
-            many=True,
-        ),
+        PERTURB,
         option("--limit-mm MM", "largest error that a teat end may have (default: 5)", LENGTH),
-        option("--chunk-scenes N", "scenes of a chunk (default: 25)", whole(1, 10_000)),
+        option("--chunk-scenes N", "scenes of a chunk (default: up to 50)", whole(1, 10_000)),
         one_of(
             WORKERS,
             option(
@@ -583,6 +584,19 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         REPLACE,
         flag("--paced", "serial instruments at the rig's baud rate, 10 bits a byte"),
     ),
+    "init": (
+        "find instruments and cameras, ask for the rest, write a rig file; nothing moves or heats",
+        "init --out my-rig.toml",
+        option("--out FILE", "the rig file", Path, Path("my-rig.toml")),
+        REPLACE,
+        option(
+            "--port URL",
+            "look here only, as in a rig file's url; may be given several times (default: every"
+            " serial port)",
+            many=True,
+        ),
+        flag("--yes", "ask nothing: what isn't found is marked in the file"),
+    ),
     "arm read": (
         "print one position of the tip",
         "arm read --port /dev/ttyUSB0 --json",
@@ -623,7 +637,19 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *HOMED,
         option("--distances N", "divots: 1 (middle), 2 (near and far) or 3 (all)", whole(1, 3), 3),
         option("--touches N", "touches in each divot", whole(5, 100), 10),
-        option("--length-mm L", "also measure a calibrated length, of so many mm", ABOVE_0),
+        option(
+            "--length-mm L", "also measure a calibrated length with cones at its ends, mm", ABOVE_0
+        ),
+        option("--length-u-mm U", "its standard uncertainty, mm, as its certificate says", SD, 0.0),
+        option(
+            "--gauge TEXT", "which length it is, and its certificate, for the record", default=""
+        ),
+        option(
+            "--accuracy-mm U",
+            "the arm's stated standard uncertainty, mm, to hold the touches against",
+            ABOVE_0,
+            0.23,
+        ),
         option("--directions N", "directions to measure it in", whole(1, 7), 7),
         option("--script SCRIPT", "whose limits to hold it against (default: six-situations)"),
         *ARM_FILE,
@@ -802,7 +828,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *_part("calibration.toml"),
     ),
     "calibrate check": (
-        "test whether a calibration still holds, with a board or touched points",
+        "test whether a calibration still holds, by a board, touched points or touched teat ends",
         "calibrate check calibration.toml --rig my-rig.toml --board chessboard-9x6-40",
         CAPTURE,
         option("calibration CAL", "the calibration, or the cameras' file where a board is shown"),
@@ -811,6 +837,11 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *FINDER,
         *LIVE,
         option("--points CSV", "touched points in the place of a board, as for 'calibrate world'"),
+        option(
+            "--ends DIR",
+            "a run or recording with touched teat ends, in place of a board; with --rig the phantom"
+            " is seen anew, standing as in its last trial",
+        ),
         option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
         TOUCH_SD,
         option("--page DIR", "also write a page there"),

@@ -168,16 +168,17 @@ def _show(found: Sequence[Comparison]) -> None:
         notes,
         success_table,
         verdict_text,
+        worded,
     )
 
     console = Terminal()
     for comparison in found:
-        console.print(heading(comparison), soft_wrap=True)
+        console.print(worded(comparison, heading(comparison)), soft_wrap=True)
         for title, page in (
             ("success", success_table(comparison)),
             ("distance to the teat end", distance_table(comparison)),
         ):
-            table = Table(title=title)
+            table, page = Table(title=title), worded(comparison, page)
             for at, column in enumerate(page.columns):
                 name = f"{column.title}, {column.unit}" if column.unit else column.title
                 table.add_column(name, justify="right" if at else "left", overflow="fold")
@@ -185,8 +186,8 @@ def _show(found: Sequence[Comparison]) -> None:
                 table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in row))
             console.print(table)
         for line in (*notes(comparison), verdict_text(comparison)):
-            console.print(line)
-        for reason in gate_reasons(comparison):
+            console.print(worded(comparison, line))
+        for reason in worded(comparison, gate_reasons(comparison)):
             console.print(f"  {reason}")
 
 

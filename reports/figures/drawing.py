@@ -159,8 +159,7 @@ def _lay_out(figure: Figure) -> None:
     for axes in figure.axes:
         axes.apply_aspect()
     engine = figure.get_layout_engine()
-    assert engine is not None  # noqa: S101 - it was given with the figure
-    if figure.axes:  # matplotlib warns where there is nothing to place
+    if figure.axes and engine is not None:
         engine.execute(figure)
     figure.set_layout_engine("none")
 
