@@ -1,5 +1,5 @@
-"""The tables of docs/figures/measured.md, each from a CSV file beside it: one place that renders
-them.
+"""The tables of measured figures in docs, each from a CSV file of docs/figures: one place that
+renders them.
 
 python -m tests.doc_figures                         write the pages' tables from the CSV files
 python -m tests.doc_figures families SET RUN        write the rows of SET in families.csv from a run of `teatbench score`
@@ -27,7 +27,8 @@ from tests.bench.scoring.coverage import DRAWS, coverage
 from tests.conftest import ROOT
 
 FOLDER = ROOT / "docs" / "figures"
-MEASURED, PATH_TRACED = "docs/figures/measured.md", "path-traced"
+MEASURED = "docs/figures/measured.md"
+PATH_TRACED = "path-traced"
 Row = Mapping[str, str]
 DETECTORS_PAGE = ROOT / "docs" / "detectors.md"
 FIRST, ELEVEN = "the first eleven", tuple(SITUATIONS)[:11]

@@ -484,9 +484,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
         PERTURB,
         option("--limit-mm MM", "largest error that a teat end may have (default: 5)", LENGTH),
-        option(
-            "--chunk-scenes N", "scenes worked on together (default: up to 50)", whole(1, 10_000)
-        ),
+        option("--chunk-scenes N", "scenes of a chunk (default: up to 50)", whole(1, 10_000)),
         one_of(
             WORKERS,
             option(
@@ -640,15 +638,18 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--distances N", "divots: 1 (middle), 2 (near and far) or 3 (all)", whole(1, 3), 3),
         option("--touches N", "touches in each divot", whole(5, 100), 10),
         option(
-            "--length-mm L",
-            "also measure a calibrated length, of so many mm, cones at its ends",
-            ABOVE_0,
+            "--length-mm L", "also measure a calibrated length with cones at its ends, mm", ABOVE_0
         ),
-        option("--length-u-mm U", "its standard uncertainty (certificate)", SD, 0.0),
+        option("--length-u-mm U", "its standard uncertainty, mm, as its certificate says", SD, 0.0),
         option(
-            "--gauge TEXT", "which one it is, and its certificate: kept and printed", default=""
+            "--gauge TEXT", "which length it is, and its certificate, for the record", default=""
         ),
-        option("--accuracy-mm U", "the arm's stated u, to hold the touches against", ABOVE_0, 0.23),
+        option(
+            "--accuracy-mm U",
+            "the arm's stated standard uncertainty, mm, to hold the touches against",
+            ABOVE_0,
+            0.23,
+        ),
         option("--directions N", "directions to measure it in", whole(1, 7), 7),
         option("--script SCRIPT", "whose limits to hold it against (default: six-situations)"),
         *ARM_FILE,
@@ -827,7 +828,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *_part("calibration.toml"),
     ),
     "calibrate check": (
-        "test whether a calibration still holds, with a board, touched points or touched teat ends",
+        "test whether a calibration still holds, by a board, touched points or touched teat ends",
         "calibrate check calibration.toml --rig my-rig.toml --board chessboard-9x6-40",
         CAPTURE,
         option("calibration CAL", "the calibration, or the cameras' file where a board is shown"),
@@ -838,8 +839,8 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--points CSV", "touched points in the place of a board, as for 'calibrate world'"),
         option(
             "--ends DIR",
-            "a run or recording with touched teat ends, in the place of a board; with --rig the"
-            " phantom is seen anew, standing as in its last trial",
+            "a run or recording with touched teat ends, in place of a board; with --rig the phantom"
+            " is seen anew, standing as in its last trial",
         ),
         option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
         TOUCH_SD,
