@@ -16,6 +16,7 @@ from bench.report.tables import ALL
 from tests.conftest import ROOT
 from tests.doc_figures import (
     FIRST,
+    MEASURED,
     PATH_TRACED,
     SUMS,
     TABLES,
@@ -74,7 +75,7 @@ def test_sentences_on_the_path_traced_frames() -> None:
 
 def test_the_sentence_on_covariances() -> None:
     over = {row["situation"]: row["over_percent"] for row in read("covariances.csv")}[ALL]
-    assert f"and {over} % are beyond one in a hundred" in page("docs/detectors.md")
+    assert f"and {over} % are beyond one in a hundred" in page(MEASURED)
 
 
 def test_sensitivity_as_measured_is_that_of_its_points() -> None:

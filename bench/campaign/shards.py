@@ -219,4 +219,4 @@ def query(folder: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
                 )
             return [column[0] for column in found.description or ()], found.fetchall()
         except duckdb.Error as error:
-            raise ConfigError.plain(f"the query: {error}") from error
+            raise ConfigError.plain(f"the query is refused: {error}") from error
