@@ -88,7 +88,7 @@ def test_what_a_campaign_takes_beside_its_chunks(
         return used.ru_utime + used.ru_stime
 
     cv2.setNumThreads(1)
-    campaign = Campaign(Plan(families=("ideal", "overlapping"), scenes=50), tmp_path)
+    campaign = Campaign(Plan(families=("ideal", "overlapping"), scenes=100), tmp_path)
     campaign.begin()
     plan, job = campaign.plan, campaign.job
     parent_s, workers_s = -time.process_time(), -children_s()
