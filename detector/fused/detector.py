@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused import pictures
-from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, warmth_across, weigh
+from detector.fused.decide import (
+    Evidence,
+    doubts,
+    maybe_hidden,
+    objections,
+    shapes,
+    warmth_across,
+    weigh,
+)
 from detector.fused.depth_search import (
     Map,
     best_starts,
@@ -38,6 +46,7 @@ from detector.fused.refine import (
     refine,
     refine_again,
     refine_slid,
+    shaped_again,
     slide_ends,
     world_covariances,
 )
@@ -146,6 +155,9 @@ def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) 
         if len(slid):
             more += refine_slid(slid, views, p)
         judged = _judge(more, thermal, p)
+    unlike = shapes(judged.fitted.teats, judged.evidence, judged.reasons, p)
+    if unlike:
+        judged = _judge(shaped_again(judged.fitted, unlike, p, views), thermal, p)
     again = [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)]
     hidden = hidden_points(judged.fitted, judged.accepted, again)
     if not hidden.any():

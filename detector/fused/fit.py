@@ -88,6 +88,7 @@ class Parameters:
     whole_end: float = 0.7  # share of the rounded end, below which a fit may have bridged two teats
     whole_end_both: float = 0.85  # where both sides are seen
     most_doubts: int = 3
+    most_shapes: int = 6  # fits that are tried again as short teats of any shape
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
     least_end: float = 0.4  # of the rounded end's; where the thermal picture doesn't show it,
     least_end_alone: float = 0.75  # where both sides were followed up to it,
@@ -216,8 +217,8 @@ def step(teats: Array, seen: Seen, weight: Array, prior: Prior) -> Array:
     moved = teats + np.nan_to_num(change)
     moved[:, [LEAN_X, LEAN_Z]] = np.clip(moved[:, [LEAN_X, LEAN_Z]], -0.8, 0.8)
     moved[:, RADIUS] = np.clip(moved[:, RADIUS], 4.0, 25.0)
-    moved[:, TAPER] = np.clip(moved[:, TAPER], -0.15, 0.15)
-    moved[:, HEIGHT] = np.clip(moved[:, HEIGHT], 0.5, 1.6)
+    moved[:, TAPER] = np.clip(moved[:, TAPER], -0.25, 0.25)
+    moved[:, HEIGHT] = np.clip(moved[:, HEIGHT], 0.5, 2.0)
     return np.asarray(moved)
 
 
