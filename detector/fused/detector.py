@@ -33,6 +33,8 @@ from detector.fused.depth_search import (
 from detector.fused.fit import Parameters, View
 from detector.fused.model import apexes, axes
 from detector.fused.refine import (
+    FAR_MM,
+    NEAR_MM,
     OPTICAL_FINE,
     OPTICAL_FLOOR_PX,
     OPTICAL_ROUGH,
@@ -42,6 +44,7 @@ from detector.fused.refine import (
     end_covariances,
     fine,
     hidden_points,
+    on_one_bar,
     one_sided,
     refine,
     refine_again,
@@ -151,10 +154,16 @@ def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) 
         if bridging:
             starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
             more += fine(starts, left_out, views, p)
-        slid = slide_ends(judged.fitted.teats[shifted], views)
+        doubtful = judged.fitted.teats[shifted]
+        slid = slide_ends(doubtful, views, NEAR_MM)
         if len(slid):
             more += refine_slid(slid, views, p)
         judged = _judge(more, thermal, p)
+        # farther only where none is near, as an arm may show what looks like an end too
+        same = on_one_bar(judged.fitted.teats)[np.ix_(shifted, judged.accepted)].any(axis=1)
+        slid = slide_ends(doubtful[~same], views, FAR_MM)
+        if len(slid):
+            judged = _judge(judged.fitted + refine_slid(slid, views, p), thermal, p)
     unlike = shapes(judged.fitted.teats, judged.evidence, judged.reasons, p)
     if unlike:
         judged = _judge(shaped_again(judged.fitted, unlike, p, views), thermal, p)

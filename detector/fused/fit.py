@@ -78,6 +78,7 @@ class Parameters:
     farthest_mm: float = 1900.0
     least_radius_mm: float = 7.5  # teats are 8 to 14 mm in radius
     greatest_radius_mm: float = 15.0
+    least_height: float = 0.65  # of an end, in radii: what is flatter must fit the better
     greatest_lean: float = 0.5  # slope, some 27 degrees: teats lean by less than 20 either way
     prior: Prior = field(default_factory=Prior)
     most_nominations: int = 14
@@ -92,7 +93,7 @@ class Parameters:
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
     least_end: float = 0.4  # of the rounded end's; where the thermal picture doesn't show it,
     least_end_alone: float = 0.75  # where both sides were followed up to it,
-    least_end_followed: float = 0.6  # and where only one side is seen,
+    least_end_followed: float = 0.57  # and where only one side is seen,
     least_end_one_sided: float = 0.45
     # of one that is less sure than this; least_end_alone where it is warm all round
     least_end_unsure: float = 0.87

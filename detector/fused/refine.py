@@ -205,7 +205,7 @@ def on_one_bar(teats: Array) -> NDArray[np.bool_]:
 
 
 _END_OUTLINE = Outline(np.array([1.0]), (np.arange(18) + 0.5) / 18)
-_SLIDE_MM = np.arange(-14.0, 15.0)  # towards the end
+NEAR_MM, FAR_MM = np.arange(-14.0, 15.0), np.arange(15.0, 27.0)  # towards the end
 _CLOSE_PX = 0.6
 # of the best place's share of an end, and of the whole end: so much must be seen where an end may
 # be
@@ -285,21 +285,21 @@ def refine_slid(slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
     return replace(more, followed=np.ones(len(slid), dtype=bool))
 
 
-def slide_ends(teats: Array, views: tuple[View, ...]) -> Array:
-    """Teats (m, 8) with ends moved along their axes to where both optical pictures show a round
-    end.
+def slide_ends(teats: Array, views: tuple[View, ...], slide_mm: Array) -> Array:
+    """Teats (m, 8) with ends moved along their axes by one of ``slide_mm`` (s,), to where both
+    optical pictures show a round end.
 
     Light paints rims on a teat, but nothing as wide beyond its end: of places nearly as good as the
     best, the farthest out.
     """
-    m, count = len(teats), len(_SLIDE_MM)
+    m, count = len(teats), len(slide_mm)
     if m == 0:
         return teats
     slid = np.repeat(teats[:, None], count, axis=1)
     slid[..., HEIGHT] = 1.0
     axis = axes(teats)[:, None]
     slid[..., :3] -= (teats[:, RADIUS] * (teats[:, HEIGHT] - 1.0))[:, None, None] * axis
-    slid[..., :3] -= _SLIDE_MM[:, None] * axis
+    slid[..., :3] -= slide_mm[:, None] * axis
     jacobian = np.zeros((m * count, 2 * len(_END_OUTLINE.part), COUNT))
     seen = look(slid.reshape(-1, COUNT), views[:2], _END_OUTLINE, jacobian, fine=True)
     part = np.tile(_END_OUTLINE.part == END, 2)
