@@ -283,12 +283,15 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
 
 def _held_by_thermal(evidence: Evidence, i: int) -> bool:
     """Whether a teat may lack its sides in a picture: end well seen in both, end and a side in the
-    thermal one, less clearly where the other optical picture shows a side.
+    thermal one, less clearly where the other optical picture shows a side; or short, its end whole.
     """
     end = evidence.end[i, :2].min()
     side = evidence.side[i, :2].max()
     thermal = min(evidence.end[i, 2], evidence.side[i, 2])
-    return bool((end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5))
+    short = evidence.shaped[i] and min(end, evidence.end[i, 2]) > 0.95 and evidence.side[i, 2] > 0.5
+    return bool(
+        short or (end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5)
+    )
 
 
 def _elsewhere(offset_px: Array, most_px: float) -> bool:
