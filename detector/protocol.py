@@ -70,7 +70,9 @@ class Detection:
 
 
 class Detector(Protocol):
-    """`parameters`: every setting that changes an answer, for the configuration hash."""
+    """`parameters`: every setting that changes an answer, for the configuration hash. One that
+    states covariances may have a `covariance_leaves_out`: a phrase that the report quotes.
+    """
 
     @property
     def name(self) -> str: ...

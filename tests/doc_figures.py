@@ -1,8 +1,9 @@
-"""The tables of measured figures in README and docs, each from a CSV file of docs/figures: one
-place that renders them.
+"""The tables of docs/figures/measured.md, each from a CSV file beside it: one place that renders
+them.
 
 python -m tests.doc_figures                         write the pages' tables from the CSV files
 python -m tests.doc_figures families SET RUN        write the rows of SET in families.csv from a run of `teatbench score`
+python -m tests.doc_figures campaign DIR            write campaign.csv from a campaign's folder
 python -m tests.doc_figures coverage RUNS           simulate coverage.csv again; 4000 take ten minutes
 """
 
@@ -14,15 +15,32 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from bench.campaign.numbers import family_rates
+from bench.campaign.plan import Plan, read_plan
+from bench.campaign.run import PLAN
+from bench.campaign.shards import Shards
 from bench.record.reader import read_run
 from bench.report.tables import ALL, situations
 from bench.results.verdicts import scored
+from instruments.world.situations import SITUATIONS
 from tests.bench.scoring.coverage import DRAWS, coverage
 from tests.conftest import ROOT
 
 FOLDER = ROOT / "docs" / "figures"
-OWN, PATH_TRACED = "members 400 to 599", "path-traced"
+MEASURED, PATH_TRACED = "docs/figures/measured.md", "path-traced"
 Row = Mapping[str, str]
+DETECTORS_PAGE = ROOT / "docs" / "detectors.md"
+FIRST, ELEVEN = "the first eleven", tuple(SITUATIONS)[:11]
+DETECTORS = "SELECT DISTINCT detector FROM scenes"
+ERRORS = """
+SELECT avg(mm), quantile_cont(mm, 0.95), max(mm) FROM (
+  SELECT sqrt(x_mm * x_mm + y_mm * y_mm + z_mm * z_mm) AS mm FROM teats
+  WHERE status = 'found' AND list_contains(?, family)
+)
+"""
+SUMS = (
+    *("scenes", "failures", "visible", "found", "false_teats", "sure_wrong", "stated", "inside"),
+)
 
 
 def read(name: str) -> list[dict[str, str]]:
@@ -48,33 +66,70 @@ def families(of: str, detector: str) -> dict[str, Row]:
     }
 
 
-def _families() -> Iterator[Sequence[str]]:
-    thesis = families(OWN, "thesis")
-    for name, row in families(OWN, "fused").items():
-        other = thesis[name]
-        errors = (
-            ", ".join(one[key] for key in ("mean_mm", "p95_mm", "max_mm")) for one in (row, other)
+def campaign_rows(folder: Path) -> Iterator[dict[str, str]]:
+    """The campaign in a folder, of one detector: each family, the first eleven, and all."""
+    plan = read_plan(folder / PLAN)
+    shards = Shards(folder)
+    with shards.connect() as db:
+        (detector,) = (name for (name,) in db.execute(DETECTORS).fetchall())
+        by_name = {rate.family: rate for rate in family_rates(db)}
+        errors = {name: db.execute(ERRORS, [[*names]]).fetchone() for name, names in _sets(plan)}
+    version = plan.made_by["detectors"].removeprefix(f"{detector} ").split()[0]
+    for name, names in _sets(plan):
+        rates = [by_name[one] for one in names]
+        sums = {key: sum(getattr(one, key) for one in rates) for key in SUMS}
+        low, high = plan.interval(sums["failures"], sums["scenes"]) or (0.0, 1.0)
+        nees = sum((one.nees or 0.0) * one.stated for one in rates) / max(sums["stated"], 1)
+        cells = (f"{value:.2f}" if value is not None else "" for value in errors[name] or ())
+        yield {
+            "detector": f"{detector} {version}",
+            "seed": str(plan.seed),
+            "digest": shards.digest()[:8],
+            "family": name,
+            **{key: str(value) for key, value in sums.items()},
+            "low": f"{low:.5f}",
+            "high": f"{high:.5f}",
+            **dict(zip(("mean_mm", "p95_mm", "max_mm"), cells, strict=True)),
+            "nees": f"{nees:.1f}",
+        }
+
+
+def _sets(plan: Plan) -> list[tuple[str, tuple[str, ...]]]:
+    first = tuple(name for name in plan.families if name in ELEVEN)
+    return [
+        *((name, (name,)) for name in plan.families),
+        *([(FIRST, first)] if first not in ((), plan.families) else []),
+        (ALL, plan.families),
+    ]
+
+
+def campaign_caption() -> str:
+    """What the campaign's table is of."""
+    all_of = read("campaign.csv")[-1]
+    families = sum(row["family"] not in (ALL, FIRST) for row in read("campaign.csv"))
+    return (
+        f"{all_of['detector']} on {int(all_of['scenes']):,} scenes of {families} families, seed"
+        f" {all_of['seed']}, digest {all_of['digest']}:"
+    )
+
+
+def _campaign() -> Iterator[Sequence[str]]:
+    for row in read("campaign.csv"):
+        scenes, failures = int(row["scenes"]), int(row["failures"])
+        low, high = (f"{100 * float(row[key]):.2f}" for key in ("low", "high"))
+        inside = (
+            f"{100 * int(row['inside']) / int(row['stated']):.1f} %" if int(row["stated"]) else ""
         )
         yield (
-            name,
+            row["family"],
+            f"{scenes - failures}/{scenes}",
+            f"{low} to {high} %",
             f"{row['found']}/{row['visible']}",
-            row["false"],
-            next(errors),
-            other["found"],
-            other["false"],
-            next(errors),
-        )
-
-
-def _missed() -> Iterator[Sequence[str]]:
-    for row in read("missed.csv"):
-        other = f"{row['other']}: {row['what']}" if row["what"] else row["other"]
-        yield (
-            row["situation"],
-            *(
-                cell if cell != "0" else ""
-                for cell in (row["no_fit"], row["end_not_seen"], row["side_not_seen"], other)
-            ),
+            row["false_teats"],
+            row["sure_wrong"],
+            ", ".join(row[key] for key in ("mean_mm", "p95_mm", "max_mm")),
+            row["nees"],
+            inside,
         )
 
 
@@ -99,26 +154,18 @@ TABLES: tuple[tuple[str, str, Callable[[], Iterator[Sequence[str]]]], ...] = (
     (
         "docs/detectors.md",
         (
-            "| situation | fused found | false | mean, p95, max (mm) | thesis found | false | mean,"
-            " p95, max (mm) |"
+            "| family | scenes right | failures, 95 % interval | ends found | false | sure and wrong"
+            " | mean, p95, max (mm) | squared error | in their 95 % region |"
         ),
-        _families,
+        _campaign,
     ),
     (
-        "docs/detectors.md",
-        (
-            "| situation | no fit near it (2) | end not seen | side not seen, or one side and too"
-            " little else (3) | other |"
-        ),
-        _missed,
-    ),
-    (
-        "docs/detectors.md",
+        MEASURED,
         "| situation | ours | over 11.3 | path-traced |",
         _covariances,
     ),
     (
-        "docs/scoring.md",
+        MEASURED,
         "| changes | mean (mm) | 8 poses | 20 poses | 60 poses | 150 poses |",
         _coverage,
     ),
@@ -145,6 +192,11 @@ def main(arguments: Sequence[str]) -> None:
             "families.csv",
             [*(row for row in read("families.csv") if row["set"] != of), *family_rows(of, run)],
         )
+    elif arguments[:1] == ["campaign"]:
+        before = campaign_caption()
+        write("campaign.csv", list(campaign_rows(Path(arguments[1]))))
+        text = DETECTORS_PAGE.read_text(encoding="utf-8").replace(before, campaign_caption())
+        DETECTORS_PAGE.write_text(text, encoding="utf-8", newline="\n")
     elif arguments[:1] == ["coverage"]:
         runs = int(arguments[1])
         write(

@@ -4,7 +4,6 @@ says how either is made again.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -16,9 +15,12 @@ from bench.report.sensitivity import PAGE, POINTS, numbers_page
 from bench.report.tables import ALL
 from tests.conftest import ROOT
 from tests.doc_figures import (
-    OWN,
+    FIRST,
+    MEASURED,
     PATH_TRACED,
+    SUMS,
     TABLES,
+    campaign_caption,
     families,
     family_rows,
     read,
@@ -44,52 +46,15 @@ def test_a_table_is_that_of_its_csv_file(
     assert standing((ROOT / path).read_text(encoding="utf-8"), head) == rendered(head, rows())
 
 
-@pytest.mark.parametrize("detector", ["fused", "thesis"])
-def test_families_add_up(detector: str) -> None:
-    rows = families(OWN, detector)
-    total = rows[ALL]
-    parts = [row for name, row in rows.items() if name != ALL]
-    for key in ("visible", "found", "false"):
+def test_the_campaign_adds_up() -> None:
+    assert campaign_caption() in page("docs/detectors.md")
+    rows = {row["family"]: row for row in read("campaign.csv")}
+    total, parts = rows.pop(ALL), [row for name, row in rows.items() if name != FIRST]
+    for key in SUMS:
         assert sum(int(row[key]) for row in parts) == int(total[key])
     mean = sum(int(row["found"]) * float(row["mean_mm"]) for row in parts) / int(total["found"])
     assert mean == pytest.approx(float(total["mean_mm"]), abs=0.01)
     assert max(float(row["max_mm"]) for row in parts) == float(total["max_mm"])
-
-
-def test_what_was_missed_is_what_the_families_lack() -> None:
-    rows = families(OWN, "fused")
-    missed = {
-        row["situation"]: sum(
-            int(row[key]) for key in ("no_fit", "end_not_seen", "side_not_seen", "other")
-        )
-        for row in read("missed.csv")
-    }
-    assert missed == {
-        name: by
-        for name, row in rows.items()
-        if name != ALL and (by := int(row["visible"]) - int(row["found"]))
-    }
-    total, note = rows[ALL], page("docs/detectors.md")
-    assert f"Missed, {int(total['visible']) - int(total['found'])}, by what" in note
-    assert f"Off by more than 4 mm, of those {total['found']} " in note
-
-
-def test_the_ends_that_are_far_off_are_the_largest_of_their_families() -> None:
-    table = standing(
-        (ROOT / "docs/detectors.md").read_text(encoding="utf-8"),
-        "| situation | frame | what | cause |",
-    )
-    worst: dict[str, float] = {}
-    for line in table.splitlines()[2:]:
-        name, _, what, _ = (cell.strip() for cell in line.strip("|").split("|"))
-        errors = [float(number) for number in re.findall(r"\d+\.\d+(?=(?:, \d+\.\d+)* mm)", what)]
-        worst[name] = max([worst.get(name, 0.0), *errors])
-    largest = {
-        name: float(row["max_mm"]) for name, row in families(OWN, "fused").items() if name != ALL
-    }
-    assert worst == {
-        name: pytest.approx(most, abs=0.051) for name, most in largest.items() if most > 4.0
-    }
 
 
 def test_sentences_on_the_path_traced_frames() -> None:
@@ -110,7 +75,7 @@ def test_sentences_on_the_path_traced_frames() -> None:
 
 def test_the_sentence_on_covariances() -> None:
     over = {row["situation"]: row["over_percent"] for row in read("covariances.csv")}[ALL]
-    assert f"and {over} % are beyond one in a hundred" in page("docs/detectors.md")
+    assert f"and {over} % are beyond one in a hundred" in page(MEASURED)
 
 
 def test_sensitivity_as_measured_is_that_of_its_points() -> None:

@@ -58,6 +58,7 @@ STAND_INS = {
     r" run$": " run short.toml --rig my-rig.toml",  # the shipped script on the shipped rig: CI's demo
     r"plane-map --dry-run": "short.toml --rig my-rig.toml --dry-run",
     r"/dev/ttyUSB0": "emulator:",
+    r"--page$": "--page --seconds 0.1",
     r"opencv:http://\S+": "my-rig.toml --seconds 0.1",
     r"resume runs/\S+": "resume runs/stopped",
     r"runs/20261120-\S+": "runs/kept",
@@ -277,3 +278,15 @@ LOADED: dict[str, Callable[[str, Path], object]] = {  # by a key that only such 
 def test_each_example_of_a_file_is_loaded_as_what_it_is(block: Block, tmp_path: Path) -> None:
     (load,) = {LOADED[key] for key in tomllib.loads(block.text) if key in LOADED}
     assert load(block.text, tmp_path)
+
+
+def test_pages_that_the_program_names_are_there() -> None:
+    named = {
+        page
+        for folder in ("bench", "detector", "instruments", "reports")
+        for path in sorted((ROOT / folder).rglob("*"))
+        if path.suffix in {".py", ".toml"}
+        for page in re.findall(r"docs/[\w/-]+\.md", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 5
+    assert [page for page in sorted(named) if not (ROOT / page).is_file()] == []

@@ -150,12 +150,16 @@ def limits_of(script: str | None) -> Limits:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Divots at 1 to 3 ``distances``, ``touches`` each, and a ``length_mm`` in ``directions``."""
+    """Divots at 1 to 3 ``distances``, ``touches`` each, and a ``length_mm`` in ``directions``;
+    ``length_u_mm`` and ``gauge`` are of its certificate.
+    """
 
     distances: int = 3
     touches: int = TOUCHES
     length_mm: float | None = None
     directions: int = len(DIRECTIONS)
+    length_u_mm: float = 0.0
+    gauge: str = ""
 
 
 def touch_frame(
@@ -228,10 +232,11 @@ def verify(arm: MicroScribe, person: Person, plan: Plan, made: datetime) -> Veri
             for end, nth in (("a", "first"), ("b", "second"))
         ]
         a, b = (_read(arm, person, step) for step in steps)
-        length = LengthTest(where, a.tip_mm, b.tip_mm, plan.length_mm)
+        length = LengthTest(where, a.tip_mm, b.tip_mm, plan.length_mm, plan.length_u_mm)
         lengths.append(length)
         person.say(f"{where}: {length.measured_mm:.2f} mm, error {length.error_mm:+.2f} mm.")
-    return Verification(made, arm.identity.serial_number, tuple(locations), tuple(lengths))
+    serial_number = arm.identity.serial_number
+    return Verification(made, serial_number, tuple(locations), tuple(lengths), plan.gauge)
 
 
 def _divot(arm: MicroScribe, person: Person, name: str, touches: int) -> LocationTest:

@@ -196,7 +196,10 @@ def check_pair(part: Part, views: BoardViews) -> tuple[Remeasured, tuple[Finding
             )
     pairs = views.pairs()
     if not pairs:
-        raise ConfigError.plain("the board was found in no view of both cameras")
+        raise ConfigError.plain(
+            "the board was found in no view of both cameras: is --board the one in the pictures,"
+            " and all of it in view of both?"
+        )
     again = remeasure(pair, views.board, pairs)
     return again, tuple(measured_again(again, pair))
 

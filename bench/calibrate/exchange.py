@@ -139,7 +139,9 @@ def write_ros(part: Part, path: Path, camera: str) -> None:
         "thermal": part.thermal.lens if part.thermal else None,
     }.get(camera)
     if lens is None:
-        raise ConfigError.plain(f"the calibration has no lens of a camera {camera!r}")
+        raise ConfigError.plain(
+            f"the calibration has no lens of the {camera} camera: name another with --camera"
+        )
     K = _matrix(lens)
 
     def matrix(values: Array) -> dict[str, Any]:

@@ -127,7 +127,10 @@ def calibrate_world(
             touch_sd_mm=touch_sd_mm,
         )
     except ValueError as error:
-        raise ConfigError.plain(f"the touched points determine no world: {error}") from error
+        raise ConfigError.plain(
+            f"the touched points determine no world axes: {error}. Nine at each of two heights are"
+            " good."
+        ) from error
     return WorldResult(fit, tuple(against_the_arm(fit)))
 
 
@@ -150,7 +153,9 @@ def check_points(
             " [stereo] and [world]"
         )
     if not len(points.touched_mm):
-        raise ConfigError.plain("the table of touched points is empty")
+        raise ConfigError.plain(
+            "the table of touched points is empty: write a point a line under the first line"
+        )
     missed = pair.place(points.left_px, points.right_px) - points.touched_mm
     if not np.isfinite(missed).all():
         bad = int(np.flatnonzero(~np.isfinite(missed).all(axis=1))[0]) + 1

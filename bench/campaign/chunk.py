@@ -230,18 +230,15 @@ def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[Drawn, Cal
     are told of the cameras. Raises ValueError for one that can't be drawn before these cameras.
     """
     seeds = (bench.seed, scene.member, *scene.family.encode())
-    state, stated = warm(found), bench.calibration
+    stated = bench.calibration
     for perturbation in bench.perturbations:
-        state = perturbation.state(state, seeds)
         stated = perturbation.stated(stated)
     noise = scene.family.partition(AT)[0]  # the same at all values of a quantity
-    drawn = draw(bench.renderer, noise, state, [bench.seed, scene.member])
-    frames = drawn.frames
-    for perturbation in bench.perturbations:
-        frames = perturbation.frames(frames, seeds)
+    own = [bench.seed, scene.member]
+    drawn = draw(bench.renderer, noise, warm(found), own, bench.perturbations, seeds)
     if bench.exact and stated is bench.calibration:
         stated = replace(stated, covariance=EXACT)
-    return Drawn(frames, drawn.truth), stated
+    return drawn, stated
 
 
 def set_aside(scene: Scene, detectors: Iterable[str], why: str) -> Rows:

@@ -58,7 +58,10 @@ def compare_campaigns(
         scores = _scores(old, plan), _scores(new, other)
         both = [scene for scene in scores[0] if scene in scores[1]]
         if not both:
-            raise ConfigError.plain(f"{old.label} and {new.label} have no scored scene in common")
+            raise ConfigError.plain(
+                f"{old.label} and {new.label} have no scored scene in common: run both on the same"
+                " families and members (--family, --first, --scenes)"
+            )
         same = [scores[0][scene][1] == scores[1][scene][1] for scene in both]
         if not all(same):
             _refuse_unexplained(old.run, new.run, both[same.index(False)], same.count(False))
@@ -113,7 +116,9 @@ def _as_run(folder: Path, plan: Plan) -> RunRecord:
         "ending": "finished",
     }
     if not there:
-        raise ConfigError.plain(f"{folder}: no scene has been scored there")
+        raise ConfigError.plain(
+            f"{folder}: no scene has been scored there; run it with 'teatbench campaign run'"
+        )
     return RunRecord(folder, facts)
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.geometry import Motion
 from instruments.camera.frame import FrameSet
+from instruments.world.shading import Lighting
 from instruments.world.state import SceneState
 
 Grey = NDArray[np.uint8]
@@ -66,7 +67,8 @@ class Applied:
             raise ValueError(f"there is no perturbation {self.name!r}{hint} (there are: {there})")
         if not kind.low <= self.amount <= kind.high:
             raise ValueError(
-                f"{self.name} = {self.amount:g}: from {kind.low:g} to {kind.high:g} {kind.unit}"
+                f"{self.name} has to be from {kind.low:g} to {kind.high:g} {kind.unit}, is"
+                f" {self.amount:g}"
             )
 
     @classmethod
@@ -214,6 +216,27 @@ def _warm_room(state: SceneState, amount: float, _: Chance) -> SceneState:
     return replace(state, ambient_c=amount)
 
 
+def _painted(state: SceneState, amount: float, _: Chance) -> SceneState:
+    return replace(state, teat_paint=replace(state.teat_paint, albedo=amount))
+
+
+def _glossy(state: SceneState, amount: float, _: Chance) -> SceneState:
+    return replace(state, teat_paint=replace(state.teat_paint, gloss=amount))
+
+
+def _lit(state: SceneState, amount: float, _: Chance) -> SceneState:
+    light = state.lighting
+    return replace(state, lighting=replace(light, brightness=amount * light.brightness))
+
+
+def _evenly_lit(state: SceneState, amount: float, _: Chance) -> SceneState:
+    return replace(state, lighting=Lighting(state.lighting.brightness, lamps=(), ambient=amount))
+
+
+def _before_board(state: SceneState, amount: float, _: Chance) -> SceneState:
+    return replace(state, backdrop=replace(state.backdrop, board_albedo=amount))
+
+
 def _of_right(name: str) -> Callable[[Calibration, float], Calibration]:
     return lambda calibration, amount: calibration.moved("right", name, amount)
 
@@ -271,6 +294,13 @@ KINDS: Mapping[str, Kind] = {
     "thermal-noise": Kind("noise of the thermal picture, sd", "K", 0, 10, frames=_thermal_noisy),
     "cool-quarters": Kind(
         "quarters up to so much cooler than the warmest", "K", 0, 20, state=_cool_quarters
+    ),
+    "teat-paint": Kind("albedo of the teats' paint", "", 0, 1, None, state=_painted),
+    "teat-gloss": Kind("gloss of the teats' paint", "", 0, 1, None, state=_glossy),
+    "board": Kind("albedo of the board behind", "", 0, 1, None, state=_before_board),
+    "light": Kind("all light times so much", "x", 0, 20, 1.0, state=_lit),
+    "even-light": Kind(
+        "light from everywhere in place of lamps, irradiance", "", 0, 20, None, state=_evenly_lit
     ),
     "warm-room": Kind("surroundings of this temperature", "degC", -20, 45, None, state=_warm_room),
 }

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import Field, field_validator, model_validator
 
@@ -34,6 +34,7 @@ from detector.protocol import Detector
 from instruments.world.scene import Renderer
 
 SCENES, MOST_SCENES = 100, 20_000  # a family: without and with a width to be reached
+CHUNK_SCENES, LEAST_CHUNKS = 50, 4  # 9 s of fused; of a small plan so many chunks
 DETECTORS = ("fused",)
 LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
 # what makes a scene's rows, beside the libraries
@@ -43,7 +44,8 @@ MAKES_ROWS = (
         Path(bench.__file__).parent / name
         for name in (
             *("campaign/chunk.py", "campaign/perturbations.py", "campaign/quantities.py"),
-            *("rig/scenes.py", "results/answers.py", "scoring"),
+            *("rig/scenes.py", "results/answers.py", "scoring/scene.py"),
+            *("scoring/matching.py", "scoring/errors.py"),
         )
     ),
 )
@@ -66,7 +68,8 @@ class PerturbationTable(Section):
 
 class Plan(Section):
     """A file of a campaign. ``scenes`` are of each family: so many, or with ``half_width`` (of the
-    95 % interval of the failure rate) at most. Files are named from the plan's folder.
+    95 % interval of the failure rate) at most. Files are named from the plan's folder. Without
+    ``chunk_scenes`` (0) chunks suit the number of scenes.
     """
 
     title: str = ""
@@ -82,7 +85,7 @@ class Plan(Section):
     optical: EmulatedOptical = EmulatedOptical()
     thermal: EmulatedThermal = EmulatedThermal()
     perturbations: tuple[PerturbationTable, ...] = ()
-    chunk_scenes: Annotated[int, Field(ge=1, le=10_000)] = 25
+    chunk_scenes: Annotated[int, Field(ge=0, le=10_000)] = 0
     chunk_limit_s: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     made_by: dict[str, str] = Field(default_factory=dict)
 
@@ -98,6 +101,14 @@ class Plan(Section):
     @classmethod
     def _once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(dict.fromkeys(names))
+
+    @model_validator(mode="after")
+    def _chunks_that_suit(self) -> Self:
+        if not self.chunk_scenes:
+            every = len(self.families) * self.most_scenes
+            most = min(self.most_scenes, CHUNK_SCENES, every // LEAST_CHUNKS)
+            object.__setattr__(self, "chunk_scenes", max(most, 1))
+        return self
 
     @property
     def most_scenes(self) -> int:
@@ -270,6 +281,7 @@ def plan_text(plan: Plan, made_by: Mapping[str, str]) -> str:
     """The plan as a file, with what makes its rows."""
     usual = Plan().model_dump(mode="json", exclude={"families", "seed", "detectors"})
     table = plan.model_dump(mode="json", exclude={"made_by"}, exclude_none=True)
+    del usual["chunk_scenes"]  # chosen by other keys
     kept = {key: value for key, value in table.items() if value != usual.get(key)}
     heading = (
         "A campaign of teatbench. [made_by] has to be the same for the campaign to go on; a new"

@@ -29,6 +29,7 @@ from bench.campaign.worker import ONE_THREAD
 from instruments.clock import stopwatch_s
 
 AHEAD = 2  # chunks in flight a worker, so that none waits for its next
+LEAST_SCENES = 2  # in one piece of the last chunks
 DEATHS = 2  # on one scene, until it is tried alone
 START_DEATHS = 3  # of workers one after the other that never began, where none ever did
 MORE_START_DEATHS = 30  # where one did: a machine that is short of memory for a while
@@ -46,23 +47,32 @@ class PoolError(Exception):
 
 
 @dataclass(slots=True, eq=False)
-class _Part:
-    """What is left of a chunk, and what is done; ``alone``: its next scene is tried alone."""
+class _Whole:
+    """A chunk, and the rows of each of its scenes that is done."""
 
     chunk: Chunk
-    left: range
     done: list[Rows] = field(default_factory=list)
+
+    @property
+    def rows(self) -> Rows | None:
+        """Of all its scenes, in their order; None while one is missing."""
+        if len(self.done) < len(self.chunk.members):
+            return None
+        return sum(sorted(self.done, key=lambda rows: rows.scenes[0].member), Rows())
+
+
+@dataclass(slots=True, eq=False)
+class _Part:
+    """What is left of a chunk, or of a piece of it; ``alone``: its next scene is tried alone."""
+
+    whole: _Whole
+    left: range
     alone: bool = False
 
     @property
     def scene(self) -> Scene:
         """The one that is next."""
-        return Scene(self.chunk.family, self.left[0])
-
-    @property
-    def rows(self) -> Rows:
-        parts = sorted(self.done, key=lambda rows: rows.scenes[0].member)
-        return sum(parts, Rows())
+        return Scene(self.whole.chunk.family, self.left[0])
 
 
 class _Worker:
@@ -102,7 +112,7 @@ class _Worker:
             self.heard_s = stopwatch_s()
         self.parts.append(part)
         # a few bytes however large the chunk is: a stopped one's pipe doesn't fill up
-        self.ask(replace(part.chunk, members=part.left[:1] if part.alone else part.left))
+        self.ask(replace(part.whole.chunk, members=part.left[:1] if part.alone else part.left))
 
     def ask(self, value: object) -> None:
         with suppress(OSError):  # a dead one says so itself
@@ -155,6 +165,8 @@ class LocalPool:
         self._heard: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
         self._workers: list[_Worker] = []
         self._again: deque[_Part] = deque()
+        self._waiting: deque[_Part] = deque()  # a chunk a worker, so that the end is seen before
+        self._ending = False  # no more chunks come
         self._deaths: Counter[Scene] = Counter()
         self._scene_s: deque[float] = deque(maxlen=REMEMBERED)
         self._starts_failed = self._started = 0
@@ -201,6 +213,7 @@ class LocalPool:
         """The rows of each chunk, as they are done. ``chunks`` is asked for one when there is room.
         Raises PoolError where no worker can be started.
         """
+        self._ending = False
         while True:
             self._fill(chunks)
             if not any(worker.parts for worker in self._workers) and not self._again:
@@ -218,12 +231,14 @@ class LocalPool:
                 worker.ready = self._began = True
                 self._starts_failed, part = 0, None
                 worker.heard_s = stopwatch_s()
-            if part and not part.left:
-                yield part.chunk, part.rows
+            if part and (rows := part.whole.rows):
+                yield part.whole.chunk, rows
             self._kill_silent()
 
     def _fill(self, chunks: Iterator[Chunk]) -> None:
         for load in range(AHEAD):
+            if load and self._ending:
+                return
             for place in range(self._count):
                 worker = self._workers[place] if place < len(self._workers) else None
                 if worker and (len(worker.parts) > load or worker.busy_alone):
@@ -241,8 +256,22 @@ class LocalPool:
         if part := max(fitting, key=lambda one: one.alone, default=None):
             self._again.remove(part)
             return part
-        chunk = next(chunks, None)
-        return None if chunk is None else _Part(chunk, chunk.members)
+        while not self._ending and len(self._waiting) <= self._count:
+            if (chunk := next(chunks, None)) is None:
+                self._ending = True
+            else:
+                self._waiting.append(_Part(_Whole(chunk), chunk.members))
+        if not self._waiting:
+            return None
+        part = self._waiting.popleft()
+        if self._ending and self._count > 1:
+            # smaller and smaller pieces, so that all workers end together
+            left = len(part.left) + sum(len(one.left) for one in self._waiting)
+            piece = max(-(-left // (2 * self._count)), LEAST_SCENES)
+            if piece < len(part.left):
+                self._waiting.appendleft(_Part(part.whole, part.left[piece:]))
+                part.left = part.left[:piece]
+        return part
 
     def _start(self) -> _Worker:
         self._started += 1
@@ -256,7 +285,7 @@ class LocalPool:
         worker.heard_s = now_s
         part = worker.parts[0]
         part.left = part.left[1:]
-        part.done.append(rows)
+        part.whole.done.append(rows)
         if part.alone and part.left:
             self._again.appendleft(part)
         if part.alone or not part.left:
@@ -296,7 +325,7 @@ class LocalPool:
         self._say(f"{text}, alone: the scene is set aside")
         why = f"its process {how}, {self._deaths[scene]} times, at last with this scene alone"
         current.left, current.alone = current.left[1:], False
-        current.done.append(set_aside(scene, self._job.detector_names, why))
+        current.whole.done.append(set_aside(scene, self._job.detector_names, why))
         if current.left:
             self._again.appendleft(current)
         return current

@@ -135,14 +135,14 @@ class Campaign:
         self.shards.merge(rest=True)
         return self._status(families)
 
-    def do_chunk(self, number: int, executor: Executor) -> bool:
-        """Do one chunk; False where it was done before."""
+    def do_chunk(self, number: int, executor: Executor) -> Rows | None:
+        """The rows of one chunk, written; None where it was done before."""
         chunk = self.plan.chunk(number)
         if (chunk.family, chunk.number) in self.shards.done():
-            return False
-        for one, rows in executor.results(iter([chunk])):
-            self.shards.write(one.family, one.number, rows)
-        return True
+            return None
+        ((one, rows),) = executor.results(iter([chunk]))
+        self.shards.write(one.family, one.number, rows)
+        return rows
 
     def _known(self) -> dict[str, _Family]:
         """What the folder holds."""
@@ -210,7 +210,11 @@ def _rates(rows: Rows) -> dict[str, Rate]:
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Keep other campaign commands off the folder. Raises ConfigError where one has it."""
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        why = "a file of this name is there" if folder.is_file() else error
+        raise ConfigError.plain(f"--out {folder}: no folder can be made: {why}") from error
     lock = FileLock(folder / LOCK)
     try:
         lock.acquire(timeout=0)

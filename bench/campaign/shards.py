@@ -211,7 +211,12 @@ def query(folder: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
         )
     with Shards(folder).connect() as db:
         try:
-            found = db.execute(sql)
+            # nothing at all for nothing asked
+            found: duckdb.DuckDBPyConnection | None = db.execute(sql)
+            if found is None:
+                raise ConfigError.plain(
+                    "the query is empty: ask for rows, as 'SELECT * FROM scenes'"
+                )
             return [column[0] for column in found.description or ()], found.fetchall()
         except duckdb.Error as error:
-            raise ConfigError.plain(f"the query: {error}") from error
+            raise ConfigError.plain(f"the query is refused: {error}") from error

@@ -8,13 +8,17 @@ import argparse
 import json
 import math
 import sys
+import webbrowser
 from collections.abc import Callable
+from contextlib import ExitStack
 
 from bench.cli.arguments import CODES, complain
+from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
 from bench.rig import alone as rig_alone
 from bench.rig.alone import open_alone, open_stage, shown
 from bench.rig.frame_capture import FrameTaker
+from bench.rig.live_page import live_page
 from bench.rig.model import Stage as StageTable
 from instruments.camera.quality import edge_blur_px
 from instruments.camera.recording import RecordingWriter
@@ -129,12 +133,19 @@ def focus(given: argparse.Namespace) -> int:
     """Print the blur of each camera's edges; smaller is sharper. Ends with the smallest."""
     best: dict[str, float] = {}
     live = sys.stdout.isatty()
-    with open_alone(given.sources) as alone:
-        end_s = alone.clock.now() + (given.seconds or math.inf)
+    with open_alone(given.sources) as alone, ExitStack() as stack:
+        page, clock = None, alone.clock
+        if given.page:
+            page = stack.enter_context(live_page(alone.look(), given.every))
+            clock = page.clock  # whoever looks does so in real time, on an emulated rig too
+            print(f"page {page.url}", flush=True)
+            if on_a_desktop():
+                webbrowser.open(page.url)
+        end_s = clock.now() + (given.seconds or math.inf)
         try:
-            while alone.clock.now() < end_s:
-                parts = []
-                for name, picture in alone.look().items():
+            while clock.now() < end_s:
+                parts, seen = [], alone.look()
+                for name, picture in seen.items():
                     blur_px = edge_blur_px(picture)
                     if blur_px is None:
                         parts.append(f"{name} no edge")
@@ -143,8 +154,10 @@ def focus(given: argparse.Namespace) -> int:
                     # full where the picture is as sharp as it has ever been
                     bar = "#" * round(10 * (least + 0.1) / (blur_px + 0.1))
                     parts.append(f"{name} {blur_px:5.2f} px (best {least:.2f}) {bar}")
+                if page:
+                    page.show(seen, parts)
                 print("  ".join(parts), end="\r" if live else "\n", flush=True)
-                alone.clock.sleep(given.every)
+                clock.sleep(given.every)
         except KeyboardInterrupt:
             live = True
         if live:

@@ -22,7 +22,10 @@ from bench.calibrate.arm import (
 from bench.calibrate.arm import verify as verify_arm
 from bench.cli.arguments import CODES, complain
 from bench.config import ConfigError
+from bench.results.stated_arm import check_verification
 from bench.rig.arm_files import frame_text, load_frame, verification_text, write_file
+from bench.scoring.stated_u import refuted
+from bench.truth.uncertainty import ROUNDING_MM
 from instruments.microscribe.stream import Pedal
 
 SHOW_S = 0.2
@@ -156,7 +159,8 @@ def verify(given: argparse.Namespace) -> int:
     limits = limits_of(given.script)
     if given.length_mm is None and limits.length_mm is not None:
         print("Without --length-mm no length is measured, and the arm can't be verified whole.")
-    plan = Plan(given.distances, given.touches, given.length_mm, given.directions)
+    gauge = (given.length_u_mm, given.gauge)
+    plan = Plan(given.distances, given.touches, given.length_mm, given.directions, *gauge)
     with _opened(given, given.length_mm) as session:
         session.confirm_homing(homed=given.homed)
         found = verify_arm(session.arm, session, plan, today())
@@ -167,8 +171,18 @@ def verify(given: argparse.Namespace) -> int:
             f"Largest error of the calibrated length {found.length_mm:.2f} mm, limit"
             f" {limits.length_mm:g} mm"
         )
+    stated = {"u_mm": given.accuracy_mm, "resolution_mm": ROUNDING_MM, "df": None}
+    checks = list(check_verification(stated, found))
+    wrong = refuted(checks)
+    for check in checks:
+        low, high = (given.accuracy_mm * ratio for ratio in check.ratio_interval)
+        print(
+            f"The {check.name} show an arm of u = {given.accuracy_mm * check.ratio:.2f} mm"
+            f" ({low:.2f} to {high:.2f}, {check.df} degrees of freedom); --accuracy-mm"
+            f" {given.accuracy_mm:g} is {'too small' if check in wrong else 'not refuted'}"
+        )
     print(f'Written: {given.out}. Name it in the rig file: [arm] verification = "{given.out.name}"')
-    faults = found.faults(limits)
+    faults = [*found.faults(limits), *(f"{one.name}: u is too small" for one in wrong)]
     for fault in faults:
         complain(f"not verified: {fault}", CODES.not_met)
     return CODES.not_met if faults else CODES.met

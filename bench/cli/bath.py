@@ -256,7 +256,7 @@ class BathView:
         self._moving = moving
         self._samples: deque[BathReading] = deque()
         self._started = True
-        self.trouble = ""
+        self.problem = ""
 
     def add(self, reading: BathReading, set_point_c: float, *, started: bool) -> None:
         """Take a reading in."""
@@ -269,12 +269,12 @@ class BathView:
         self._samples.append(reading)
         while reading.t_s - self._samples[0].t_s > KEPT_S:
             self._samples.popleft()
-        self.trouble = ""
+        self.problem = ""
 
     def line(self) -> str:
         """The state in one line."""
         if not self._samples:
-            return self.trouble or "no reading yet"
+            return self.problem or "no reading yet"
         reading = self._samples[-1]
         report, gate = self._gate.report, self._gate
         left_s = seconds_to_stable(report, gate.window_s, gate.leave_k, rate_k_per_s(self._samples))
@@ -290,7 +290,7 @@ class BathView:
         )
         parts += [report.state.value, when] if self._started else ["in standby"]
         parts += [f"alarm {reading.alarm}"] if reading.alarm else []
-        return ", ".join(filter(None, [*parts, self.trouble]))
+        return ", ".join(filter(None, [*parts, self.problem]))
 
     def lines(self) -> Iterator[str]:
         """Plot, state, and what the gate still waits for."""
@@ -317,7 +317,7 @@ def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float = math
             try:
                 view.add(bath.read(), bath.get("set_point"), started=bath.get("run") == started)
             except InstrumentError as error:  # it may come back
-                view.trouble = f"NO READING: {error}"
+                view.problem = f"NO READING: {error}"
             if console.is_terminal:
                 live.update(Group(*(Text(line) for line in view.lines())), refresh=True)
             else:

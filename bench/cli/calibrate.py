@@ -20,7 +20,7 @@ from bench.calibrate.merge import CAMERAS_INPUT, read_part
 from bench.calibrate.merge import merge as merged
 from bench.cli.arguments import CODES, command_line, complain, refuse_existing
 from bench.cli.terminal import working
-from bench.config import ConfigError
+from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
 from bench.rig.loading import LoadedRig, find_board, find_rig, load_rig
 from detector.calibration import (
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from bench.rig.alone import Look
     from bench.rig.devices import Devices
     from detector.calibration.diagnosis import Finding
-    from instruments.camera.frame import Grey
+    from instruments.camera.frame import FrameSet, Grey
     from reports.page import Page
 
 CHECK_VIEWS = 5
@@ -186,6 +186,8 @@ def check(given: argparse.Namespace) -> int:
     part = read_part(given.calibration).part
     # whose pictures are kept beside the calibration that they check
     given.by, given.out = "", given.calibration
+    if given.ends:
+        return _check_ends(given, part)
     findings, page = (_check_points if given.points else _check_board)(given, part)
     if given.page:
         from reports.render import write_report
@@ -200,7 +202,9 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
     from bench.report.calibration import check_page
 
     _one_source(
-        given, given.frames, "folders of pictures (FRAMES), or touched points (--points CSV),"
+        given,
+        given.frames,
+        "folders of pictures (FRAMES), touched points (--points CSV), touched ends (--ends DIR),",
     )
     if given.rig:
         _gather_views(given, part, guided=(), most=CHECK_VIEWS)
@@ -232,6 +236,48 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findi
     )
     record = _record(given, (given.points,))
     return findings, check_points_page(again, findings, record, command_line())
+
+
+def _check_ends(given: argparse.Namespace, part: Part) -> int:
+    """Whether the cameras show touched teat ends where the calibration says."""
+    from bench.report.calibration import check_ends_page
+    from bench.results.cameras_agree import check_folder, decide
+    from bench.rig.alone import patient
+    from bench.scoring.decisions import Verdict
+    from bench.script.model import CamerasRequirement
+
+    if given.frames or given.points or given.board:
+        raise ConfigError.plain("--ends is in the place of pictures, --points and --board")
+    calibration = read_calibration(given.calibration)
+    anew: list[FrameSet] = []
+    if given.rig:
+        tell(f"The phantom has to stand as in the last trial of {given.ends}.")
+        with _opened(given, part, arm=False) as (parts, rig, _):
+            for _ in range(CHECK_VIEWS):
+                parts.clock.sleep(rig.rig.cameras.settle_s)
+                anew.append(patient(parts.cameras.capture)())
+    with working("looking for the ends in the pictures"):
+        found = check_folder(given.ends, calibration, anew)
+    if anew and not found.thermal:
+        print("no end in the thermal picture: it is not checked while the phantom is cold")
+        found = replace(found, thermal=None)
+    rule = CamerasRequirement(kind="cameras_agree", name="cameras agree with the known ends")
+    decision = decide(rule, found)
+    print(f"{found.told} of {found.ends} ends told")
+    for one in found.offsets:
+        print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
+    if given.page:
+        from reports.render import write_report
+
+        page = check_ends_page(found, decision, _record(given, ()), command_line())
+        print(f"page: {write_report(page, given.page)}")
+    if decision.verdict is Verdict.MET:
+        print("It still holds.")
+        return CODES.met
+    if decision.verdict is Verdict.NOT_MET:
+        print("It no longer holds.")
+        return complain(decision.sentence, CODES.not_met)
+    return complain(f"not decided: {decision.sentence}", CODES.inconclusive)
 
 
 def _one_source(given: argparse.Namespace, files: object, what: str) -> None:

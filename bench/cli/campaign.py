@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, astuple
 from pathlib import Path
@@ -97,6 +97,7 @@ def compare(given: argparse.Namespace) -> int:
 
 
 def chunk(given: argparse.Namespace) -> int:
+    from bench.campaign.chunk import ASIDE, Scene
     from bench.campaign.plan import read_plan
     from bench.campaign.pool import PoolError
     from bench.campaign.run import Campaign
@@ -114,12 +115,19 @@ def chunk(given: argparse.Namespace) -> int:
     campaign.begin()
     try:
         with executor(campaign, 1, None, _say) as made:
-            new = campaign.do_chunk(given.number, made)
+            rows = campaign.do_chunk(given.number, made)
     except PoolError as error:
         return complain(str(error), CODES.fault)
     name = plan.chunk(given.number).name
-    print(f"{name}: {'done' if new else 'was done before'}")
-    return CODES.met
+    print(f"{name}: {'was done before' if rows is None else 'done'}")
+    pairs = zip(rows.scenes, rows.taken, strict=True) if rows else ()
+    return _aside(
+        {
+            Scene(row.family, row.member).name: one.reason or ""
+            for row, one in pairs
+            if row.failure == ASIDE
+        }
+    )
 
 
 def query(given: argparse.Namespace) -> int:
@@ -299,6 +307,11 @@ def _told(
             for rate, (low, high) in spans
         ]
         print(f"{plain_table(heads, rows)}\ndigest: {digest}\nReport: {page}")
-    for name, why in aside.items():
+    return _aside(aside)
+
+
+def _aside(scenes: Mapping[str, str]) -> int:
+    """Name what was set aside; gives back the exit code."""
+    for name, why in scenes.items():
         complain(f"scene {name} was set aside: {why}", CODES.inconclusive)
-    return CODES.inconclusive if aside else CODES.met
+    return CODES.inconclusive if scenes else CODES.met

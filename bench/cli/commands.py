@@ -29,23 +29,22 @@ if TYPE_CHECKING:
 TASKS = {
     "run trials": ("run", "resume", "control", "console", "report", "runs", "trials", "plan"),
     "test a detector": ("score", "detectors", "detect", "compare", "scene", "campaign"),
-    "set up a rig": ("check", "rigs", "calibrate", "emulate"),
+    "set up a rig": ("init", "check", "rigs", "calibrate", "emulate"),
     "use one instrument alone": ("arm", "bath", "stage", "camera"),
-    "keep and exchange what was recorded": ("store", "replay-wire"),
+    "keep and exchange what was recorded": ("store", "recording", "replay-wire"),
     "this program": ("completion",),
 }
 
 GROUPS = {
-    "store": "a run's record: whether it is as it was written, and for other programs"
-    " (docs/record.md)",
-    "scene": "the simulated scene: situations from families, drawn without a run (docs/scene.md)",
-    "campaign": "many simulated scenes, scored on all processors (docs/campaigns.md)",
+    "store": "check that a run's record is unaltered, or export it (docs/record.md)",
+    "recording": "make a recording (frames, calibration, truth) to publish (docs/record.md)",
+    "scene": "draw simulated scenes: pictures, recordings, boards (docs/scene.md)",
+    "campaign": "score detectors on thousands of simulated scenes (docs/campaigns.md)",
     "arm": "a MicroScribe arm alone: read, watch, home, set the table frame, verify",
     "bath": "the water bath alone, without a rig file",
     "stage": "the motion stage alone, without a script",
-    "camera": "the cameras alone: which there are, what they see, how sharp, and a frame set to"
-    " keep",
-    "calibrate": "make a calibration file with its quality figures",
+    "camera": "the cameras alone: list, show, set the focus, save frames",
+    "calibrate": "calibrate cameras, thermal camera, table and stage (docs/calibration.md)",
 }
 
 BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
@@ -66,6 +65,12 @@ def perturbation(text: str) -> Applied:
         raise ArgumentTypeError(str(error)) from error
 
 
+PERTURB = option(
+    "--perturb NAME=AMOUNT",
+    "change every scene, such as vergence=0.1 (docs/campaigns.md); may be given several times",
+    perturbation,
+    many=True,
+)
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
 LENGTH = number("a length in mm above 0", above=0.0)
@@ -79,15 +84,15 @@ SCRIPT_HELP = "a shipped script by name ('teatbench trials' lists them), or a .t
 
 CAPTURE = option("--capture FILE", "record the bytes of every link in a new file (docs/record.md)")
 JSON = flag("--json", "one JSON object, units in its keys")
-RIG = option("rig", RIG_HELP, nargs="?")
-RIG_OPTION = option("--rig", RIG_HELP)
+RIG = option("rig RIG", RIG_HELP, nargs="?")
+RIG_OPTION = option("--rig RIG", RIG_HELP)
 CAMERAS_OF = option(
-    "--rig", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
+    "--rig RIG", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
 )
-WORKERS = option("--workers N", "processes (default: one a processor)", whole(1, 1024))
-RUN = option("run", "the run's folder", Path)
-RECORDING = option("recording", "a recording's folder", Path)
-OUT_RUNS = option("--out DIR", "where run folders go", default=Path("runs"))
+WORKERS = option("--workers N", "how many processes (default: one a processor)", whole(1, 1024))
+RUN = option("run RUN", "the run's folder", Path)
+RECORDING = option("recording RECORDING", "a recording's folder", Path)
+OUT_RUNS = option("--out DIR", "the folder for run folders", default=Path("runs"))
 DETECTOR_HELP = "a detector by name, a file DETECTOR.toml, or exec:COMMAND (docs/detectors.md)"
 DETECTORS = option(
     "--detector NAME",
@@ -97,7 +102,7 @@ DETECTORS = option(
 EVENTS = option("--events FILE", "also write each event as a JSON line, for other programs")
 DESPITE_DAMAGE = flag(
     "--despite-damage",
-    "go on though the record is not as it was written: nothing is decided by it then",
+    "use a record that was altered or damaged; it then gives no verdict",
 )
 LISTEN = option("--listen HOST", "address to listen on", default="127.0.0.1")
 REPLACE = flag("--replace", "write over a file that is there")
@@ -119,11 +124,11 @@ COMPARED = (
 )
 SITUATIONS = (
     CAMERAS_OF,
-    option("--situation NAME", "may be given several times (default: all)", many=True),
+    option("--situation NAME", "which; may be given several times (default: all)", many=True),
 )
 FIRST_SEEDS = (
-    option("--first N", "the first member's seed", whole(0), 0),
-    option("--seed N", "of noise and of the cameras' fixed patterns", whole(0), 1),
+    option("--first N", "number of the first member of each family", whole(0), 0),
+    option("--seed N", "seed of noise and of the cameras' fixed patterns", whole(0), 1),
 )
 
 ARM_LINK = (
@@ -134,15 +139,15 @@ ARM_LINK = (
         " it on",
         required=True,
     ),
-    option("--baud RATE", "of a serial port", int, 115200, choices=BAUDS),
-    option("--answer-s S", "how long an answer is waited for", ABOVE_0, 0.12),
+    option("--baud RATE", "baud rate of a serial port", int, 115200, choices=BAUDS),
+    option("--answer-s S", "seconds to wait for an answer", ABOVE_0, 0.12),
 )
 HOMED = (
     *ARM_LINK,
     flag("--homed", "the stylus was on its peg when the arm was last switched on: don't ask"),
 )
 ARM_FILE = (
-    option("--out FILE", "where to write it; the rig file names it", required=True),
+    option("--out FILE", "the file to write, which the rig file names", required=True),
     REPLACE,
 )
 
@@ -156,11 +161,11 @@ BATH_LINK = (
     ),
     option(
         "--profile NAME",
-        "the controller's family, or the path of a profile of your own",
+        "a shipped profile by name, or a .toml file (docs/add-a-bath.md)",
         required=True,
     ),
 )
-UNTIL = option("--seconds N", "end after so long (default: Ctrl-C ends it)", SECONDS)
+UNTIL = option("--seconds S", "end after so many seconds (default: Ctrl-C ends it)", SECONDS)
 
 STAGE_LINK = (
     CAPTURE,
@@ -179,7 +184,7 @@ STAGE_LINK = (
         choices=("XY", "XYZ", "XYA", "XYZA"),
     ),
 )
-FEED = option("--feed MM_MIN", "mm/min (default: as fast as the slowest axis can)", number())
+FEED = option("--feed MM_MIN", "speed, mm/min (default: as fast as the slowest axis can)", number())
 RESETS = "opening the port resets most controllers, so that the stage has to be homed again"
 
 SOURCES = option(
@@ -193,19 +198,19 @@ BOARD_HELP = (
     "a shipped board by name (charuco-11x7-25, chessboard-9x6-40, heated-circles-7x5-18),"
     " checkerboard:5x7:30mm (inner corners, and their distance), or a .toml file"
 )
-RIG_SEED = option("--seed N", "of the emulators' noise (default: the rig's)", whole(0))
+RIG_SEED = option("--seed N", "seed of the emulators' noise (default: the rig's)", whole(0))
 LIVE = (
     option("--rig RIG", "live, with the cameras of this rig: by name, or a .toml file"),
     RIG_SEED,
 )
 MADE_WITH = option("--cameras FILE", "what 'calibrate cameras' wrote; needed with pictures")
-TOUCH_SD = option("--touch-sd MM", "of a touch, along each axis", SD, 0.25)
+TOUCH_SD = option("--touch-sd MM", "standard deviation of a touch along each axis, mm", SD, 0.25)
 FRAMES = option("frames FRAMES", "folders of pictures (docs/calibration.md)", nargs="*")
 FINDER = (
-    option("--max-views N", "take this many views, spread over the set", whole(1)),
+    option("--max-views N", "take at most so many views, spread over the set", whole(1)),
     option(
         "--window PX",
-        "half of the corner window (default: as large as reaches no other corner)",
+        "half of the corner window, px (default: as large as reaches no other corner)",
         whole(1),
     ),
 )
@@ -216,7 +221,7 @@ def _part(name: str) -> tuple[Argument, Argument, Argument, Argument]:
     return (
         option(
             "--out FILE",
-            f"where to write it, such as {name}; its page stands beside it",
+            f"the file to write, such as {name}; its page stands beside it",
             required=True,
         ),
         REPLACE,
@@ -232,17 +237,15 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "run six-situations --detector fused --detector thesis",
         CAPTURE,
         option(
-            "script",
+            "script SCRIPT",
             "a shipped script by name, or a .toml file (default: six-situations)",
             nargs="?",
         ),
         RIG_OPTION,
-        option("--seed", "seed of all random numbers (default: the rig file's)", whole(0)),
-        option("--record DIR", "also write a recording that 'teatbench score' reads"),
-        flag("--realtime", "emulated rig only: let time pass as it does"),
-        flag(
-            "--dry-run", "move nothing: look at each pose, then go through all trials on emulators"
-        ),
+        option("--seed N", "seed of all random numbers (default: the rig file's)", whole(0)),
+        option("--record DIR", "also write a recording, which 'teatbench score' reads"),
+        flag("--realtime", "emulated rig only: waits take their real time"),
+        flag("--dry-run", "move nothing: check each pose, then try all trials on emulators"),
         flag("--json", "with --dry-run: one JSON object with each finding by its trial"),
         OUT_RUNS,
         DETECTORS,
@@ -259,28 +262,29 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         DESPITE_DAMAGE,
     ),
     "control": (
-        "tell a run under way to pause, go on, skip REASON, repeat REASON or abort",
+        "pause a run that is under way, let it go on, skip or repeat a trial, or abort it",
         "control runs/20260601-120000-six-situations pause",
         RUN,
-        option("words", "pause, go on, skip REASON, repeat REASON or abort", nargs="+"),
+        option("words WORD", "pause, go on, skip REASON, repeat REASON or abort", nargs="+"),
     ),
     "report": (
-        "(re)write the report of a run",
+        "write the report of a run again",
         "report runs/20260601-120000-six-situations --single-file",
         RUN,
         option("--baseline RUN", "also compare it with this older run of the same scenes"),
         flag(
-            "--single-file", "also write single-file.html for mail: pictures in it, at most 20 MB"
+            "--single-file",
+            "also write single-file.html with its pictures, for mail (at most 20 MB)",
         ),
         DESPITE_DAMAGE,
         one_of(
-            flag("--pdf", "fail where report.pdf can't be printed (by a Chromium, Chrome or Edge)"),
+            flag("--pdf", "fail where no Chromium, Chrome or Edge prints report.pdf"),
             flag("--no-pdf", "print no report.pdf, though a browser is installed"),
         ),
-        flag("--appendix", "print what is folded in the page too: report.pdf is the whole report"),
+        flag("--appendix", "print the folded sections too: report.pdf is the whole report"),
     ),
     "console": (
-        "a page in the browser: what a run is doing, what it asks, and a button that ends it",
+        "watch, answer, start and end runs on a page in the browser",
         "console --runs runs",
         option("--runs DIR", "where run folders are", default=Path("runs")),
         option("--port N", "TCP port of this machine (default: a free one)", whole(0, 65535), 0),
@@ -304,14 +308,14 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         flag("--json", "print JSON instead of a table"),
     ),
     "score": (
-        "score detectors on recorded frames: a table, and a run folder with a report",
+        "score detectors on recorded frames, and write a run folder with a report",
         "score recordings/six --detector fused --detector thesis",
         RECORDING,
         OUT_RUNS,
         DETECTORS,
     ),
     "compare": (
-        "paired differences between runs, or between the detectors of one run",
+        "compare runs, or the detectors of one run, trial by trial",
         "compare runs/old runs/new --gate",
         option("run RUN", "folders of runs; the first is the old one", nargs="+"),
         *COMPARED,
@@ -325,192 +329,225 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "plan": (
         "how many poses a claim needs, and what so many poses can show",
         "plan --rate 0.95 --script plane-map",
-        option("--rate R", "to be shown (default: 0.95, 0.99 and 0.999)", SHARE, many=True),
-        option("--confidence P", "of the claim", SHARE, 0.95),
+        option(
+            "--rate R",
+            "success rate to be shown, 0 to 1 (default: 0.95, 0.99 and 0.999)",
+            SHARE,
+            many=True,
+        ),
+        option("--confidence P", "confidence of the claim", SHARE, 0.95),
         option("--failures N", "plan for up to so many failures", whole(0, 1_000_000), 3),
-        option("--trials N", "poses there are: what do they show?", whole(0, 1_000_000)),
+        option("--trials N", "number of poses: what do they show?", whole(0, 1_000_000)),
         option("--script SCRIPT", "take the poses of a script, shipped by name or a .toml file"),
-        option(
-            "--true-rate R", "what the detector is hoped to do: its chance to show the rate", SHARE
-        ),
-        option(
-            "--sd-mm SD", "of the difference of two detectors' errors from pose to pose", LENGTH
-        ),
-        option("--shift-mm MM", "difference of two detectors to be shown: how many poses?", LENGTH),
+        option("--true-rate R", "the detector's true success rate: how likely is it shown?", SHARE),
+        option("--sd-mm MM", "standard deviation of two detectors' difference over poses", LENGTH),
+        option("--shift-mm MM", "difference of two detectors: how many poses show it?", LENGTH),
         option("--power P", "chance to show a difference that is there", SHARE, 0.8),
         option(
-            "--limit-mm T", "of the error: how near to it may the largest lie? With --u-mm", LENGTH
+            "--limit-mm MM",
+            "limit of the error; with --u-mm: how near to it may errors lie?",
+            LENGTH,
         ),
         option(
-            "--u-mm U", "standard uncertainty of the truth along an axis; a report says it", LENGTH
+            "--u-mm MM", "the truth's standard uncertainty along an axis, as a report says", LENGTH
         ),
-        flag("--json", "print JSON"),
+        flag("--json", "print JSON instead of tables"),
     ),
     "store check": (
-        "verify database, hash chain, frames and files; 0 whole, 1 not as it was written",
+        "check database, frames and files of a run; exit code 0: unaltered, 1: altered",
         "store check runs/20260601-120000-six-situations",
         RUN,
         option(
-            "--digest HEX", "a digest that a report names: the record has to have passed through it"
+            "--digest HEX", "a digest that a report of this run printed: it has to be in the record"
         ),
     ),
     "store export": (
-        "write the record's tables, or all of it on one time line",
+        "write a run's record as CSV or Parquet tables, or as one MCAP file",
         "store export runs/20260601-120000-six-situations --format csv --out tables",
         RUN,
         option(
             "--format",
-            "csv and parquet: a file a table; mcap: one file for Foxglove and its kin",
+            "csv and parquet: a file a table; mcap: one file for Foxglove and rerun",
             required=True,
             choices=("csv", "parquet", "mcap"),
         ),
         DESPITE_DAMAGE,
-        option("--out DIR", "where to; files of the same names are replaced", required=True),
+        option(
+            "--out DIR",
+            "the folder to write to; files of the same names are replaced",
+            required=True,
+        ),
+    ),
+    "recording pack": (
+        "make a recording of a run to publish: frames, truth, data card, digests",
+        "recording pack runs/20260601-120000-six-situations --out six --licence CC-BY-4.0",
+        RUN,
+        option("--out DIR", "the new folder", Path, required=True),
+        option("--title TEXT", "title of the data card (default: the script's and the rig's)"),
+        option("--licence SPDX", "licence for those who use it, such as CC-BY-4.0"),
+        DESPITE_DAMAGE,
     ),
     "detect": (
-        "detect only: what each detector finds in recorded frames",
+        "print what each detector finds in recorded frames, unscored",
         "detect recordings/six --detector fused",
         RECORDING,
         flag("--json", "one JSON line a frame"),
         DETECTORS,
     ),
     "scene sheet": (
-        "a contact sheet of situations, one PNG",
+        "draw situations as one picture",
         "scene sheet --situation overlapping --seeds 4 --out scene.png",
         *SITUATIONS,
         option("--seeds N", "members of each family", whole(1), 1),
         *FIRST_SEEDS,
-        option("--out FILE", "default: scene.png", default=Path("scene.png")),
+        option("--out FILE", "the PNG file to write", default=Path("scene.png")),
     ),
     "scene record": (
-        "a recording of situations with exact truth, for `teatbench score`",
+        "write a recording of situations with exact truth, for 'teatbench score'",
         "scene record --situation overlapping --seeds 3 --out recordings/overlapping",
         *SITUATIONS,
         option("--seeds N", "members of each family", whole(1), 20),
         *FIRST_SEEDS,
+        PERTURB,
         option(
             "--out DIR",
-            "default: recordings/situations; is added to",
+            "the recording; one that is there is added to",
             default=Path("recordings/situations"),
         ),
     ),
     "scene boards": (
-        "pictures of a calibration board all over the view, for `teatbench calibrate`",
+        "draw a calibration board all over the view, for 'teatbench calibrate'",
         "scene boards chessboard-9x6-40 --out recordings/boards",
-        option("board", BOARD_HELP),
+        option("board BOARD", BOARD_HELP),
         CAMERAS_OF,
         option(
             "--camera NAME",
-            "sees the whole board; several times (default: left and right)",
+            "sees the whole board; may be given several times (default: left and right)",
             choices=CAMERAS,
             many=True,
         ),
-        option("--poses N", "default: 24", whole(0), 24),
+        option("--poses N", "how many poses", whole(0), 24),
         option(
-            "--warmer-k K", "what is dark on the board above the room (default: 0)", number(), 0.0
+            "--warmer-k K", "how much warmer than the room the dark parts are, K", number(), 0.0
         ),
-        option("--seed N", "of poses, noise and the cameras' fixed patterns", whole(0), 1),
+        option("--seed N", "seed of poses, noise and the cameras' fixed patterns", whole(0), 1),
         option(
             "--out DIR",
-            "default: recordings/boards; is added to",
+            "the folder to write to; one that is there is added to",
             default=Path("recordings/boards"),
         ),
     ),
     "scene sensitivity": (
         (
-            "errors over one quantity at a time, a figure each, beside the physical limit"
-            " (docs/scene.md)"
+            "draw how errors grow with noise, range, tilt and so on, beside the physical"
+            " limit (docs/scene.md)"
         ),
         "scene sensitivity --detector fused --out sensitivity",
         DETECTORS,
-        option("--quantity NAME", "several times (default: all eight)", many=True),
+        option("--quantity NAME", "which; may be given several times (default: all)", many=True),
         CAMERAS_OF,
         option("--seeds N", "scenes at each value", whole(1), 6),
         option("--first N", "the first scene's seed", whole(0), 0),
-        option("--seed N", "of noise and of the cameras' fixed patterns", whole(0), 1),
+        option("--seed N", "seed of noise and of the cameras' fixed patterns", whole(0), 1),
         WORKERS,
         option(
             "--out DIR",
-            "default: sensitivity; goes on where it stopped, else files there are replaced",
+            "the folder to write to; goes on where it stopped, else files there are replaced",
             default=Path("sensitivity"),
         ),
     ),
     "campaign run": (
-        "score detectors on many simulated scenes, or go on with it where it stopped",
+        "score detectors on many simulated scenes; given again, it goes on where it stopped",
         "campaign run --family ideal --scenes 40 --detector fused --seed 7 --out campaigns/ideal",
         option(
-            "plan PLAN", "a .toml file that says all of it (docs/campaigns.md)", Path, nargs="?"
+            "plan PLAN", "a .toml file in place of the options (docs/campaigns.md)", Path, nargs="?"
         ),
-        option("--family NAME", "may be given several times (default: all)", many=True),
-        option("--scenes N", "of each family (default: 100)", whole(1, 10_000_000)),
+        option("--family NAME", "which; may be given several times (default: all)", many=True),
+        option("--scenes N", "scenes of each family (default: 100)", whole(1, 10_000_000)),
         option(
             "--half-width W",
-            "go on until each family's failure rate is known to so much, 95 %%, such as 0.01",
+            "go on until each family's failure rate is known to +/- so much (95 %%), such as 0.01",
             number("a number above 0 and below 0.5", above=0.0, below=0.5),
         ),
         DETECTORS,
-        option("--first N", "the first member's seed (default: 0)", whole(0)),
-        option("--seed N", "of noise and of the cameras' fixed patterns (default: 1)", whole(0)),
-        option("--rig", "whose cameras: a shipped rig by name, or a .toml file"),
-        option("--calibration FILE", "what detectors are told (default: the cameras' own)", str),
+        option("--first N", "number of the first member of each family (default: 0)", whole(0)),
         option(
-            "--perturb NAME=AMOUNT",
-            "what is done to every scene, such as vergence=0.1 (docs/campaigns.md); may be given"
-            " several times",
-            perturbation,
-            many=True,
+            "--seed N", "seed of noise and of the cameras' fixed patterns (default: 1)", whole(0)
         ),
-        option("--limit-mm MM", "of each teat's error (default: 5)", LENGTH),
-        option("--chunk-scenes N", "scenes worked on together (default: 25)", whole(1, 10_000)),
+        option(
+            "--rig RIG", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
+        ),
+        option(
+            "--calibration FILE",
+            "the calibration that detectors get (default: the cameras' own)",
+            str,
+        ),
+        PERTURB,
+        option("--limit-mm MM", "largest error that a teat end may have (default: 5)", LENGTH),
+        option(
+            "--chunk-scenes N", "scenes worked on together (default: up to 50)", whole(1, 10_000)
+        ),
         one_of(
             WORKERS,
-            option("--dask ADDRESS", "a Dask scheduler instead, such as tcp://lab-pc:8786"),
+            option(
+                "--dask ADDRESS", "work on a Dask cluster: its scheduler, such as tcp://lab-pc:8786"
+            ),
         ),
         option("--out DIR", "the campaign's folder", required=True),
         JSON,
     ),
     "campaign chunk": (
-        "do one chunk of a plan, for a cluster's job arrays; without N, print how many there are",
+        "do one chunk of a plan, for job arrays; without N, print how many there are",
         "campaign chunk night.toml 0 --out campaigns/night",
         option("plan PLAN", "the plan's .toml file", Path),
-        option("number N", "from 0", whole(0), nargs="?"),
+        option("number N", "the chunk's number, from 0", whole(0), nargs="?"),
         option("--out DIR", "the campaign's folder (default: the plan's, where that is one)"),
     ),
     "campaign search": (
-        "look for scenes on which a detector fails, around members of the families",
+        "search for scenes on which a detector fails, around members of the families",
         "campaign search --family low_contrast --scenes 100 --rate-scenes 200 --out searches/low",
         option(
-            "plan PLAN", "a .toml file that says all of it (docs/campaigns.md)", Path, nargs="?"
+            "plan PLAN", "a .toml file in place of the options (docs/campaigns.md)", Path, nargs="?"
         ),
-        option("--family NAME", "may be given several times (default: all)", many=True),
-        option("--scenes N", "tried around each member (default: 100)", whole(1, 10_000_000)),
-        option("--members N", "searched around, of each family", whole(1, 10_000), 1),
+        option("--family NAME", "which; may be given several times (default: all)", many=True),
+        option(
+            "--scenes N", "scenes tried around each member (default: 100)", whole(1, 10_000_000)
+        ),
+        option(
+            "--members N", "members of each family that are searched around", whole(1, 10_000), 1
+        ),
         option("--rate-scenes N", "weighted scenes for each family's rate", whole(0, 1_000_000), 0),
         DETECTORS,
-        option("--first N", "the first member's seed (default: 0)", whole(0)),
-        option("--seed N", "of noise, fixed patterns and the search (default: 1)", whole(0)),
-        option("--rig", "whose cameras: a shipped rig by name, or a .toml file"),
-        option("--calibration FILE", "what detectors are told (default: the cameras' own)", str),
-        option("--limit-mm MM", "of each teat's error (default: 5)", LENGTH),
+        option("--first N", "number of the first member of each family (default: 0)", whole(0)),
+        option("--seed N", "seed of noise, fixed patterns and the search (default: 1)", whole(0)),
+        option(
+            "--rig RIG", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
+        ),
+        option(
+            "--calibration FILE",
+            "the calibration that detectors get (default: the cameras' own)",
+            str,
+        ),
+        option("--limit-mm MM", "largest error that a teat end may have (default: 5)", LENGTH),
         option("--out DIR", "the search's folder, a new one", required=True),
         JSON,
     ),
     "campaign keep": (
-        "add a failure that a search found to a recording, which `compare --gate` then holds",
+        "add a failure that a search found to a recording, to score later versions on",
         "campaign keep searches/low 1 --into recordings/kept --name grey-on-grey",
         option("folder DIR", "the search's folder"),
         option("number N", "the failure's number", whole(1)),
-        option("--into DIR", "the recording; is added to", required=True),
-        option("--name NAME", "of the frame (default: family, member and number)", str),
+        option("--into DIR", "the recording; one that is there is added to", required=True),
+        option("--name NAME", "name of the frame (default: family, member and number)", str),
     ),
     "campaign show": (
-        "draw scenes of a campaign again: their frames with truth and answers, as a page",
+        "draw scenes of a campaign again, with truth and answers, as a page",
         "campaign show campaigns/ideal ideal-0012",
         option("folder DIR", "the campaign's folder"),
         option("scene SCENE", "by name: family and member, as in ideal-0012", str, nargs="+"),
     ),
     "campaign compare": (
-        "paired differences between campaigns scene by scene, or between the detectors of one",
+        "compare campaigns, or the detectors of one, scene by scene",
         "campaign compare campaigns/old campaigns/new --gate",
         option("folder DIR", "the campaigns' folders; the first is the old one", nargs="+"),
         *COMPARED,
@@ -524,47 +561,60 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         flag("--json", "print JSON instead of tables"),
     ),
     "campaign query": (
-        "ask DuckDB over the views scenes and teats",
+        "ask a campaign's rows in SQL (DuckDB): views scenes, teats, parameters",
         'campaign query campaigns/ideal "SELECT failure, count() FROM scenes GROUP BY ALL"',
         option("folder DIR", "the campaign's folder"),
-        option("sql SQL", "a SELECT; DESCRIBE scenes and DESCRIBE teats tell the columns"),
+        option("sql SQL", "a SELECT; 'DESCRIBE scenes' lists the columns of a view"),
         flag("--json", "a JSON list with an object a row"),
     ),
     "check": (
-        "connect to every instrument, print who it is and one reading",
+        "connect to every instrument of a rig, print who it is and one reading",
         "check my-rig.toml",
         CAPTURE,
         RIG,
     ),
     "emulate": (
-        "only the emulators of a rig, in real time, until Ctrl-C",
+        "run a rig's emulators alone, in real time, until Ctrl-C",
         "emulate --write-rig elsewhere.toml",
         RIG,
         LISTEN,
         flag("--pty", "serial instruments on pseudo-terminals (Linux and macOS)"),
         option(
             "--write-rig FILE",
-            "write a rig file with these addresses, for 'run --rig FILE' in another process",
+            "write a rig file with their addresses, for 'teatbench run --rig FILE'",
         ),
         REPLACE,
         flag("--paced", "serial instruments at the rig's baud rate, 10 bits a byte"),
     ),
+    "init": (
+        "find instruments and cameras, ask for the rest, write a rig file; nothing moves or heats",
+        "init --out my-rig.toml",
+        option("--out FILE", "the rig file", Path, Path("my-rig.toml")),
+        REPLACE,
+        option(
+            "--port URL",
+            "look here only, as in a rig file's url; may be given several times (default: every"
+            " serial port)",
+            many=True,
+        ),
+        flag("--yes", "ask nothing: what isn't found is marked in the file"),
+    ),
     "arm read": (
-        "one position",
+        "print one position of the tip",
         "arm read --port /dev/ttyUSB0 --json",
         *HOMED,
         option("--packets N", "packets that make one reading", whole(1, 1000), 8),
-        option("--frame FILE", "a table frame: gives the position in the world too"),
+        option("--frame FILE", "the table frame's file: gives the position in the world too"),
         JSON,
     ),
     "arm watch": (
-        "tip, pedals and rate, live, until Ctrl-C",
+        "show tip, pedals and rate until Ctrl-C",
         "arm watch --port /dev/ttyUSB0",
         *HOMED,
-        option("--seconds S", "stop after this time", SECONDS),
+        UNTIL,
     ),
     "arm home": (
-        "load the home counts, with the stylus on its peg",
+        "home the arm, with the stylus on its peg",
         "arm home --port /dev/ttyUSB0",
         *ARM_LINK,
         flag("--on-peg", "the stylus is on its peg: don't ask"),
@@ -576,32 +626,41 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option("--plane-checks N", "further touches anywhere in the plane", whole(0, 20), 1),
         option(
             "--check X,Y,Z",
-            "touch this known point too, world mm; may be given several times (--check=-60,80,0)",
+            "also touch this known point, world mm; may be given several times (--check=-60,80,0)",
             point(3, 10_000.0),
             many=True,
         ),
-        option("--residual-limit-mm MM", "check points may be off by this", ABOVE_0, 1.5),
+        option("--residual-limit-mm MM", "how far off a check point may be, mm", ABOVE_0, 1.5),
         *ARM_FILE,
     ),
     "arm verify": (
         "verify the arm: one divot at up to three distances, a calibrated length (docs/rig.md)",
         "arm verify --port /dev/ttyUSB0 --out verification.toml",
         *HOMED,
-        option("--distances N", "divots: 1 middle, 2 near and far, 3 all", whole(1, 3), 3),
+        option("--distances N", "divots: 1 (middle), 2 (near and far) or 3 (all)", whole(1, 3), 3),
         option("--touches N", "touches in each divot", whole(5, 100), 10),
-        option("--length-mm L", "a calibrated length to measure too", ABOVE_0),
+        option(
+            "--length-mm L",
+            "also measure a calibrated length, of so many mm, cones at its ends",
+            ABOVE_0,
+        ),
+        option("--length-u-mm U", "its standard uncertainty (certificate)", SD, 0.0),
+        option(
+            "--gauge TEXT", "which one it is, and its certificate: kept and printed", default=""
+        ),
+        option("--accuracy-mm U", "the arm's stated u, to hold the touches against", ABOVE_0, 0.23),
         option("--directions N", "directions to measure it in", whole(1, 7), 7),
         option("--script SCRIPT", "whose limits to hold it against (default: six-situations)"),
         *ARM_FILE,
     ),
     "bath read": (
-        "one reading, and who answered; changes nothing",
+        "print one reading, and who answered; changes nothing",
         "bath read --port tcp://192.168.0.40:502 --profile julabo-presto",
         *BATH_LINK,
         JSON,
     ),
     "bath learn": (
-        "try each row of a profile, read-only: what answered, and what not",
+        "try each row of a profile, read-only, and say what answered",
         "bath learn --port tcp://192.168.0.40:502 --profile my-bath.toml",
         *BATH_LINK,
         JSON,
@@ -611,27 +670,27 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "bath set --port tcp://192.168.0.40:502 --profile julabo-presto 33",
         *BATH_LINK,
         option("set_point DEGC", "the new set point in degC", number("a temperature in degC")),
-        flag("--allow-inferred", "also write what the profile only infers"),
+        flag("--allow-inferred", "also write to rows whose evidence is INFERRED"),
     ),
     "bath watch": (
-        "a live plot until Ctrl-C; changes nothing",
+        "plot the temperature until Ctrl-C; changes nothing",
         "bath watch --port tcp://192.168.0.40:502 --profile julabo-presto",
         *BATH_LINK,
         UNTIL,
     ),
     "bath standby": (
-        "heater off now, whatever the bath is doing",
+        "switch the heater off now, whatever the bath is doing",
         "bath standby --port tcp://192.168.0.40:502 --profile julabo-presto",
         *BATH_LINK,
     ),
     "bath acknowledge": (
-        "after an interlock has tripped and its cause is gone: let the rig run again",
+        "let a rig run again after an interlock tripped and its cause is gone",
         "bath acknowledge my-rig.toml",
         CAPTURE,
         RIG,
     ),
     "stage status": (
-        f"who answered, its state, position and travel; moves nothing, but {RESETS}",
+        f"print who answered, state, position and travel; moves nothing, but {RESETS}",
         "stage status --rig my-rig.toml",
         *STAGE_LINK,
         JSON,
@@ -646,9 +705,9 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "stage move --rig my-rig.toml -- -200 -150",
         *STAGE_LINK,
         option("x_mm X", "mm, 0 at the switch and negative elsewhere", number()),
-        option("y_mm Y", "mm", number()),
-        option("--z MM", "height, on a stage declared with Z", number(), dest="z_mm"),
-        option("--a DEG", "rotation, on a stage declared with A", number(), dest="a_deg"),
+        option("y_mm Y", "mm, the same", number()),
+        option("--z MM", "height, mm, on a stage declared with Z", number(), dest="z_mm"),
+        option("--a DEG", "rotation, degrees, on a stage declared with A", number(), dest="a_deg"),
         FEED,
     ),
     "stage jog": (
@@ -661,37 +720,38 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         FEED,
     ),
     "stage recover": (
-        "leave an alarm or a hold: restart the controller. It has to be homed after it",
+        "leave an alarm or a hold by restarting the controller; home it afterwards",
         "stage recover --rig my-rig.toml",
         *STAGE_LINK,
     ),
     "camera list": (
-        "cameras that this machine can see, or those of a rig",
+        "list the cameras that this machine can see, or those of a rig",
         "camera list",
         option("rig", "a shipped rig by name, or a .toml file (default: this machine)", nargs="?"),
     ),
     "camera show": (
-        "who each camera is, what it sees, and what is wrong with it",
+        "say who each camera is, what it sees, and what is wrong with it",
         "camera show my-rig.toml",
         SOURCES,
         JSON,
     ),
     "camera focus": (
-        "a live figure of sharpness, to set a lens by, until Ctrl-C",
-        "camera focus opencv:0",
+        "live sharpness and pictures, to place cameras and set lenses, until Ctrl-C",
+        "camera focus my-rig.toml --page",
         SOURCES,
+        flag("--page", "show the pictures in the browser, with cross, blur and exposure"),
         UNTIL,
-        option("--every N", "seconds between two figures", SECONDS, 0.2),
+        option("--every S", "seconds between two figures", SECONDS, 0.2),
     ),
     "camera grab": (
         "save frame sets as a recording",
         "camera grab my-rig.toml --out recordings/mine --count 5",
         SOURCES,
-        option("--out FOLDER", "the recording; one that is there is added to", required=True),
+        option("--out DIR", "the recording; one that is there is added to", required=True),
         option("--count N", "how many frame sets", whole(1), 1),
     ),
     "calibrate cameras": (
-        "the stereo pair from pictures of a board, or live from a rig's cameras",
+        "calibrate the stereo pair from pictures of a board, or live with a rig",
         "calibrate cameras --rig my-rig.toml --board chessboard-9x6-40 --out parts/cameras.toml",
         CAPTURE,
         FRAMES,
@@ -699,12 +759,16 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *FINDER,
         *LIVE,
         option("--model", "distortion that is fitted", default="k1 k2 p1 p2", choices=MODELS),
-        flag("--square-pixels", "hold fx = fy"),
-        option("--identity CAMERA=SERIAL", "which camera it is, for the record", many=True),
+        flag("--square-pixels", "fit one focal length for both directions (fx = fy)"),
+        option(
+            "--identity CAMERA=SERIAL",
+            "a camera's serial number, for the record; may be given several times",
+            many=True,
+        ),
         *_part("cameras.toml"),
     ),
     "calibrate thermal": (
-        "the thermal camera, from pictures of a heated board, live from a rig, or from point pairs",
+        "calibrate the thermal camera from a heated board, live with a rig, or from point pairs",
         "calibrate thermal --pairs pairs.csv --image-size 640x480 --out thermal.toml",
         CAPTURE,
         FRAMES,
@@ -718,37 +782,41 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
         option(
             "--image-size COLUMNSxROWS",
-            "of the delivered thermal picture; needed with --pairs",
+            "size of the delivered thermal picture, px; needed with --pairs",
             size,
         ),
         option(
-            "--sensor-size COLUMNSxROWS", "default: 160x120, or as the rig's calibration says", size
+            "--sensor-size COLUMNSxROWS",
+            "px (default: 160x120, or as the rig's calibration says)",
+            size,
         ),
-        flag("--mirrored", "the camera delivers mirrored pictures, and these are"),
+        flag("--mirrored", "the pictures come mirrored"),
         option(
             "--polarity",
-            "default: hot_is_white, or as the rig's says",
+            "which way grey levels run (default: hot_is_white, or as the rig's calibration says)",
             choices=("hot_is_black", "hot_is_white"),
         ),
         option("--model", "distortion that is fitted", default="k1", choices=MODELS),
         option(
             "--plane MM",
-            "distance of the plane that the homographies hold on (default: 1076.3)",
+            "distance of the plane that the homographies are right at, mm (default: 1076.3)",
             ABOVE_0,
         ),
         *_part("thermal.toml"),
     ),
     "calibrate world": (
-        "camera to table, from points that the arm touched and both cameras saw",
+        "place the cameras in the table's axes, by points that arm and cameras measured",
         "calibrate world points.csv --cameras cameras.toml --out world.toml",
         CAPTURE,
         option(
-            "points CSV", "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm, a point a line", nargs="?"
+            "points CSV",
+            "a table: left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm, a point a line",
+            nargs="?",
         ),
         *LIVE,
         option("--board BOARD", f"with --rig: {BOARD_HELP}"),
         option("--cameras FILE", "what 'calibrate cameras' wrote", required=True),
-        option("--pixel-sd PX", "of a pixel coordinate", SD, 0.1),
+        option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
         TOUCH_SD,
         *_part("world.toml"),
     ),
@@ -759,7 +827,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *_part("calibration.toml"),
     ),
     "calibrate check": (
-        "measure a board or touched points again with an existing calibration: does it still hold?",
+        "test whether a calibration still holds, with a board, touched points or touched teat ends",
         "calibrate check calibration.toml --rig my-rig.toml --board chessboard-9x6-40",
         CAPTURE,
         option("calibration CAL", "the calibration, or the cameras' file where a board is shown"),
@@ -768,15 +836,20 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *FINDER,
         *LIVE,
         option("--points CSV", "touched points in the place of a board, as for 'calibrate world'"),
-        option("--pixel-sd PX", "of a pixel coordinate of a point", SD, 0.1),
+        option(
+            "--ends DIR",
+            "a run or recording with touched teat ends, in the place of a board; with --rig the"
+            " phantom is seen anew, standing as in its last trial",
+        ),
+        option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
         TOUCH_SD,
-        option("--page DIR", "where the page goes (default: none is written)"),
+        option("--page DIR", "also write a page there"),
     ),
     "calibrate board": (
-        "a calibration board as a PDF in true size",
+        "print a calibration board as a PDF in true size",
         "calibrate board chessboard-9x6-40 --pdf board.pdf",
         option("board BOARD", BOARD_HELP),
-        option("--pdf FILE", "where to write it", required=True),
+        option("--pdf FILE", "the file to write", required=True),
         option(
             "--paper",
             "the sheet (default: the smallest that holds it)",
@@ -786,18 +859,18 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "calibrate export": (
         "write a calibration for another tool",
         "calibrate export calibration.toml --format opencv --out calibration.yaml",
-        option("calibration CAL"),
-        option("--format", choices=("opencv", "bouguet", "ros"), required=True),
+        option("calibration CAL", "the calibration file"),
+        option("--format", "of which tool", choices=("opencv", "bouguet", "ros"), required=True),
         option("--camera", "for ros, which has one camera a file", default="left", choices=CAMERAS),
-        option("--out FILE", required=True),
+        option("--out FILE", "the file to write", required=True),
         REPLACE,
     ),
     "calibrate import": (
-        "take the cameras of another tool over, as a part for merge",
+        "take over the cameras that another tool calibrated, as a part for 'merge'",
         "calibrate import left.yaml right.yaml --format ros --out cameras.toml",
-        option("file FILE", "for ros two: left, right", nargs="+"),
-        option("--format", choices=("opencv", "bouguet", "ros"), required=True),
-        option("--image-size COLUMNSxROWS", "for opencv, whose files may leave it out", size),
+        option("file FILE", "the other tool's file; for ros two: left, right", nargs="+"),
+        option("--format", "of which tool", choices=("opencv", "bouguet", "ros"), required=True),
+        option("--image-size COLUMNSxROWS", "px; for opencv, whose files may leave it out", size),
         *_part("cameras.toml"),
     ),
     "calibrate stage": (
@@ -808,7 +881,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "calibrate stage --rig my-rig.toml --out registration.toml",
         CAPTURE,
         option("--rig RIG", RIG_HELP),
-        option("--out FILE", "where to write it; a script's [truth] names it", required=True),
+        option("--out FILE", "the file to write, which a script's [truth] names", required=True),
         REPLACE,
         option("--layout NAME", "how the phantom's teats stand", default="table-5-1"),
         option("--teat N", "the teat to touch", whole(1, 20), 1),
@@ -823,47 +896,47 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
     ),
     "replay-wire": (
-        "play the far end of a capture back, for drivers to talk to",
+        "play the instruments' end of a capture back, for drivers to talk to",
         "replay-wire capture.jsonl --link bath",
-        option("file", "what a command wrote with --capture", Path),
+        option("file FILE", "what a command wrote with --capture", Path),
         LISTEN,
         option("--link NAME", "only this link; may be given several times", many=True),
-        flag("--fast", "answer at once, not after the recorded while"),
+        flag("--fast", "answer at once, not after the recorded time"),
         flag("--once", "end when all has been played, instead of beginning again"),
     ),
     "trials": (
-        "the trial scripts that ship; 'trials show SCRIPT' lists a script's poses",
+        "list the trial scripts that ship ('trials show' lists a script's poses)",
         "trials",
         flag("--json", "one JSON object instead of lines"),
     ),
     "trials show": (
-        "list the poses of a script, and estimate the time",
+        "list the poses of a script, and estimate its time",
         "trials show plane-map",
         option("script SCRIPT", SCRIPT_HELP),
         option("--rig RIG", RIG_HELP),
         flag("--json", "one JSON object instead of a table"),
     ),
     "rigs": (
-        "the rig files that ship, and the one to copy for a real rig",
+        "list the rig files that ship, and the one to copy for a real rig",
         "rigs",
     ),
     "detectors": (
-        "the detectors that ship, that other packages bring, and that files in ./detectors declare",
+        "list the detectors: shipped, of other packages, declared in ./detectors",
         "detectors",
     ),
     "detectors new": (
-        "write a detector of your own to begin with: a program that answers, and its declaration",
+        "write a program that answers, and its file, to make your own detector from",
         "detectors new python --name mine",
         option("language LANGUAGE", "python, javascript or cpp", choices=LANGUAGES),
         option("--name NAME", "what it is called", default="my_detector"),
         option(
             "--out DIR",
-            "where to (default: detectors, whose files are known by name)",
+            "the folder to write to (default: detectors, whose files are known by name)",
             default=Path("detectors"),
         ),
     ),
     "detectors try": (
-        "ask a detector about one frame, and say in plain words what is wrong",
+        "ask a detector about one frame, and say what is wrong",
         "detectors try my_detector",
         option("word WORD", DETECTOR_HELP),
         option(
@@ -874,7 +947,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
     ),
     "completion": (
-        "print what makes a shell complete commands, options and names at Tab",
+        "print a script that makes your shell complete commands, options and names at Tab",
         "completion bash",
         option(
             "shell SHELL",
@@ -890,7 +963,7 @@ MODULES = {
     "alone": ("camera", "stage"),
     "rig": ("check", "detect", "emulate", "replay-wire", "rigs", "scene"),
     "run": ("report", "resume", "score"),
-    "store": ("compare", "control"),
+    "store": ("compare", "control", "recording"),
     "trials": ("plan",),
 }
 # a command's function, unless it has the name of its last word

@@ -188,7 +188,10 @@ def detect(given: argparse.Namespace) -> int:
         print(json.dumps(line) if given.json else text, flush=True)
         answered = answered or "outcome" not in line
     if not answered:
-        return complain("no frame had an answer: nothing was detected", CODES.fault)
+        return complain(
+            "no frame had an answer: 'teatbench detectors try' says what is wrong with a detector",
+            CODES.fault,
+        )
     return CODES.met
 
 
@@ -224,7 +227,7 @@ def record(given: argparse.Namespace) -> int:
     from bench.rig.scenes import record as recorded
 
     rig = load_rig(find_rig(given.rig))
-    frames = recorded(rig, given.situation, _members(given), given.out, given.seed)
+    frames = recorded(rig, given.situation, _members(given), given.out, given.seed, given.perturb)
     return _shown(frames, given.out, len(chosen(given.situation)) * given.seeds)
 
 
@@ -262,7 +265,6 @@ def sensitivity(given: argparse.Namespace) -> int:
         seed=given.seed,
         detectors=wanted,
         rig=str(path),
-        chunk_scenes=min(given.seeds, 25),
     )
     folder = given.out / "campaign"
     results: dict[str, list[Measured]] = {}

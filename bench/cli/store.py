@@ -1,5 +1,5 @@
-"""What is done with runs' folders: `store check` and `store export`, `compare` of detectors or
-versions on the same scenes, and `control` of a run that goes on.
+"""What is done with runs' folders: `store check`, `store export`, `recording pack`, `compare` of
+detectors or versions on the same scenes, and `control` of a run that goes on.
 """
 
 from __future__ import annotations
@@ -79,6 +79,26 @@ def export(given: argparse.Namespace) -> int:
     return CODES.met
 
 
+def pack(given: argparse.Namespace) -> int:
+    from bench.run.packing import pack_run
+
+    try:
+        with undamaged([given.run], given), working("packing the run"):
+            folder = pack_run(given.run, given.out, given.title or "", given.licence or "")
+    except OSError as error:
+        raise ConfigError.plain(
+            f"the recording can't be written to {given.out}: {error.strerror or error}"
+        ) from error
+    print(folder)
+    if not given.licence:
+        print(
+            "no licence is stated: others may not use it. Pack it again with --licence, CC-BY-4.0"
+            " for one.",
+            file=sys.stderr,
+        )
+    return CODES.met
+
+
 def compare(given: argparse.Namespace) -> int:
     from bench.results.comparison import compare_folders, judge_folders, judgement_lines
     from bench.results.verdicts import run_verdict
@@ -148,16 +168,17 @@ def _show(found: Sequence[Comparison]) -> None:
         notes,
         success_table,
         verdict_text,
+        worded,
     )
 
     console = Terminal()
     for comparison in found:
-        console.print(heading(comparison), soft_wrap=True)
+        console.print(worded(comparison, heading(comparison)), soft_wrap=True)
         for title, page in (
             ("success", success_table(comparison)),
             ("distance to the teat end", distance_table(comparison)),
         ):
-            table = Table(title=title)
+            table, page = Table(title=title), worded(comparison, page)
             for at, column in enumerate(page.columns):
                 name = f"{column.title}, {column.unit}" if column.unit else column.title
                 table.add_column(name, justify="right" if at else "left", overflow="fold")
@@ -165,8 +186,8 @@ def _show(found: Sequence[Comparison]) -> None:
                 table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in row))
             console.print(table)
         for line in (*notes(comparison), verdict_text(comparison)):
-            console.print(line)
-        for reason in gate_reasons(comparison):
+            console.print(worded(comparison, line))
+        for reason in worded(comparison, gate_reasons(comparison)):
             console.print(f"  {reason}")
 
 

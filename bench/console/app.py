@@ -1,4 +1,4 @@
-"""The console's program: the page, and the API under `/api` that it speaks (docs/console.md).
+"""The console's program: the page, and the API under `/api` that it speaks (docs/record.md).
 
 Its state is what the runs' folders say; of its own it has only who may answer prompts (the
 lease). It can be killed at any moment: a run notices nothing, and an answer that was acknowledged

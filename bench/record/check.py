@@ -116,7 +116,7 @@ def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[
             raise
         why = "It has no chain, so that nothing tells whether it is as it was written."
         raise ConfigError.plain(
-            f"this can't be made of a record that is damaged so ({type(error).__name__}: {error})."
+            f"the record is too damaged for this ({type(error).__name__}: {error})."
             f" {shortened(damage) if damage else why}"
         ) from error
 

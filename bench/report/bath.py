@@ -218,8 +218,8 @@ COMMS_LOSS = {
         "the controller holds its last set point: the bath stays hot until the guardian or a person"
         " switches it off"
     ),
-    "stop": "the controller stops by itself when it hears nothing",
-    "safe_setpoint": "the controller goes to its own safe set point when it hears nothing",
+    "stop": "the controller stops by itself when no messages come",
+    "safe_setpoint": "the controller goes to its own safe set point when no messages come",
     "unknown": "not known for this controller: take it that the bath stays hot",
 }
 READINGS = {

@@ -12,6 +12,8 @@ from bench.calibrate.cameras import PAIR, CamerasResult, PairsResult, ThermalRes
 from bench.calibrate.views import BoardViews
 from bench.calibrate.world import PointsAgain, WorldResult
 from bench.report.wording import NOT_MEASURED, key_values, listed, spanned, table
+from bench.results.cameras_agree import NEXT_UNSEEN, CamerasCheck
+from bench.scoring.decisions import Decision, Verdict
 from detector.calibration import Record
 from detector.calibration.bundle import LENS, POSE
 from detector.calibration.cameras import SIDES, Calibrated, Coverage
@@ -421,6 +423,29 @@ def check_points_page(
     )
 
 
+def check_ends_page(found: CamerasCheck, decision: Decision, record: Record, command: str) -> Page:
+    """Of `calibrate check --ends`."""
+    off = decision.verdict is Verdict.NOT_MET
+    shown = table(
+        "What touched teat ends are off in the pictures",
+        "figure | >off [px] ~+.2f | >± [px] ~.2f | >poses or ends",
+        [(one.name, one.value, one.uncertainty, one.poses) for one in found.offsets],
+        f"{found.told} of {found.ends} ends told. px of the sensor for the thermal camera; 95 %.",
+    )
+    return _check(
+        {"ends": ("Where the cameras show touched ends", [shown])},
+        [Finding("cameras off", decision.sentence)] if off else [],
+        record,
+        command,
+        scores=[_figure_only(o.name, f"{o.value:+.2f} px", "") for o in found.offsets[:1]],
+        first="ends",
+        tested=f"An existing calibration on {found.ends} teat ends that the arm touched.",
+        confidence=decision.sentence,
+        cure="Look for a camera that was knocked, then calibrate again.",
+        undecided=decision.verdict is not Verdict.MET and not off,
+    )
+
+
 def _check(
     chapters: Chapters,
     findings: Sequence[Finding],
@@ -432,8 +457,14 @@ def _check(
     cure: str,
     scores: Sequence[Row],
     first: str = "",
+    undecided: bool = False,
 ) -> Page:
     named = "; ".join(finding.name for finding in findings)
+    held: tuple[PageVerdict, str, str] = ("met", HOLDS, "Nothing: go on measuring with it.")
+    if undecided:
+        held = ("inconclusive", "Not decided.", NEXT_UNSEEN)
+    if findings:
+        held = ("not met", f"It no longer holds: {named}.", cure)
     return _page(
         CHECK,
         chapters,
@@ -442,11 +473,11 @@ def _check(
         scores=scores,
         first=first,
         findings=findings,
-        verdict="not met" if findings else "met",
+        verdict=held[0],
         tested=tested,
-        sentence=f"It no longer holds: {named}." if findings else HOLDS,
+        sentence=held[1],
         confidence=confidence,
-        next_action=cure if findings else "Nothing: go on measuring with it.",
+        next_action=held[2],
     )
 
 

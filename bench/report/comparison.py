@@ -5,10 +5,12 @@ against an older one, and the detectors of one run against its first.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, fields, is_dataclass, replace
+from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -247,7 +249,7 @@ def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
             "confidence": one.compared.confidence,
             "gate": {
                 "verdict": GATE[one.compared.gate.verdict][0],
-                "reasons": list(one.compared.gate.reasons),
+                "reasons": list(worded(one, one.compared.gate.reasons)),
                 "margin_mm": one.compared.gate.margin_mm,
                 **_rate_margin(one),
             },
@@ -304,7 +306,7 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         section for number, one in enumerate(found, 1) for section in _chapters(one, number, found)
     )
     damaged = any(run.damage for run in runs)
-    return Page(
+    page = Page(
         "Comparison of detectors",
         "Paired differences on the same scenes",
         banner,
@@ -312,6 +314,33 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         tuple(sorted(sections, key=lambda section: section.folded)),
         alarm=f"{NOT_AS_WRITTEN}: no figure below holds." if damaged else "",
     )
+    return worded(found[0], page)
+
+
+Text = TypeVar("Text")
+
+
+def worded(one: Comparison, value: Text) -> Text:
+    """A text, or a part of a page, in the words of what was compared: campaigns have scenes where
+    runs have poses.
+    """
+    return value if one.compared.gate.margin_rate is None else _of_scenes(value)
+
+
+def _of_scenes(value: Any) -> Any:
+    if isinstance(value, str) and not isinstance(value, Enum):
+        return re.sub(
+            r"\b([Pp])ose(?=s?\b)", lambda found: "Scene" if found[1] == "P" else "scene", value
+        )
+    if isinstance(value, tuple | list):
+        return type(value)(map(_of_scenes, value))
+    if isinstance(value, Mapping):
+        return {_of_scenes(key): _of_scenes(one) for key, one in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+        changed = {name: new for name, old in parts.items() if (new := _of_scenes(old)) != old}
+        return replace(value, **changed) if changed else value
+    return value
 
 
 def _chapters(one: Comparison, number: int, found: Sequence[Comparison]) -> Iterator[Section]:

@@ -29,7 +29,7 @@ from bench.report.trials import (
     trial_table,
     worst_trials,
 )
-from bench.report.truth import arm_parts, deviation_parts, truth_parts
+from bench.report.truth import arm_parts, cameras_parts, deviation_parts, truth_parts
 from bench.report.wording import headline, headlines, id_of, key_values, table
 from bench.results.exports import write_exports
 from bench.results.verdicts import (
@@ -46,6 +46,7 @@ from bench.scoring.rates import zero_failure_n
 from bench.script.calibration_age import CALIBRATION_FACT
 from bench.script.model import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
+from instruments.camera.settings import AUTOMATIC
 from instruments.world.situations import spoken
 from reports import figures
 from reports.mail import write_single_file
@@ -178,7 +179,7 @@ def _pages(
     """What stands behind the first page, by name."""
     limit_mm = rules.visible_within_mm
     listed = (*([looks] if looks else []), trial_table(run))
-    blamed = tuple(tables.attribution_parts(run))
+    blamed = tuple(tables.attribution_parts(run, calibration))
     deviations = (*deviation_parts(run), *fault_parts(run))
     accuracy = (
         Section("results", "Results by situation", tuple(_result_parts(run, rules))),
@@ -189,7 +190,8 @@ def _pages(
         Section("latency", "Time", tuple(_latency_parts(run, rules))),
     )
     reference = (
-        *(*truth_parts(run), *gage_parts(run, limit_mm)),
+        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
+        *gage_parts(run, limit_mm),
         *(*arm_parts(run), *record_parts(run)),
     )
     thesis = thesis_chapter(run, rules, calibration)
@@ -481,7 +483,15 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def fault_parts(run: RunRecord) -> Iterator[Part]:
-    """Frames taken again and requests repeated; nothing where there were none."""
+    """Frames taken again, requests repeated, automatic functions of cameras; nothing where there
+    were none.
+    """
+    cameras = (run.facts.get("identities") or {}).get("cameras", {})
+    if on := [f"{name}: {who}" for name, who in cameras.items() if AUTOMATIC in str(who)]:
+        yield Notes(
+            "The rig file lets cameras adjust themselves (auto = true): trials may differ by it",
+            tuple(on),
+        )
     for fact, title in FAULTS.items():
         counts = sorted((run.facts.get(fact) or {}).items())
         if counts:

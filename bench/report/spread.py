@@ -13,6 +13,7 @@ from bench.record.reader import RunRecord
 from bench.report.accuracy import precision_parts
 from bench.report.tables import covariance_of
 from bench.report.wording import NOT_MEASURED, id_of, table
+from bench.results.answers import LEFT_OUT
 from bench.results.error_rows import (
     Bias,
     ErrorRows,
@@ -316,14 +317,16 @@ def _consistent(run: RunRecord, detector: str) -> str:
     stated = list(_stated(run, detector))
     if not stated:
         return "The detector states no covariances."
+    left_out = run.facts["items"].get(detector, {}).get(LEFT_OUT)
+    left_out = f" They leave out: {left_out or 'the detector does not say what'}."
     errors, covariances = zip(*stated, strict=True)
     held = consistency(np.array(errors), np.array(covariances))
     if held.ratio is None:
-        return ""
+        return left_out.strip()
     return (
         f"Stated covariances, with the truth's: mean e' C⁻¹ e / 3 is {held.ratio:.2f} over {held.n}"
         f" ends, where 1 is as stated and chance leaves {held.low:.2f} to {held.high:.2f}; above,"
-        " the detector claims to be surer than it is; below, it is too modest."
+        f" the detector claims to be surer than it is; below, it is too modest.{left_out}"
     )
 
 

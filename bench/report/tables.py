@@ -18,6 +18,7 @@ from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate, percent, pose_successes
 from bench.script.model import Rules
+from detector.calibration import Calibration
 from detector.protocol import Outcome
 from instruments.world.situations import spoken
 from reports.page import (
@@ -240,10 +241,10 @@ NOTE = (
 )
 
 
-def attribution_parts(run: RunRecord) -> Iterator[Part]:
+def attribution_parts(run: RunRecord, calibration: Calibration | None = None) -> Iterator[Part]:
     """A table for each detector that was scored; and what isn't the detector's, one by one."""
     for detector in run.detectors:
-        found = attributed(run, detector)
+        found = attributed(run, detector, calibration)
         counts = counted(found)
         rows = [(what.value, *(counts[what, cause] for cause in Cause)) for what in What]
         heads = ("what", *(f">{cause.value}" for cause in Cause))

@@ -32,6 +32,7 @@ from bench.results.thesis_figures import (
     statistics,
     thesis,
 )
+from bench.results.thesis_pictures import GATE_PX, PICTURES, RADIUS_MM, InPictures, in_pictures
 from bench.results.verdicts import latency_of, scored
 from bench.rig.loading import LoadedRig
 from bench.scoring.errors import Bools, Floats
@@ -117,7 +118,9 @@ def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tu
         yield from _asked(run, figures)
         yield from _rig(run, figures, calibration)
 
-    parts = (figures_table(rows(), NOTE if known else ""), elsewhere_table(figures, *kinds))
+    pictured = tuple(_pictured(run, known, calibration)) if known else ()
+    beside = figures_table(rows(), NOTE if known else "")
+    parts = (beside, *pictured, elsewhere_table(figures, *kinds))
     return (Section("published", "Beside the thesis", parts),)
 
 
@@ -168,6 +171,65 @@ def _situations(run: RunRecord, known: Sequence[Situation]) -> Iterator[Row]:
         printed = f"{sum(one.found for one in of)} of {sum(one.present for one in of)}"
         found = _each({detector: ours(detector, of) for detector in run.detectors})
         yield f"teats found, {name}", section, printed, "", found, seen
+
+
+def _pictured(
+    run: RunRecord, known: Sequence[Situation], calibration: Calibration
+) -> Iterator[Part]:
+    """Of each detector with the thesis's stages: its counts by the pictures, and refined ends
+    against unrefined ones by teat.
+    """
+    for detector in run.detectors:
+        if (seen := in_pictures(run.counted, detector, calibration)) is None:
+            continue
+        within = {one.name: scored(run, detector, one.name).counts.matched for one in known}
+
+        def counts(name: str, of: Sequence[Situation], found_mm: int) -> Iterator[object]:
+            rows = np.any([seen.of(one.name) for one in of], axis=0)
+            n, nearer, farther = int(rows.sum()), *seen.moved(rows)
+            yield name
+            yield f"{sum(one.found for one in of)} of {sum(one.present for one in of)}"
+            yield f"{found_mm} of {n}"
+            for k in range(len(PICTURES)):
+                yield f"{int(seen.on_end[rows, k].sum())} of {n}"
+            yield f"{nearer} nearer, {farther} farther"
+            yield sum(seen.astray.get(one.name, 0) for one in of)
+
+        whole = [(f"all {len(known)}", known, sum(within.values()))]
+        each = [(spoken(one.name), [one], within[one.name]) for one in known]
+        yield table(
+            f"Ends found by {detector} as the thesis judged them: in the pictures",
+            "situation | >printed | >within the gate in mm | >thermal | >left | >left, refined"
+            " | >right | >right, refined | refining moved the end | >at no teat",
+            [tuple(counts(*row)) for row in (*each, *whole)],
+            "An end is found in a picture where the answer lies on the rounded end as that picture"
+            f" shows it, within {RADIUS_MM:g} mm, a teat's radius, of its axis: “any point of the"
+            " end of the teat is a perfect result” (section 5.2.7). Unrefined ends are where the"
+            " homography puts the thermal ones; each optical picture refines them by itself.",
+        )
+        yield table(
+            f"Refined against unrefined ends of {detector}, teat by teat",
+            "situation | teat | >found | >thermal [px] ~.1f | >left [px] ~.1f"
+            " | >left, refined [px] ~.1f | >right [px] ~.1f | >right, refined [px] ~.1f"
+            " | >unrefined [mm] ~.1f | >refined [mm] ~.1f",
+            list(_by_teat(seen, known)),
+            "Distances from the true end, medians over frame sets, of answers within"
+            f" {GATE_PX:g} px of it in an optical picture.",
+        )
+
+
+def _by_teat(seen: InPictures, known: Sequence[Situation]) -> Iterator[tuple[object, ...]]:
+    for one in known:
+        teats = dict.fromkeys(
+            t for s, t in zip(seen.situations, seen.teats, strict=True) if s == one.name
+        )
+        for teat in teats:
+            rows = seen.of(one.name, teat)
+            values = np.hstack([seen.off_px, seen.off_mm])[rows]
+            found = values[np.isfinite(values[:, 1])]
+            medians = [None] * values.shape[1] if not len(found) else np.median(found, axis=0)
+            plain = [None if v is None or not np.isfinite(v) else float(v) for v in medians]
+            yield spoken(one.name), teat, f"{len(found)} of {len(values)}", *plain
 
 
 def _with_ends_of_table_5_1(rules: Rules) -> list[str]:

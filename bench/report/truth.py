@@ -13,16 +13,22 @@ import numpy as np
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.tables import covariance_of
 from bench.report.wording import key_values, listed, number, spanned, table, xyz
-from bench.results.verdicts import VERIFICATION_FACT, age_of
+from bench.results.cameras_agree import LIMIT_PX, NAMES, answers_of, cameras_of, told_apart
+from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
+from bench.results.verdicts import age_of
 from bench.rig.arm_files import LocationTest, Verification, from_dict
 from bench.run.rows import FRAME_FACT
+from bench.scoring.stated_u import LEVEL, level_of_each
+from bench.script.model import CamerasRequirement, Rules
 from bench.truth.arm_tip import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
 from bench.truth.carrying import counted, resumed
 from bench.truth.registration import Registration, registration_from_facts
 from bench.truth.uncertainty import CHI2_95, How
+from detector.calibration import Calibration
 from instruments.teat_end import DEFINITION
 from reports.page import Cell, Column, Notes, Paragraph, Part, Table
 
+DISPARITY = NAMES[0]
 LOCATIONS = (
     "divot | >touches | >largest deviation [mm] ~.2f # from the mean of the touches: articulated"
     " location error, ASME B89.4.22 | >2 sd [mm] ~.2f"
@@ -30,6 +36,39 @@ LOCATIONS = (
     " | >swing [°] ~.0f # largest angle between two stylus directions"
     " | >shift [mm] ~.2f? # of the mean from the known place"
 )
+
+
+def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
+    """Where the cameras show the known ends, and whether the detectors' answers share what they are
+    off; nothing where no picture was held against an end.
+    """
+    check = cameras_of(run.counted)
+    if not check.ends:
+        return
+    asked = [r.limit_px for r in rules.requirements if isinstance(r, CamerasRequirement)]
+    limit_px = min(asked, default=LIMIT_PX)
+    answers = {name: answers_of(run.counted, name, calibration) for name in run.detectors}
+    found = [("cameras", one) for one in check.offsets]
+    found += [(f"answers of {name}", one) for name, one in answers.items() if one is not None]
+    thermal = "" if check.thermal is None else f", {check.thermal} in the thermal picture"
+    yield table(
+        "Cameras and answers against the known ends",
+        "of | figure | >off [px] ~+.2f | >± [px] ~.2f | >poses"
+        " | >a pixel is, in depth [mm] ~.1f | >as if a camera were turned by [°] ~.3f",
+        [
+            (who, one.name, one.value, one.uncertainty, one.poses, one.mm, abs(one.value) * one.deg)
+            if one.name == DISPARITY
+            else (who, one.name, one.value, one.uncertainty, one.poses, "", "")
+            for who, one in found
+        ],
+        f"{check.told} of {check.ends} ends told in left and right{thermal}. Means over poses, with"
+        " 95 % confidence; px of the sensor for the thermal camera. Answers: of matched ends.",
+    )
+    for text in check.unseen:
+        yield Paragraph(f"{text[0].upper()}{text[1:]}.", tone="warn")
+    for name, one in answers.items():
+        if text := told_apart(check, one, limit_px):
+            yield Paragraph(f"{name}: {text}.", tone="warn")
 
 
 def arm_parts(run: RunRecord) -> Iterator[Part]:
@@ -45,6 +84,7 @@ def arm_parts(run: RunRecord) -> Iterator[Part]:
             "The rig names no dated verification of the arm ('teatbench arm verify').", tone="warn"
         )
     yield _arm_checks(run)
+    yield from _stated(run)
 
 
 def _frame(fact: dict[str, Any] | None) -> Part:
@@ -73,13 +113,19 @@ def _verification(run: RunRecord, dated: Verification) -> Iterator[Part]:
     )
     note = "The tip in one divot at each distance while wrist and elbow swing."
     yield table(caption, LOCATIONS, [_location(test, None) for test in dated.locations], note)
+    if dated.gauge:
+        yield Paragraph(f"Calibrated length: {dated.gauge}.")
     if not dated.lengths:
         yield Paragraph("No calibrated length was measured in it.", tone="warn")
         return
-    lengths = [(t.where, t.calibrated_mm, t.measured_mm, t.error_mm) for t in dated.lengths]
+    lengths = [
+        (t.where, t.calibrated_mm, t.calibrated_u_mm, t.measured_mm, t.error_mm)
+        for t in dated.lengths
+    ]
     yield table(
         "A calibrated length, measured in several directions",
-        "direction | >calibrated [mm] ~.3f | >measured [mm] ~.2f | >error [mm] ~+.2f",
+        "direction | >calibrated [mm] ~.3f | >its u [mm] ~.3f | >measured [mm] ~.2f"
+        " | >error [mm] ~+.2f",
         lengths,
         f"Largest error {number(dated.length_mm, 'mm')}; 2 rms"
         f" {number(dated.length_two_rms_mm, 'mm')}.",
@@ -104,6 +150,46 @@ def _arm_checks(run: RunRecord) -> Part:
         moved_mm = np.linalg.norm(tests[1].centre_mm - tests[0].centre_mm)
         note = f"Between the two the check point moved by {moved_mm:.2f} mm."
     return table("The arm before and after the trials", LOCATIONS, rows, note)
+
+
+def _stated(run: RunRecord) -> Iterator[Part]:
+    """The arm's stated uncertainty, and each check of it; nothing of a run that kept none."""
+    if (stated := run.facts.get(STATED_FACT)) is None:
+        return
+    u_mm, checks = stated["u_mm"], arm_checks(run.facts)
+    entries = {
+        "standard uncertainty of a position, along each axis": f"{u_mm:g} mm",
+        "source": stated["source"] or "not named in the rig file ([arm] accuracy_source)",
+        "degrees of freedom": f"{stated['df']:g}" if stated["df"] else "not stated: taken as exact",
+        "rounding of the counts, beside it": f"{stated['resolution_mm']:.3f} mm",
+    }
+    yield key_values("The arm's uncertainty, as the rig file states it", entries)
+    if not checks:
+        yield Paragraph("No touch and no length checks it.", tone="warn")
+        return
+    level = level_of_each(checks)
+    rows = []
+    for check in checks:
+        low, high = (u_mm * ratio for ratio in check.ratio_interval)
+        wrong = Cell("too small", "bad") if check.p_value < level else Cell("not refuted", "good")
+        shown = (u_mm * check.ratio, f"{low:.2f} to {high:.2f}")
+        figures = (check.squares, check.limit(level), f"{check.p_value:.2g}")
+        rows.append((check.name, check.df, *shown, *figures, wrong))
+    heads = (
+        "deviations | >degrees of freedom | >u shown [mm] ~.3f | >its 95 % interval [mm]"
+        " | >chi-square ~.1f # sum of (deviation / stated u)²"
+        " | >limit ~.1f # a sound statement seldom exceeds it; Fisher's F where it has degrees of"
+        " freedom itself | >p | stated u"
+    )
+    note = (
+        f"A sound statement is accused in at most {100 * LEVEL:g} % of runs, all rows together. One"
+        " divot's touches don't show what they have in common; lengths do. A u of half the real one"
+        " lets 18 % false acceptances through, instead of 5 %."
+    )
+    yield table("The arm's stated uncertainty against what was touched", heads, rows, note)
+    if wrong_u := too_small(run.facts):
+        text = f"{wrong_u[0].upper()}{wrong_u[1:]}: no error is accepted by this guard band."
+        yield Paragraph(text, tone="bad")
 
 
 def _location(test: LocationTest, shift: float | None) -> tuple[object, ...]:

@@ -34,6 +34,7 @@ from reports.sanitize import sanitized
 WORKING_VOLUME_MM = 2000.0  # no teat of any rig is further from the table's origin along an axis
 MOST_TEATS = 16  # four, and what else a detector may take for one; each costs the scorer time
 LONGEST_REASON = 500
+LEFT_OUT = "its covariances leave out"  # of a detector under test, in its own words
 LEAST_SD_MM, MOST_SD_MM = 1e-6, 1e6  # beyond, figures made of it are no longer numbers
 # what a run keeps of the trace of one answer
 MOST_STAGES, LONGEST_NAME, MOST_PICTURE_PX = 64, 60, 8192

@@ -10,8 +10,16 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from bench.record.reader import RunRecord, TrialRecord
-from bench.results.cameras_agree import depth_error_mm
+from bench.results.cameras_agree import (
+    LIMIT_PX,
+    NAMES,
+    THERMAL_LIMIT_PX,
+    answers_of,
+    cameras_of,
+    shared,
+)
 from bench.safety.stability import State
+from detector.calibration import Calibration
 
 OPERATORS_EVENT = "the operator skipped it"
 
@@ -48,10 +56,21 @@ class Attributed:
     why: str
 
 
-def attributed(run: RunRecord, detector: str) -> tuple[Attributed, ...]:
-    """All of ``detector`` in the order of the trials; then the trials that were not judged."""
+def attributed(
+    run: RunRecord, detector: str, calibration: Calibration | None = None
+) -> tuple[Attributed, ...]:
+    """All of ``detector`` in the order of the trials; then the trials that were not judged. What is
+    the calibration's is so by the bench's own check of the cameras: a depth that is off, or
+    nothing found at all. By ``calibration`` the answers are asked too: a detector's that don't
+    share the cameras' disparity stay its own.
+    """
     found = []
-    depth_mm = depth_error_mm(run.counted)
+    check = cameras_of(run.counted)
+    depth_mm, seen = check.depth_error_mm, check[NAMES[0]]
+    answers = answers_of(run.counted, detector, calibration) if calibration else None
+    if answers is not None and seen is not None and not shared(seen, answers):
+        depth_mm = 0.0
+    off = "; ".join(one.text for one in check.sure(LIMIT_PX, THERMAL_LIMIT_PX))
     for trial in run.trials:
         bath = trial.head["bath_state"]
         for what, teat, cause, why in _wrong(trial, detector):
@@ -63,6 +82,8 @@ def attributed(run: RunRecord, detector: str) -> tuple[Attributed, ...]:
             elif cause is Cause.DETECTOR and depth_mm > 0.5 * trial.scores[detector].limit_mm:
                 cause = Cause.CALIBRATION
                 why += f"; but the cameras put every end some {depth_mm:.1f} mm off in depth"
+            elif cause is Cause.DETECTOR and off and _silent(trial, detector):
+                cause, why = Cause.CALIBRATION, f"{why}; but the cameras have their {off}"
             found.append(Attributed(trial.id, detector, teat, what, cause, why))
     judged_not = (
         Attributed(trial, detector, "", What.NOT_JUDGED, cause, why)
@@ -97,6 +118,11 @@ def _wrong(trial: TrialRecord, detector: str) -> Iterator[tuple[What, str, Cause
     for teat, row in enumerate(trial.truth):
         if not row["visible"] and teat not in found:
             yield What.MISSED, names[teat], Cause.NOT_VISIBLE, "some camera can't see its end"
+
+
+def _silent(trial: TrialRecord, detector: str) -> bool:
+    """Whether the detector gave no end at all."""
+    return not trial.scores[detector].counts.found
 
 
 def _not_judged(run: RunRecord) -> Iterator[tuple[str, Cause, str]]:

@@ -15,7 +15,8 @@ import numpy as np
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.results.cameras_agree import decide_cameras
-from bench.rig.arm_files import Limits, Verification, broken_by, from_dict, gaps_of
+from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
+from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
     Decision,
     Verdict,
@@ -45,14 +46,14 @@ from bench.script.model import (
 from bench.truth.arm_tip import AFTER, BEFORE, CHECK_FACT, location_of, shift_mm
 from detector.protocol import Outcome
 
-VERIFICATION_FACT = "arm verification"
 _CHECKS = {when: CHECK_FACT.format(when) for when in (BEFORE, AFTER)}
 
 
 def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     """Not met where a check or the dated verification breaks a limit, inconclusive where one is
     missing or shows too little, not measured where the rig names neither. There is no guard band:
-    the figure is the arm's own error, with the divot's in it.
+    the figure is the arm's own error, with the divot's in it. Not met too where touches or lengths
+    refute the uncertainty that the rig states.
     """
     checks = {when: facts[key] for when, key in _CHECKS.items() if key in facts}
     dated = from_dict(facts[VERIFICATION_FACT]) if VERIFICATION_FACT in facts else None
@@ -70,36 +71,9 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     tests = {
         when: location_of(fact, f"the check {when} the trials") for when, fact in checks.items()
     }
-    against: list[str] = []
-    missing = [
-        f"the arm was not checked {when} the trials" for when in _CHECKS if when not in checks
-    ]
-    for when, test in tests.items():
-        against += broken_by(test, limit)
-        missing += gaps_of(test, rule.least_touches)
-        if (shift := shift_mm(checks[when])) > rule.shift_limit_mm:
-            against.append(
-                f"the check point was found {shift:.2f} mm from its place {when} the trials, limit"
-                f" {rule.shift_limit_mm:g} mm: was the arm homed, and was arm or table moved since"
-                " the frame was made?"
-            )
-    if len(tests) == 2:
-        drift = float(np.linalg.norm(tests[AFTER].centre_mm - tests[BEFORE].centre_mm))
-        if drift > rule.drift_limit_mm:
-            against.append(
-                f"the check point moved by {drift:.2f} mm during the run, limit"
-                f" {rule.drift_limit_mm:g} mm: was arm or table pushed?"
-            )
-    if dated:
-        limits = Limits(limit, rule.length_limit_mm)
-        against += [f"in the dated verification, {text}" for text in dated.broken(limits)]
-        against += _dated_faults(rule, dated, facts)
-        missing += [f"in the dated verification, {gap}" for gap in dated.gaps(limits)]
-    elif rule.dated_required:
-        missing.append("the rig names no dated verification")
-    read = " and ".join(f"{test.largest_mm:.2f} mm {when}" for when, test in tests.items())
-    verified = f"verified on {dated.made:%Y-%m-%d}" if dated else "no dated verification is named"
-    reasons = "; ".join(against + missing) or f"one divot read within {read}; {verified}"
+    against = [*_against(rule, checks, tests, dated, facts)]
+    missing = [*_missing(rule, tests, dated, facts)]
+    reasons = "; ".join(against + missing) or _in_order(tests, dated, facts)
     figures = [test.largest_mm for test in tests.values()]
     largest = max([*figures, dated.location_mm] if dated else figures)
     return replace(
@@ -112,16 +86,86 @@ def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
     )
 
 
+def _against(
+    rule: ArmRequirement,
+    checks: Mapping[str, Mapping[str, Any]],
+    tests: Mapping[str, LocationTest],
+    dated: Verification | None,
+    facts: Mapping[str, Any],
+) -> Iterator[str]:
+    """A sentence for each limit that is broken."""
+    for when, test in tests.items():
+        yield from broken_by(test, rule.location_limit_mm)
+        if (shift := shift_mm(checks[when])) > rule.shift_limit_mm:
+            yield (
+                f"the check point was found {shift:.2f} mm from its place {when} the trials, limit"
+                f" {rule.shift_limit_mm:g} mm: was the arm homed, and was arm or table moved since"
+                " the frame was made?"
+            )
+    if len(tests) == 2:
+        drift = float(np.linalg.norm(tests[AFTER].centre_mm - tests[BEFORE].centre_mm))
+        if drift > rule.drift_limit_mm:
+            yield (
+                f"the check point moved by {drift:.2f} mm during the run, limit"
+                f" {rule.drift_limit_mm:g} mm: was arm or table pushed?"
+            )
+    if dated:
+        limits = Limits(rule.location_limit_mm, rule.length_limit_mm)
+        yield from (f"in the dated verification, {text}" for text in dated.broken(limits))
+        yield from _dated_faults(rule, dated, facts)
+    if wrong := too_small(facts):
+        yield f"{wrong}: state what the arm shows (accuracy_mm), or have it put right"
+
+
+def _missing(
+    rule: ArmRequirement,
+    tests: Mapping[str, LocationTest],
+    dated: Verification | None,
+    facts: Mapping[str, Any],
+) -> Iterator[str]:
+    """A sentence for each thing that was not shown; an emulated arm needs no dated verification."""
+    yield from (
+        f"the arm was not checked {when} the trials" for when in _CHECKS if when not in tests
+    )
+    for test in tests.values():
+        yield from gaps_of(test, rule.least_touches)
+    needed = rule.dated_required and facts.get("kind") != "emulated"
+    if dated:
+        limits = Limits(rule.location_limit_mm, rule.length_limit_mm)
+        yield from (f"in the dated verification, {gap}" for gap in dated.gaps(limits))
+        if needed and not dated.lengths and rule.length_limit_mm is None:
+            yield "in the dated verification, no calibrated length was measured"
+    elif needed:
+        yield (
+            "the rig names no dated verification with a length check ('teatbench arm verify"
+            " --length-mm')"
+        )
+
+
+def _in_order(
+    tests: Mapping[str, LocationTest], dated: Verification | None, facts: Mapping[str, Any]
+) -> str:
+    read = " and ".join(f"{test.largest_mm:.2f} mm {when}" for when, test in tests.items())
+    said = f"verified on {dated.made:%Y-%m-%d}" if dated else "no dated verification is named"
+    if not dated and facts.get("kind") == "emulated":
+        said += " (an emulated arm needs none)"
+    if checks := arm_checks(facts):
+        u_mm, ratio = facts[STATED_FACT]["u_mm"], max(check.ratio for check in checks)
+        said += f"; touches show an arm of u = {ratio * u_mm:.2f} mm, stated are {u_mm:g} mm"
+    return f"one divot read within {read}; {said}"
+
+
 def _rule(rule: ArmRequirement) -> str:
     length_mm = rule.length_limit_mm
     lengths = "" if length_mm is None else f", a calibrated length within {length_mm:g} mm"
-    dated = "required" if rule.dated_required else "where the rig names one"
+    dated = "required, with a length check, of a real arm"
+    dated = dated if rule.dated_required else "where the rig names one"
     return (
         f"before and after the trials, touches of one divot within {rule.location_limit_mm:g} mm of"
         " their mean (articulated location, ASME B89.4.22, ISO 10360-12), their mean within"
         f" {rule.shift_limit_mm:g} mm of its place and moved by at most {rule.drift_limit_mm:g} mm;"
         f" a dated verification ({dated}) of this arm at most {rule.max_age_days:g} days"
-        f" old{lengths}"
+        f" old{lengths}; the stated uncertainty not refuted by chi-square, 5 % false alarms"
     )
 
 
@@ -167,8 +211,22 @@ def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:
     found = []
     for name in run.detectors:
         decisions = (_decide(rule, run, scored(run, name), name) for rule in rules.requirements)
-        found.append(Judgement(name, held_back(decisions, run.damage), of_bench))
+        decided = (_doubted(decision, rules, too_small(run.facts)) for decision in decisions)
+        found.append(Judgement(name, held_back(decided, run.damage), of_bench))
     return tuple(found)
+
+
+def _doubted(decision: Decision, rules: Rules, wrong: str) -> Decision:
+    """The decision; inconclusive where a guard band of a wrong uncertainty let it be met."""
+    guarded = {
+        rule.name
+        for rule in rules.requirements
+        if isinstance(rule, ErrorRequirement | SuccessRequirement)
+    }
+    if not wrong or decision.name not in guarded or decision.verdict is not Verdict.MET:
+        return decision
+    sentence = f"The guard band is too narrow: {wrong}. {decision.sentence}"
+    return replace(decision, verdict=Verdict.INCONCLUSIVE, sentence=sentence)
 
 
 def held_back(decisions: Iterable[Decision], damage: Sequence[str]) -> tuple[Decision, ...]:

@@ -67,14 +67,14 @@ class Alone:
 @contextmanager
 def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
     """Cameras of a rig (none: the emulated one) or by URL. Raises ConfigError, InstrumentError."""
-    by_url = any(source.partition(":")[0] in ("opencv", "genicam") for source in sources)
+    by_url = any(source.partition(":")[0] in ("opencv", "genicam", "files") for source in sources)
     if by_url and len(sources) > len(KNOWN):
         raise ConfigError.plain(
             f"at most {len(KNOWN)} cameras: {', '.join(KNOWN)}; got {len(sources)}"
         )
     if not by_url and len(sources) > 1:
         raise ConfigError.plain(
-            "one rig, or one to three cameras by URL (opencv:…, genicam:…); got"
+            "one rig, or one to three cameras by URL (opencv:…, genicam:…, files:…); got"
             f" {' '.join(sources)}"
         )
     if not by_url:

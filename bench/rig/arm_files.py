@@ -211,12 +211,13 @@ class LocationTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LengthTest:
-    """One calibrated length: its two ends as touched, (3,) mm each."""
+    """One calibrated length, with its standard uncertainty: its ends as touched (3,), mm."""
 
     where: str
     a_mm: Floats
     b_mm: Floats
     calibrated_mm: float
+    calibrated_u_mm: float = 0.0
 
     @property
     def measured_mm(self) -> float:
@@ -244,6 +245,7 @@ class Verification:
     serial_number: str
     locations: tuple[LocationTest, ...]
     lengths: tuple[LengthTest, ...] = ()
+    gauge: str = ""  # which calibrated length, and its certificate
 
     @property
     def location_mm(self) -> float:
@@ -384,6 +386,7 @@ class _Location(Section):
 class _Length(Section):
     where: str
     calibrated_mm: Annotated[float, Field(gt=0)]
+    calibrated_u_mm: NotNegative = 0.0
     error_mm: Number
     a_mm: Three
     b_mm: Three
@@ -396,6 +399,7 @@ class _Limits(Section):
 
 class _VerificationFile(_ArmFile):
     passed: bool
+    gauge: str = ""
     location_mm: NotNegative
     length_mm: NotNegative | None = None
     length_two_rms_mm: NotNegative | None = None
@@ -449,7 +453,7 @@ def _verification_table(found: Verification, limits: Limits) -> dict[str, Any]:
         tests = zip(getattr(found, name), touched[name], strict=True)
         return [{**{key: getattr(test, key) for key in keys}, **row} for test, row in tests]
 
-    whole = ("made", "serial_number", "location_mm", "length_mm", "length_two_rms_mm")
+    whole = ("made", "serial_number", "gauge", "location_mm", "length_mm", "length_two_rms_mm")
     return {
         **{key: getattr(found, key) for key in whole},
         "passed": not found.faults(limits),

@@ -275,7 +275,7 @@ class FrameTaker:
         *,
         checks: FrameChecks | None = None,
     ) -> None:
-        recorded = table.url.startswith("recording:")
+        recorded = table.recorded
         self._cameras, self._recorded, self._wait, self._tell = cameras, recorded, wait, tell
         self._checks = checks or FrameChecks(
             table.checks, table.max_skew_s, calibration, flat=not recorded

@@ -39,6 +39,7 @@ from instruments.bath.connection import parse_line
 from instruments.bath.profile import profile_names, relay_names
 from instruments.camera import emulator as camera_faults
 from instruments.camera.frame import Channel, Conversion, Flip, Radiometry, Turn
+from instruments.camera.radiometric import PROFILES, RadiometricProfile
 from instruments.camera.settings import Settings, Trigger, Value
 from instruments.microscribe import faults as arm_faults
 from instruments.operators.emulated import Mistake
@@ -55,6 +56,8 @@ class Arm(Section):
     baud: Baud = 115200
     answer_s: Annotated[float, Field(ge=0.05, le=60)] = 0.12
     accuracy_mm: Positive = 0.23
+    accuracy_source: Annotated[str, Field(max_length=200)] = ""
+    accuracy_df: Annotated[float, Field(ge=3, le=1e6)] | None = None
     packets: Annotated[int, Field(ge=2, le=1000)] = 8
     max_spread_mm: Positive = 1.0
     touches: Annotated[int, Field(ge=1, le=100)] = 3
@@ -66,6 +69,14 @@ class Arm(Section):
     verification: Annotated[str, AfterValidator(beside_if_named)] = ""
     check_point_mm: Point | None = None
     check_touches: Annotated[int, Field(ge=2, le=100)] = 5
+
+    @property
+    def u_mm(self) -> float:
+        """Standard uncertainty of one position along an axis: as stated, widened as Student's t of
+        its degrees of freedom is (JCGM 101:2008, 6.4.9.4).
+        """
+        df = self.accuracy_df
+        return self.accuracy_mm * (math.sqrt(df / (df - 2.0)) if df else 1.0)
 
 
 def _profile(names: Callable[[], list[str]], *, needed: bool) -> AfterValidator:
@@ -127,7 +138,7 @@ class Stage(Section):
 
 Share = Annotated[float, Field(gt=0, le=1)]
 Setting = Literal["resolution", "pixel_format", "exposure", "gain", "fps"]
-GENICAM_ONLY = ("features", "trigger", "trigger_source")
+GENICAM_ONLY = ("features", "trigger", "trigger_source", "ptp")
 
 
 def _all_url(url: str) -> str:
@@ -142,12 +153,12 @@ def _all_url(url: str) -> str:
 
 def camera_url(url: str) -> str:
     """``url`` where it is one camera's. Raises ValueError that says what is allowed."""
-    if re.match(r"opencv:\S", url) or re.match(r"genicam:", url):
+    if re.match(r"(opencv|files):\S", url) or re.match(r"genicam:", url):
         return url
     raise ValueError(
         'not a camera; allowed: "opencv:0" (a device number, a file, "http://…" or "rtsp://…"'
-        ' behind it), "genicam:NAME" (as `teatbench camera list` prints it, a serial number or an'
-        " address)"
+        ' behind it), "files:PLACE" (a folder of PNG or TIFF, or frames/*.tiff), "genicam:NAME"'
+        " (as `teatbench camera list` prints it, a serial number or an address)"
     )
 
 
@@ -171,6 +182,8 @@ class OneCamera(Section):
     turn_deg: Turn = 0
     flip: Flip = "none"
     white: Annotated[int, Field(gt=0, le=65535)] | None = None
+    auto: bool = False
+    ptp: bool = False
 
     @field_validator("tries")
     @classmethod
@@ -198,15 +211,41 @@ class OneCamera(Section):
     def settings(self) -> Settings:
         tries = frozenset({"all"} if self.tries is True else self.tries or ())
         asked = {name: getattr(self, name) for name in (*Setting.__args__, *GENICAM_ONLY)}  # type: ignore[attr-defined]
-        return Settings(**asked, tries=tries)
+        return Settings(**asked, tries=tries, auto=self.auto)
 
     def conversion(self) -> Conversion:
         return Conversion(self.grey, bool(self.mirrored), self.turn_deg, self.flip, self.white)
 
 
+def _profile_of(name: str) -> str:
+    if name and name not in PROFILES:
+        shipped = ", ".join(PROFILES)
+        raise ValueError(f"no such profile{did_you_mean(name, [*PROFILES])} (shipped: {shipped})")
+    return name
+
+
 class RadiometricTable(Section):
-    kelvin_per_count: Positive
+    """What a count is: by a ``profile`` of a make, or by its own figures."""
+
+    profile: Annotated[str, AfterValidator(_profile_of)] = ""
+    kelvin_per_count: Positive | None = None
     kelvin_at_zero: Annotated[float, Field(ge=-300, le=1000)] = 0.0
+
+    @model_validator(mode="after")
+    def _one_way(self) -> RadiometricTable:
+        if bool(self.profile) == (self.kelvin_per_count is not None):
+            raise ValueError("either profile or kelvin_per_count says what a count is")
+        return self
+
+    @property
+    def known(self) -> RadiometricProfile | None:
+        return PROFILES.get(self.profile)
+
+    @property
+    def radiometry(self) -> Radiometry:
+        if known := self.known:
+            return Radiometry(known.kelvin_per_count, known.kelvin_at_zero)
+        return Radiometry(self.kelvin_per_count or 0.0, self.kelvin_at_zero)
 
 
 class ThermalTable(OneCamera):
@@ -214,6 +253,39 @@ class ThermalTable(OneCamera):
 
     polarity: Literal["hot_is_black", "hot_is_white"] | None = None
     radiometric: RadiometricTable | None = None
+    shutter: bool | str = False
+    shutter_s: Annotated[float, Field(ge=0, le=60)] = 1.0
+
+    @model_validator(mode="after")
+    def _shutter_known(self) -> ThermalTable:
+        if self.shutter and not self.url.startswith("genicam:"):
+            raise ValueError(
+                f'shutter is for cameras of the kind "genicam:", this one is {self.url}'
+            )
+        known = self.radiometric.known if self.radiometric else None
+        if self.shutter is True and not (known and known.shutter):
+            raise ValueError(
+                "shutter = true needs a radiometric profile that knows the command; or shutter ="
+                ' "NUCAction", its name'
+            )
+        return self
+
+    @property
+    def settings(self) -> Settings:
+        asked, known = super().settings, self.radiometric.known if self.radiometric else None
+        shutter = known.shutter if known and self.shutter is True else str(self.shutter or "")
+        asked = replace(asked, shutter=shutter, shutter_s=self.shutter_s)
+        if self.radiometric is None or self.url.startswith("files:"):
+            return asked
+        asked = replace(asked, counts=True)
+        if known is None:
+            return asked
+        features = known.features if self.url.startswith("genicam:") else {}
+        return replace(
+            asked,
+            pixel_format=asked.pixel_format or known.pixel_format,
+            features={**features, **asked.features},
+        )
 
     def calibrated(self, *, mirrored: bool, hot_is_black: bool) -> Conversion:
         """To the calibration's picture, or to temperatures, which are never mirrored."""
@@ -227,7 +299,7 @@ class ThermalTable(OneCamera):
             self.flip,
             self.white,
             comes_black != hot_is_black,
-            Radiometry(r.kelvin_per_count, r.kelvin_at_zero) if r else None,
+            r.radiometry if r else None,
         )
 
 
@@ -281,6 +353,14 @@ class Cameras(Section):
     def tables(self) -> dict[str, OneCamera]:
         named = {"left": self.left, "right": self.right, "thermal": self.thermal}
         return {name: table for name, table in named.items() if table}
+
+    @property
+    def recorded(self) -> bool:
+        """Whether frames are played, each once: they can't be taken again."""
+        return any(
+            url.startswith(("recording:", "files:"))
+            for url in (self.url, *(table.url for table in self.tables.values()))
+        )
 
     @property
     def note(self) -> str:

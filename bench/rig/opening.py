@@ -21,8 +21,9 @@ from detector.calibration import Calibration
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.profile import Profile
 from instruments.camera.cameras import KNOWN, Camera, CameraSet
+from instruments.camera.files import FileCamera
 from instruments.camera.frame import Conversion
-from instruments.camera.genicam import GenicamCamera
+from instruments.camera.genicam import DeviceTime, GenicamCamera
 from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.recording import Recording, RecordingCameras
 from instruments.captures.capture import NO_CAPTURE, Captures
@@ -152,11 +153,17 @@ def conversion_of(table: OneCamera, calibration: Calibration | None) -> Conversi
     return table.calibrated(mirrored=mirrored, hot_is_black=polarity == "hot_is_black")
 
 
-def open_camera(name: str, table: OneCamera, folder: Path, clock: Clock) -> Camera:
-    """One camera of a rig file in ``folder``. Raises InstrumentError."""
+def open_camera(
+    name: str, table: OneCamera, folder: Path, clock: Clock, in_step: DeviceTime | None = None
+) -> Camera:
+    """One camera of a rig file in ``folder``; ``in_step`` is shared by those with PTP. Raises
+    InstrumentError.
+    """
     kind, _, rest = table.url.partition(":")
     if kind == "genicam":
-        return GenicamCamera(name, rest, clock, table.settings)
+        return GenicamCamera(name, rest, clock, table.settings, in_step=in_step)
+    if kind == "files":
+        return FileCamera(name, folder / rest, clock)
     beside = folder / rest
     source = str(beside) if "://" not in rest and beside.is_file() else rest
     return OpenCvCamera(name, int(rest) if rest.isdecimal() else source, clock, table.settings)
@@ -176,7 +183,8 @@ def _open_cameras(rig: LoadedRig, clock: Clock) -> Cameras:
             raise DeviceError("OpenCV cameras", what, hint=hint)
         urls = dict(zip(KNOWN, sources, strict=False))
         tables = {name: OneCamera(url=f"opencv:{url}") for name, url in urls.items()}
-    openers = {name: partial(open_camera, name, t, folder, clock) for name, t in tables.items()}
+    at = folder, clock, DeviceTime()
+    openers = {name: partial(open_camera, name, t, *at) for name, t in tables.items()}
     made = rig.made_calibration
     return CameraSet(openers, {name: conversion_of(t, made) for name, t in tables.items()})
 

@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from bench.config import ConfigError, read_text
 from bench.files import write_synced
 from bench.rig.loading import LoadedRig, drawn
 from bench.rig.model import make_renderer
+from detector.calibration import Calibration, dump_calibration
 from detector.calibration.boards import Board
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import RecordingError, RecordingWriter, TruthRow
@@ -82,21 +84,42 @@ def write_sheet(
         raise ConfigError.plain(f"{path}: can't be written: {error}") from error
 
 
+class Perturbation(Protocol):
+    """What `bench.campaign.perturbations` does to a scene, to its pictures, to what detectors are
+    told of the cameras.
+    """
+
+    def state(self, state: SceneState, seeds: Sequence[int]) -> SceneState: ...
+    def frames(self, frames: FrameSet, seeds: Sequence[int]) -> FrameSet: ...
+    def stated(self, calibration: Calibration) -> Calibration: ...
+
+
 def record(
-    rig: LoadedRig, names: Sequence[str], seeds: Sequence[int], folder: Path, seed: int
+    rig: LoadedRig,
+    names: Sequence[str],
+    seeds: Sequence[int],
+    folder: Path,
+    seed: int,
+    perturbations: Sequence[Perturbation] = (),
 ) -> Iterator[str]:
     """Add a frame for each family and seed to a recording; yields each frame's name. Raises
     ConfigError for the folder, RecordingError for a frame that is there already.
     """
     families = chosen(names)
-    renderer = rig_renderer(rig, seed)
+    renderer, stated = rig_renderer(rig, seed), rig.calibration
+    for one in perturbations:
+        stated = one.stated(stated)
+    text = read_text(rig.calibration_path)
+    if stated is not rig.calibration:
+        text = dump_calibration(stated, "perturbed: not what the cameras are")
     try:
         writer = RecordingWriter(folder)
-        writer.add_calibration(read_text(rig.calibration_path))
+        writer.add_calibration(text)
         for name in families:
-            for one in seeds:
-                frame = f"{name}-{one:04d}"
-                shot = draw(renderer, name, warm(situation(name, one)), [seed, one])
+            for member in seeds:
+                frame, chance = f"{name}-{member:04d}", (seed, member, *name.encode())
+                state = warm(situation(name, member))
+                shot = draw(renderer, name, state, [seed, member], perturbations, chance)
                 writer.add(frame, shot.frames)
                 writer.add_truth(frame, shot.truth)
                 yield frame
@@ -112,11 +135,22 @@ class Drawn:
     truth: tuple[TruthRow, ...]
 
 
-def draw(renderer: Renderer, name: str, state: SceneState, seeds: Sequence[int]) -> Drawn:
-    """One scene drawn; ``name`` and ``seeds`` are those of its noise, ``name`` its situation's.
-    Raises ValueError for a thing too near a camera.
+def draw(
+    renderer: Renderer,
+    name: str,
+    state: SceneState,
+    seeds: Sequence[int],
+    perturbations: Sequence[Perturbation] = (),
+    chance: Sequence[int] = (),
+) -> Drawn:
+    """One scene drawn; ``name`` and ``seeds`` are those of its noise, ``name`` its situation's,
+    ``chance`` the seeds of the perturbations. Raises ValueError for a thing too near a camera.
     """
+    for one in perturbations:
+        state = one.state(state, chance)
     frames = _taken(renderer, state, np.random.default_rng([*seeds, *name.encode()]))
+    for one in perturbations:
+        frames = one.frames(frames, chance)
     ends = zip(state.phantom.ends_mm.tolist(), renderer.visible_ends(state), strict=True)
     rows = (
         TruthRow(name, str(i), (x, y, z), bool(seen.all()), 0.0)

@@ -1,4 +1,4 @@
-"""What happens in a run: its states, which may follow which (docs/runs.md draws the table), and one
+"""What happens in a run: its states, which may follow which (docs/runs.md has the table), and one
 numbered stream of events with its listeners.
 
 An event is a line of JSON: ``number``, ``wall_time``, ``t_s`` (the bench's time, null before it has

@@ -278,7 +278,7 @@ class Requests:
             self._tell(str(error))
             return
         if wish == ABORT:
-            raise OperatorAbort("somebody told the run to end")
+            raise OperatorAbort("the run was told to end")
         if wish in (PAUSE, GO_ON):
             if wish == PAUSE and not self.paused:
                 self._tell("The run pauses before its next trial.")

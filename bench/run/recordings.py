@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 
 from bench.config import ConfigError, read_calibration, read_text
-from bench.record.reader import RunRecord, TrialRecord
+from bench.record.reader import RunRecord
 from bench.results.answers import Answer, Examiner, close_detectors, one_line
+from bench.results.cameras_agree import truth_rows
 from bench.script.detectors import make_detectors
 from bench.truth.carrying import resumed
 from bench.truth.uncertainty import How
@@ -102,13 +103,13 @@ class Recorder:
         carried = resumed(run)
         for trial in run.trials:
             if trial.id not in has_frames:
-                self._writer.add(trial.id, Recording(run.folder).load(trial.id))
+                self._writer.copy(trial.id, run.folder / "frames" / trial.id)
             if trial.id in has_truth | set(carried.unconfirmed) or trial.invalid is not None:
                 continue
             if trial.how == How.CARRIED and trial.id in carried.since:
-                self._open[trial.id] = _truth(trial)
+                self._open[trial.id] = truth_rows(trial)
             else:
-                self._writer.add_truth(trial.id, _truth(trial))
+                self._writer.add_truth(trial.id, truth_rows(trial))
 
 
 def recorder_again(
@@ -129,16 +130,6 @@ def _has(folder: Path) -> tuple[set[str], set[str]]:
     """Trials with frames, and with truth."""
     frames = {path.name for path in (folder / "frames").glob("*")}
     return frames, set(Recording(folder).truth) if frames else set()
-
-
-def _truth(trial: TrialRecord) -> list[TruthRow]:
-    situation = str(trial.head["situation"])
-    return [
-        TruthRow(
-            situation, r["teat"], (r["x_mm"], r["y_mm"], r["z_mm"]), bool(r["visible"]), r["u_mm"]
-        )
-        for r in trial.truth
-    ]
 
 
 def detect_lines(path: Path, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], str]]:

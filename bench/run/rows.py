@@ -25,8 +25,8 @@ from bench import __version__
 from bench.files import Picture
 from bench.record.schema import Row
 from bench.record.writer import Store
-from bench.results.answers import Answer, score_answer
-from bench.results.verdicts import VERIFICATION_FACT
+from bench.results.answers import LEFT_OUT, Answer, score_answer
+from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, stated_fact
 from bench.rig.arm_files import as_dict
 from bench.rig.loading import LoadedRig
 from bench.scoring.scene import SceneScore
@@ -158,7 +158,10 @@ FRAME_FACT = "arm frame"
 
 
 def write_arm_facts(store: Store, rig: LoadedRig) -> None:
-    """The rig's table frame and verification, where it names them, into the run's store."""
+    """What the rig states of its arm, and its table frame and verification where it names them,
+    into the run's store.
+    """
+    store.fact(STATED_FACT, stated_fact(rig.rig.arm))
     if (frame := rig.frame) is not None:
         fact = {
             "file": rig.rig.arm.frame,
@@ -201,11 +204,13 @@ def write_facts(
 def _item(detector: Detector) -> dict[str, str]:
     parameters = json.dumps(dict(detector.parameters), sort_keys=True, default=str)
     digest = hashlib.sha256(f"{detector.name} {detector.version} {parameters}".encode()).hexdigest()
+    left_out = getattr(detector, "covariance_leaves_out", "")
     return {
         "name": detector.name,
         "version": detector.version,
         "configuration SHA-256": digest,
         "configuration": parameters,
+        **({LEFT_OUT: left_out} if left_out else {}),
     }
 
 

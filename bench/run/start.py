@@ -17,6 +17,7 @@ from bench.record.reader import TrialRecord, read_run
 from bench.record.schema import RULES, SCRIPT
 from bench.record.writer import Store, new_run_folder
 from bench.results.answers import Examiner, close_detectors
+from bench.results.cameras_agree import can_tell, spread, where_seen
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.run.context import RunContext
@@ -24,6 +25,7 @@ from bench.run.engine import Ending, Engine
 from bench.run.estimate import needs, read_durations
 from bench.run.events import Events, Progress
 from bench.run.lock import lock_path, locked, run_lock
+from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
 from bench.run.rows import frame_rows, judged, truth_row, write_facts
@@ -38,7 +40,7 @@ from bench.script.calibration_age import (
     refuse_other_cameras,
 )
 from bench.script.detectors import make_detectors
-from bench.script.model import RECORDING_RULES, LoadedScript, Rules
+from bench.script.model import CAMERAS_RULE, RECORDING_RULES, LoadedScript, Rules
 from bench.script.planned_trials import pose_set
 from detector.protocol import Detector
 from instruments.camera.recording import Recording
@@ -103,7 +105,7 @@ def resume_run(
     """
     how, events = how or RunOptions(), _stream(progress)
     rig, script = files_of(run := read_run(folder))
-    if rig.rig.cameras.url.startswith("recording:"):
+    if rig.rig.cameras.recorded:
         raise ConfigError.plain(
             f"{folder} can't be resumed: its cameras play a recording, which would begin anew."
             " Start a new run."
@@ -149,7 +151,7 @@ def _begun(
     table, trials = script.script, script.script.trials
     order = pose_set(trials, script.planned, seed=table.seed, order=table.order)
     today = wall_time().date()
-    recorded = rig.rig.cameras.url.startswith("recording:")
+    recorded = rig.rig.cameras.recorded
     kind = "emulated" if rig.rig.all_emulated else "recorded" if recorded else "real"
     facts = {
         "kind": kind,
@@ -247,11 +249,19 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
     """Score detectors over a recording; gives back the run's folder. Raises ConfigError,
     RecordingError.
     """
+    check_pack(path)
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
-    examiner = Examiner(read_calibration(recording.calibration_path))
+    calibration = read_calibration(recording.calibration_path)
+    examiner = Examiner(calibration)
     rules, files = read_config(RECORDING_RULES, Rules), {RULES: read_text(RECORDING_RULES)}
-    store = _new_store(out, f"score-{path.name}", files, recording.calibration_path)
     planned, poses = len(recording.frames), _pose_names(recording)
+    seen = {
+        frame: where_seen(recording.load(frame), calibration, recording.truth.get(frame, ()))
+        for frame in spread(dict.fromkeys(poses.values()))
+    }
+    if can_tell(seen):  # what can't be checked in a recording keeps no detector from its verdict
+        files = {RULES: f"{files[RULES]}\n{read_text(CAMERAS_RULE)}"}
+    store = _new_store(out, f"score-{path.name}", files, recording.calibration_path)
     facts = {"kind": "recorded", "title": f"Recording {path.name}", "about": str(path)}
     try:
         write_facts(store, {**facts, "planned": planned}, under_test, recording.calibration_path)
@@ -271,7 +281,8 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
                 "wall_time": wall_time().isoformat(timespec="milliseconds"),
             }
             scored = judged(trial, answers, known, rules.visible_within_mm, rules.time_limit_s)
-            rows = [truth_row(trial, row) for row in known]
+            ends = seen.get(frame, {})
+            rows = [truth_row(trial, row, seen=ends.get(row.teat)) for row in known]
             pictures = frame_rows(store, trial, frames, answers)
             store.finished(TrialRecord(head, pictures, [], rows, *scored))
         progress.trial(planned, planned, "")

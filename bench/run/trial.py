@@ -354,7 +354,7 @@ class TrialRun:
         """Frames of a bath in its band: the trial is suspended until it is stable again, and frames
         are taken anew where it leaves its band meanwhile (but for those of a recording).
         """
-        ctx, recorded = self._ctx, self._rig.cameras.url.startswith("recording:")
+        ctx, recorded = self._ctx, self._rig.cameras.recorded
         while True:
             while not self._stable():
                 why = ctx.watch.why_not_stable

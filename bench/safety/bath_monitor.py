@@ -1,4 +1,4 @@
-"""Keeps the bath out of trouble through a run: reads it once a second through everything the bench
+"""Watches the bath through a run: reads it once a second through everything the bench
 does, for the stability gate, the interlocks and the record, and makes safe when one trips.
 
 It is planned on the clock, so with virtual time it runs as time moves and with real time on the

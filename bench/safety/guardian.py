@@ -60,7 +60,7 @@ class HeartbeatReader:
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         threading.Thread(target=self._listen, args=(source,), daemon=True).start()
 
-    def wait_for_trouble(self) -> tuple[str, str, float] | None:
+    def wait_for_loss(self) -> tuple[str, str, float] | None:
         """``died``, ``hung`` or ``gave up``, in what, and the stopwatch at the bench's last sign;
         None when it is done.
         """
@@ -123,12 +123,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     preferred = _preferred()
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
-    trouble = HeartbeatReader(
-        sys.stdin.fileno(), sys.stdout.fileno(), given.bench
-    ).wait_for_trouble()
-    if trouble is None:
+    lost = HeartbeatReader(sys.stdin.fileno(), sys.stdout.fileno(), given.bench).wait_for_loss()
+    if lost is None:
         return 0
-    cause, why, last_sign_s = trouble
+    cause, why, last_sign_s = lost
     noticed, silent = wall_time(), timedelta(seconds=stopwatch_s() - last_sign_s)
     record: dict[str, Any] = {"cause": cause, "why": why, "bath": given.url}
     record |= {"guardian": os.getpid(), **preferred}

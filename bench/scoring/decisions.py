@@ -27,6 +27,7 @@ from bench.scoring.rates import (
     percent_apart,
     plural,
     pose_successes,
+    shown_rate,
     trials_needed,
     zero_failure_n,
 )
@@ -296,6 +297,13 @@ def decide_error(
         enough = guarded_n(beyond, rate, confidence, leak(measured, limit_mm, u_mm))
         verdict, claim = _claim(n, least, enough, share)
         reason = f"within the acceptance limit of {accepted}{claim}"
+    # what so many poses show, whatever was asked for
+    level = min(measured, accept) if accept is not None else 0.0
+    beyond = int((worst > level).sum())
+    certain = leak(level, limit_mm, u_mm) if accept is not None and u_mm is not None else 1.0
+    shown = percent_apart(shown_rate(beyond, n, confidence, certain), rate)
+    if accept is not None:
+        reason += f"; {n - beyond} of {plural(n, 'pose')} within {level:.2f} mm show {shown}"
     band = refuse - limit_mm if accept is None or verdict is Verdict.NOT_MET else limit_mm - accept
     were = "was" if missed == 1 else "were"
     without = f" Of the found teats only: {missed} {were} missed." if missed else ""

@@ -130,6 +130,23 @@ def guarded_n(
     return fewest(lambda trials: shown_falsely(failures, trials, rate, leak) <= allowed, enough - 1)
 
 
+def shown_rate(failures: int, trials: int, confidence: float = 0.95, leak: float = 0.0) -> float:
+    """The rate that `trials` with `failures` seen show, as `guarded_n` counts; 0 where none."""
+    allowed = 1.0 - confidence
+    if failures >= trials or leak >= allowed - 1e-9:
+        return 0.0
+    exact = Rate(trials - failures, trials).lower_bound(confidence) or 0.0
+    if leak == 0.0 or exact < 1e-6:
+        return exact
+
+    def open_by(rate: float) -> float:
+        return shown_falsely(failures, trials, rate, leak) - allowed
+
+    from scipy.optimize import brentq  # late: loads for a fifth of a second
+
+    return float(brentq(open_by, 1e-9, exact)) if open_by(1e-9) < 0.0 < open_by(exact) else 0.0
+
+
 def fewest(enough: Callable[[int], bool], below: int) -> int:
     """The least number above `below` that is `enough`, which all larger ones are too."""
     low, high = below, max(below + 1, 1)

@@ -91,6 +91,7 @@ class TruthTable(Section):
 
 TRIALS = Path(__file__).parents[1] / "trials"
 RECORDING_RULES = Path(__file__).parents[1] / "rules" / "recording.toml"
+CAMERAS_RULE = RECORDING_RULES.with_name("cameras.toml")  # of a recording that shows known ends
 Rate = Annotated[float, Field(gt=0, lt=1)]
 
 
@@ -175,7 +176,7 @@ class BathRequirement(_Named):
 
 class ArmRequirement(_Named):
     """The arm checked before and after the trials, and verified on a day not long ago
-    (docs/rig.md). Limits in mm.
+    (docs/rig.md). Limits in mm. ``dated_required`` asks for a length check too, of real arms.
     """
 
     kind: Literal["arm_verified"]
@@ -185,7 +186,7 @@ class ArmRequirement(_Named):
     length_limit_mm: Positive | None = None
     max_age_days: Positive
     least_touches: Annotated[int, Field(ge=2, le=100)] = 5
-    dated_required: bool = False
+    dated_required: bool = True
 
 
 class CalibrationRequirement(_Named):

@@ -66,7 +66,7 @@ class TipReader:
         """The frame's part of the uncertainty of (3,), along an axis; None without a frame."""
         if self._frame is None:
             return None
-        return self._frame.u_registration_mm(point_mm, self._settings.accuracy_mm)
+        return self._frame.u_registration_mm(point_mm, self._settings.u_mm)
 
 
 BEFORE, AFTER = "before", "after"

@@ -123,7 +123,7 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
     )
     apex = "how well a hand finds the apex of the rounded end (rig file)"
     lines: list[tuple[str, float | None, str]] = [
-        ("arm", arm.accuracy_mm, "the arm's stated accuracy, taken along each axis (rig file)"),
+        ("arm", arm.u_mm, _source_of(arm)),
         (REGISTRATION, registration_mm, frame),
         ("definition", arm.definition_mm, apex),
         ("tip radius", tip_radius_u_mm(arm) or None, ball),
@@ -159,7 +159,13 @@ def reading_u_mm(arm: Arm) -> float:
 def end_u_mm(arm: Arm, readings: int) -> float:
     """Along an axis, of one end's mean against that of another place, before anything was read."""
     scatter = reading_u_mm(arm) / sqrt(readings)
-    return hypot(arm.accuracy_mm, arm.definition_mm, tip_radius_u_mm(arm), ROUNDING_MM, scatter)
+    return hypot(arm.u_mm, arm.definition_mm, tip_radius_u_mm(arm), ROUNDING_MM, scatter)
+
+
+def _source_of(arm: Arm) -> str:
+    who = arm.accuracy_source or "the arm's stated accuracy, no source named"
+    by = f", {arm.accuracy_df:g} degrees of freedom, so widened" if arm.accuracy_df else ""
+    return f"{who}{by}, taken along each axis (rig file)"
 
 
 def tip_radius_u_mm(arm: Arm) -> float:

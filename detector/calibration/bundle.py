@@ -223,7 +223,7 @@ def _descend(
     diagonal = np.concatenate([np.diag(normal.shared), own])
     if not diagonal.all():
         raise BundleError(
-            f"no corner tells of {layout.describe(int(np.argmin(diagonal)))}: hold it fixed, or"
+            f"no corner determines {layout.describe(int(np.argmin(diagonal)))}: hold it fixed, or"
             " add views"
         )
     for _ in range(STEPS):

@@ -102,7 +102,7 @@ class Child:
                 self.check_limits()
                 continue
             if line is None:
-                raise ChildFault(self._lines.trouble or self._ending())
+                raise ChildFault(self._lines.problem or self._ending())
             return line
 
     def check_limits(self) -> None:
@@ -189,7 +189,7 @@ class _Lines:
 
     def __init__(self) -> None:
         self.whole: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
-        self.trouble = ""
+        self.problem = ""
         self._rest = b""
 
     @property
@@ -200,15 +200,15 @@ class _Lines:
     def take(self, data: bytes) -> bool:
         *lines, self._rest = (self._rest + data).split(b"\n")
         if len(self._rest) > LONGEST_LINE or any(len(line) > LONGEST_LINE for line in lines):
-            self.trouble = f"wrote a line of more than {LONGEST_LINE} bytes"
+            self.problem = f"wrote a line of more than {LONGEST_LINE} bytes"
         elif self.whole.qsize() + len(lines) > _UNASKED_LINES:
-            self.trouble = f"wrote more than {_UNASKED_LINES} lines without being asked"
-        if not self.trouble:
+            self.problem = f"wrote more than {_UNASKED_LINES} lines without being asked"
+        if not self.problem:
             for line in lines:
                 self.whole.put(line)
-        if self.trouble or not data:
+        if self.problem or not data:
             self.whole.put(None)
-        return bool(data) and not self.trouble
+        return bool(data) and not self.problem
 
 
 class _Complaints:

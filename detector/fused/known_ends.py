@@ -4,11 +4,18 @@ A teat is fitted to both optical pictures from starts at the known end and a few
 it; what the fit's end is off the known one, in columns of the left picture against the right's, is
 the disparity that the calibration gets wrong. Rows and the thermal picture are measured as the
 detector's own witness does (detector.fused.witness), the latter about the known end.
+
+An outline is found within some pixels of where it is looked for. So it is looked for again where
+the pictures put it until it stays, and, where few ends are found or they contradict each other, at
+other shifts of the right picture, the same for all ends of a frame. What is farther off than
+`REACH_PX` and `THERMAL_REACH_PX` isn't measured.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +24,7 @@ from detector.calibration import Calibration
 from detector.fused import pictures
 from detector.fused.detector import optical_views, thermal_picture
 from detector.fused.fit import Parameters, View, look, step, weights
-from detector.fused.model import COUNT, HEIGHT, LEAN_X, LEAN_Z, RADIUS, apexes
+from detector.fused.model import COUNT, END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, apexes
 from detector.fused.refine import FINE_OUTLINE, ROUGH_OUTLINE, Fitted, fine
 from detector.fused.witness import row_offsets, thermal_offsets
 from detector.geometry import Array
@@ -28,6 +35,19 @@ _ROUGH_STEPS, _ROUGH_SCALE = 4, 20.0
 _CLOSE_PX, _LEAST_SEEN = 0.3, 0.6  # of an outline's edges, near the fitted outline
 _NEAR_MM = 8.0  # across the line of sight; farther off it is another thing
 _LEAST_INFORMATION = 15.0  # of a thermal outline: sd 0.26 px; one far off counts for less anyway
+REACH_PX = (25.0, 10.0)  # of the right picture, columns and rows
+THERMAL_REACH_PX = 10.0  # of the thermal sensor
+NO_THERMAL_MM = 1.0  # `EndOffsets.thermal_mm_a_px` where no thermal picture was looked at
+# (left columns, right columns, right rows) tried, px
+_ROW_SHIFTS = tuple((0.0, 0.0, y) for y in (-4.0, 4.0, -8.0, 8.0))
+_COLUMN_SHIFTS = tuple(
+    (*at, 0.0) for x in (-12.5, 12.5, -25.0, 25.0) for at in ((x, 0.0), (0.0, x))
+)
+_THERMAL_SHIFTS = sorted(product((0.0, -4.0, 4.0, -8.0, 8.0), repeat=2), key=np.linalg.norm)
+_LEAST_END = 0.5  # of the end's outline, in either picture: wrong fits have 0.46 at most
+_AGREE_PX = 2.0  # ends of one frame: a camera that is off is off alike for all of them
+_THERMAL_CLOSE_PX = 0.5
+_STAYS_PX, _AGAIN, _AGAIN_SHIFTED = 0.3, 5, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +57,7 @@ class EndOffsets:
     ``disparity_px``: left column minus right column; ``rows_px``: right row minus left row;
     ``thermal_px``: column and row, sensor pixels. A pixel of disparity moves this end by
     ``mm_a_px`` in depth, and is what the right camera shows when turned by ``deg_a_px``; a pixel of
-    the thermal sensor is ``thermal_mm_a_px`` there.
+    the thermal sensor is ``thermal_mm_a_px`` there, `NO_THERMAL_MM` where there is none.
     """
 
     disparity_px: float | None
@@ -52,29 +72,20 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
     """Of known ends (k, 3), world frame, mm. Raises UnusableError."""
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
-    p = Parameters()
     known = calibration.world_from_right.inverse().apply(ends_mm)
-    starts = _starts(known, calibration, p)
-    views = tuple(optical_views(left, right, calibration, starts))
-    fitted = _fitted(starts.reshape(-1, COUNT), views, p)
-    best = _best(fitted, known)
-    some = fitted.take(np.maximum(best, 0))
-    rows, _ = row_offsets(some, p)
-    # the same teats with their ends where they are known to be
-    there = some.teats.copy()
-    there[:, :3] += known - apexes(some.teats)
-    thermal, thermal_mm = np.full((len(known), 2), np.nan), np.ones(len(known))
-    if calibration.thermal.lens is not None and calibration.thermal_from_right is not None:
+    seen = _seen(left, right, calibration, known, (0.0, 0.0, 0.0))
+    for shifts in (_ROW_SHIFTS, _COLUMN_SHIFTS):
+        if not seen.good:
+            tried = [_seen(left, right, calibration, known, shift) for shift in shifts]
+            seen = max((seen, *(one for one in tried if one.good)), key=lambda one: one.ends)
+    thermal, thermal_mm = np.full((len(known), 2), np.nan), np.full(len(known), NO_THERMAL_MM)
+    with suppress(pictures.UnusableError):  # no lens, no thermal picture
         warm = thermal_picture(frames, calibration)
-        seen = look(there, (*views, warm.view), FINE_OUTLINE, fine=True)
-        hidden = np.zeros(seen.offset_px.shape, dtype=bool)
-        shift, weight = thermal_offsets(replace(some, seen=seen, hidden=hidden))
-        thermal = np.where(weight > _LEAST_INFORMATION, shift, np.nan)
+        thermal = _thermal(seen, warm.view, known)
         depth = warm.view.camera_from_teats.apply(known)[:, 2]
         thermal_mm = depth / warm.view.camera.fc[0]
-    disparity = _disparity(calibration, apexes(some.teats)) - _disparity(calibration, known)
-    figures = np.column_stack([disparity, rows, thermal])
-    figures[best < 0] = np.nan
+    figures = np.column_stack([seen.disparity_px, seen.rows_px, thermal])
+    figures[~seen.told] = np.nan
     focal = calibration.right.fc[0]
     mm_a_px = known[:, 2] ** 2 / (focal * calibration.baseline_mm)
     found = []
@@ -84,6 +95,103 @@ def offsets_at(frames: Frames, calibration: Calibration, ends_mm: Array) -> list
         scale = round(float(mm), 4), round(float(across), 4), turn
         found.append(EndOffsets(told[0], told[1], (told[2], told[3]), *scale))
     return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What both optical pictures show of k ends: the best fit to each, the views, which were told
+    (k,), and their offsets (k,), px.
+    """
+
+    fitted: Fitted
+    views: tuple[View, ...]
+    told: NDArray[np.bool_]
+    disparity_px: Array
+    rows_px: Array
+
+    @property
+    def ends(self) -> int:
+        """How many ends were told."""
+        return int(self.told.sum())
+
+    @property
+    def good(self) -> bool:
+        """At least half of the ends were told."""
+        return 0 < len(self.told) <= 2 * self.ends
+
+
+def _seen(
+    left: Array,
+    right: Array,
+    stated: Calibration,
+    known: Array,
+    shift: tuple[float, float, float],
+) -> _Seen:
+    """Of ends (k, 3), right camera's frame, looked for where the pictures are shifted by so many
+    columns of the left and right one and rows of the right one; rows follow what is found.
+    """
+    x_left, x_right, y = shift
+    stated = stated.moved("left", "cx", x_left).moved("right", "cx", x_right)
+    p = Parameters()
+    for _ in range(_AGAIN if shift == (0.0, 0.0, 0.0) else _AGAIN_SHIFTED):
+        calibration = stated.moved("right", "cy", y)
+        starts = _starts(known, calibration, p)
+        views = tuple(optical_views(left, right, calibration, starts))
+        fitted = _fitted(starts.reshape(-1, COUNT), views, p)
+        best = _best(fitted, known)
+        some = fitted.take(np.maximum(best, 0))
+        rows, _ = row_offsets(some, p)
+        down = float(np.median(rows[best >= 0])) if (best >= 0).any() else np.nan
+        stays = abs(down) < _STAYS_PX
+        if stays or not abs(y + down) < REACH_PX[1]:
+            break
+        y += down
+    off = _disparity(calibration, apexes(some.teats)) - _disparity(calibration, known)
+    told = (best >= 0) & (_end_share(some) >= _LEAST_END) & stays
+    if told.any():
+        told &= np.abs(off - np.median(off[told])) < _AGREE_PX
+    return _Seen(some, views, told, off + x_left - x_right, rows + y)
+
+
+def _thermal(seen: _Seen, view: View, known: Array) -> Array:
+    """Columns and rows (k, 2), sensor px, that the thermal outlines are off; not-a-number where
+    none is seen.
+    """
+    # the same teats with their ends where they are known to be
+    there = seen.fitted.teats.copy()
+    there[:, :3] += known - apexes(there)
+    found = np.full((len(known), 2), np.nan)
+    for shift in _THERMAL_SHIFTS if seen.ends else ():
+        one = _thermal_near(seen, there, view, np.array(shift))
+        ends = np.isfinite(one[:, 0]).sum()
+        if 2 * ends >= seen.ends and (ends > 1 or not any(shift)):
+            return one
+        found = found if any(shift) else one
+    return found
+
+
+def _thermal_near(seen: _Seen, there: Array, view: View, moved: Array) -> Array:
+    """The same, looked for where the picture is moved by (2,), and again where it is found."""
+    n = len(FINE_OUTLINE.part)
+    for _ in range(_AGAIN):
+        camera = replace(view.camera, cc=tuple((np.array(view.camera.cc) + moved).tolist()))
+        views = (*seen.views, replace(view, camera=camera))
+        looked = look(there, views, FINE_OUTLINE, fine=True)
+        hidden = np.zeros(looked.offset_px.shape, dtype=bool)
+        off, weight = thermal_offsets(replace(seen.fitted, seen=looked, hidden=hidden))
+        near = np.abs(np.nan_to_num(looked.offset_px[:, 2 * n :], nan=9.0)) < _THERMAL_CLOSE_PX
+        shown = near.mean(axis=1) >= _LEAST_SEEN
+        shown &= near[:, FINE_OUTLINE.part == END].mean(axis=1) >= _LEAST_END
+        some = (weight > _LEAST_INFORMATION) & seen.told[:, None]
+        pairs = zip(off.T, some.T, strict=True)
+        step_px = np.array([np.median(o[c]) if c.any() else 0.0 for o, c in pairs])
+        if (np.abs(step_px) < _STAYS_PX).all():
+            some &= shown[:, None] & (np.abs(off - step_px) < _THERMAL_CLOSE_PX)
+            return np.where(some, off + moved, np.nan)
+        moved = moved + step_px
+        if np.abs(moved).max() > THERMAL_REACH_PX:
+            break
+    return np.full((len(there), 2), np.nan)
 
 
 def _starts(known: Array, calibration: Calibration, p: Parameters) -> Array:
@@ -115,12 +223,24 @@ def _best(fitted: Fitted, known: Array) -> NDArray[np.intp]:
     # on the same line of sight of the right camera, whatever its depth
     across = ends - known[:, None] * (ends[..., 2:3] / known[:, None, 2:3])
     near = np.linalg.norm(across, axis=2) < _NEAR_MM
-    off = np.abs(np.nan_to_num(fitted.seen.offset_px, nan=9.0))
-    close = (fitted.weight > 0) & (off < _CLOSE_PX)
-    share = np.where(near, close.mean(axis=1).reshape(near.shape), 0.0)
+    share = np.where(near, _close(fitted).mean(axis=1).reshape(near.shape), 0.0)
     at = share.argmax(axis=1)
     rows = np.arange(len(known))
     return np.where(share[rows, at] >= _LEAST_SEEN, rows * near.shape[1] + at, -1)
+
+
+def _close(fitted: Fitted) -> NDArray[np.bool_]:
+    """Which of the outlines' points (m, views * n) have an edge near them."""
+    off = np.abs(np.nan_to_num(fitted.seen.offset_px, nan=9.0))
+    return np.asarray((fitted.weight > 0) & (off < _CLOSE_PX))
+
+
+def _end_share(fitted: Fitted) -> Array:
+    """How much of each end's outline (m,) is seen in the picture that shows less of it: sides run
+    on where the rows are wrong, the end can't be at two places.
+    """
+    close = _close(fitted).reshape(len(fitted.teats), -1, len(FINE_OUTLINE.part))
+    return np.asarray(close[:, :, FINE_OUTLINE.part == END].mean(axis=2).min(axis=1))
 
 
 def _disparity(calibration: Calibration, points: Array) -> Array:

@@ -17,6 +17,9 @@ class Camera(Protocol):
 
     identity: str  # who it is, and what it was set to
 
+    def prepare(self) -> None:
+        """What a camera needs before all are exposed together; waits for it."""
+
     def begin(self) -> None:
         """Trigger, or ask for a fresh frame. Does not wait for it."""
 
@@ -55,6 +58,8 @@ class CameraSet:
 
     def capture(self) -> FrameSet:
         """Expose all cameras together. Raises FrameError, LinkError, ProtocolError."""
+        for camera in self._cameras.values():
+            camera.prepare()
         for camera in self._cameras.values():
             camera.begin()
         raw = {name: camera.take() for name, camera in self._cameras.items()}

@@ -134,11 +134,13 @@ class Conversion:
         return np.ascontiguousarray(255 - image if self.inverted else image)
 
     def temperatures(self, raw: RawFrame) -> CentiKelvin:
-        """Hundredths of a kelvin (h, w). Raises ValueError without radiometry, in colour, or
-        outside 0 to 655 K.
+        """Hundredths of a kelvin (h, w). Raises ValueError without radiometry, of 8 bits, in
+        colour, or outside 0 to 655 K.
         """
         if self.radiometry is None:
             raise ValueError("no radiometry is declared, so counts can't become temperatures")
+        if raw.pixels.dtype == np.uint8:
+            raise ValueError(EIGHT_BITS)
         counts = self._upright(raw.pixels)
         if counts.ndim != 2:
             raise ValueError(f"temperatures come from a grey frame, this one is {counts.shape}")
@@ -157,6 +159,13 @@ class Conversion:
             image = np.fliplr(image)
         image = np.rot90(image, k=-self.turn_deg // 90)
         return np.ascontiguousarray(np.flip(image, _FLIPPED[self.flip]))
+
+
+EIGHT_BITS = (
+    "temperatures are asked for (radiometric), but a frame of 8 bits came: the camera, its driver"
+    " or a program before it has made a picture of the counts. Ask for a pixel_format of 16 bits"
+    " (Y16, Mono16, Mono14), or leave radiometric out"
+)
 
 
 class FrameFault(StrEnum):

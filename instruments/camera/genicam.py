@@ -7,11 +7,12 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
 from instruments.camera.pixel_formats import unpack
-from instruments.camera.settings import Settings, Value, apply
+from instruments.camera.settings import Settings, Value, apply, hold_still
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 
@@ -26,13 +27,22 @@ DAMAGED = dict.fromkeys(
     ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT"), FrameFault.LOST_PACKETS
 ) | {"SIZE_MISMATCH": FrameFault.HALF}
 FAKE = "Fake_"  # how the library's own camera in this process is named
+# of the SFNC, and one of FLIR; "Once" is on until it has ended
+AUTOMATIC = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "FocusAuto", "BlackLevelAuto")
+OFF = "Off"
 DRIFT = 1e-4  # two crystals of 50 ppm each
+BACK_S = 1.0  # a stamp may be so much older than the last one's: of another camera, with PTP
+# how to switch PTP on and what then tells its state: of the SFNC since 2.2, and before
+PTP = (("PtpEnable", "PtpStatus"), ("GevIEEE1588", "GevIEEE1588Status"))
+IN_STEP = ("Master", "Slave")
+PTP_S = 30.0  # the longest until a clock is master or slave; a change of master takes some seconds
 KEPT_S = 600.0  # frames older than this say no more than their drift
 
 
 class DeviceTime:
     """A camera's stamps on the bench's clock. A frame arrives after its stamp, so the least
     difference, aged by the clocks' drift, is the offset. A stamp that goes back starts anew.
+    Cameras whose clocks PTP keeps in step share one: they differ as their stamps do.
     """
 
     def __init__(self) -> None:
@@ -43,7 +53,7 @@ class DeviceTime:
         """Exposure time of a frame with stamp ``device_s`` (0: none) that came at ``arrived_s``."""
         if device_s <= 0.0:
             return arrived_s
-        if device_s < self._last_s:
+        if device_s < self._last_s - BACK_S:
             self._seen.clear()
         self._last_s = device_s
         self._seen = [seen for seen in self._seen if arrived_s - seen[0] <= KEPT_S]
@@ -110,7 +120,8 @@ def feature_names(device: Any) -> list[str]:
 
 class GenicamCamera:
     """``device``: name as Aravis lists it, serial number or IP address; "" for the only one.
-    ``identity`` has settings tried in vain too. Raises LinkError where it doesn't answer,
+    ``identity`` has settings tried in vain too. ``in_step``: of all cameras of the rig with PTP.
+    Raises LinkError where it doesn't answer,
     DeviceError without the library or for settings that did not take.
     """
 
@@ -122,7 +133,9 @@ class GenicamCamera:
         settings: Settings | None = None,
         *,
         patience_s: float = PATIENCE_S,
+        in_step: DeviceTime | None = None,
     ) -> None:
+        self._in_step = in_step
         self._name = name
         self._who = f"{name} camera genicam:{device}"
         self._clock = clock
@@ -139,6 +152,8 @@ class GenicamCamera:
 
     def _open(self) -> None:
         self._time = DeviceTime()
+        if self._in_step and self._settings.ptp:
+            self._time = self._in_step
         self._camera = self._found(self._device)
         self._lost_control = False
         try:
@@ -166,11 +181,6 @@ class GenicamCamera:
     def _apply_settings(self) -> tuple[str, ...]:
         camera, who = self._camera, self._who
 
-        def set_exposure(exposure_us: float) -> None:
-            if camera.is_exposure_auto_available():
-                camera.set_exposure_time_auto(0)
-            camera.set_exposure_time(exposure_us)
-
         ways = {
             "pixel_format": (
                 camera.set_pixel_format_from_string,
@@ -178,12 +188,66 @@ class GenicamCamera:
             ),
             "resolution": (lambda size: camera.set_region(0, 0, *size), lambda: _size(camera)),
             "fps": (camera.set_frame_rate, camera.get_frame_rate),
-            "exposure": (set_exposure, camera.get_exposure_time),
+            "exposure": (camera.set_exposure_time, camera.get_exposure_time),
             "gain": (camera.set_gain, camera.get_gain),
         }
         device = camera.get_device()
         ways |= {name: _by_name(who, device, name) for name in self._settings.features}
-        return apply(who, self._settings, ways, (self._failure, DeviceError))
+        failures = (self._failure, DeviceError)
+        offered = [name for name in AUTOMATIC if name not in self._settings.features]
+        automatic = {
+            name: partial(self._automatic, name)
+            for name in offered
+            if device.get_feature(name) is not None and device.is_feature_available(name)
+        }
+        held = hold_still(who, self._settings, automatic)
+        notes = (*held, *apply(who, self._settings, ways, failures))
+        return (*notes, self._ptp()) if self._settings.ptp else notes
+
+    def _ptp(self) -> str:
+        """Have PTP set its clock, and wait until it does. Raises DeviceError."""
+        device = self._camera.get_device()
+        for enable, status in PTP:
+            if device.get_feature(enable) is None:
+                continue
+            _by_name(self._who, device, enable)[0](True)
+            _, read = _by_name(self._who, device, status)
+            end_s = self._clock.now() + PTP_S
+            while (state := str(read())) not in IN_STEP:
+                if self._clock.now() >= end_s:
+                    what = f"its clock is not in step: {status} is {state}"
+                    hint = "Is a master on its network, and does the switch pass PTP?"
+                    raise DeviceError(self._who, what, seconds=PTP_S, hint=hint)
+                self._clock.sleep(0.1)
+            return f"PTP {state}"
+        hint = "Leave ptp out; its frames are then timed by their arrival."
+        raise DeviceError(self._who, "the camera offers no PTP", asked=PTP[0][0], hint=hint)
+
+    def _automatic(self, name: str, switch_off: bool) -> str:
+        """What an automatic function is set to; "" where it is off."""
+        write, read = _by_name(self._who, self._camera.get_device(), name)
+        try:
+            if switch_off and read() != OFF:
+                write(OFF)
+        except self._failure:  # what it says now decides
+            pass
+        try:
+            state = str(read())
+        except self._failure as error:
+            return f"can't be read: {error}"
+        return "" if state == OFF else state
+
+    def prepare(self) -> None:
+        """Have the shutter close where that is asked for, and wait for it. Raises LinkError."""
+        if not self._settings.shutter or self._stream is None:
+            return
+        try:
+            self._camera.get_device().execute_command(self._settings.shutter)
+        except self._failure as error:
+            what = f"did not close its shutter: {error}"
+            hint = "Correct shutter in the rig file: the name of its command, or false."
+            raise LinkError(self._who, what, asked=self._settings.shutter, hint=hint) from error
+        self._clock.sleep(self._settings.shutter_s)
 
     def begin(self) -> None:
         """Return old buffers, and trigger by software where set. Raises LinkError; FrameError when

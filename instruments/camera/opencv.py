@@ -5,9 +5,12 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -15,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.camera.frame import FrameError, FrameFault, RawFrame
-from instruments.camera.settings import Settings, apply
+from instruments.camera.settings import Settings, apply, hold_still
 from instruments.clock import Clock
-from instruments.errors import LinkError
+from instruments.errors import DeviceError, LinkError
 
 Source = int | str
 SILENCE_MS = 5000  # a stream that is silent for so long is gone
@@ -27,11 +30,21 @@ SIZE = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 NUMBERS = {"fps": cv2.CAP_PROP_FPS, "exposure": cv2.CAP_PROP_EXPOSURE, "gain": cv2.CAP_PROP_GAIN}
 # how backends call an exposure that isn't automatic: V4L2's own number, and OpenCV's before 4
 MANUAL, MANUAL_OF_OLD = 1.0, 0.25
+AUTO = {
+    "exposure": (cv2.CAP_PROP_AUTO_EXPOSURE, (MANUAL, MANUAL_OF_OLD)),
+    "white balance": (cv2.CAP_PROP_AUTO_WB, (0.0,)),
+    "focus": (cv2.CAP_PROP_AUTOFOCUS, (0.0,)),
+}
 
 
 def is_live(source: Source) -> bool:
     """Whether frames come unasked: from a device or a stream, not a file."""
-    return isinstance(source, int) or _is_url(source) or source.startswith("/dev/")
+    return is_device(source) or _is_url(source)
+
+
+def is_device(source: Source) -> bool:
+    """Whether it is a camera of this machine."""
+    return isinstance(source, int) or source.startswith("/dev/")
 
 
 def _is_url(source: Source) -> bool:
@@ -54,7 +67,7 @@ class LiveReader:
         self._clock = clock
         self._lock = threading.Lock()
         self._wanted_s = math.inf
-        self._got: tuple[NDArray[np.uint8] | None, float] | None = None
+        self._got: tuple[NDArray[Any] | None, float] | None = None
         self._closing = False
         self.broken = False
         self._thread = threading.Thread(target=self._read, name=f"{name} camera", daemon=True)
@@ -65,7 +78,7 @@ class LiveReader:
         with self._lock:
             self._got, self._wanted_s = None, self._clock.now()
 
-    def answer(self, patience_s: float) -> tuple[NDArray[np.uint8] | None, float] | None:
+    def answer(self, patience_s: float) -> tuple[NDArray[Any] | None, float] | None:
         """The frame (None: undecodable) and its arrival; None where none came in ``patience_s``."""
         end_s = self._clock.now() + patience_s
         while self._clock.now() < end_s:
@@ -97,7 +110,7 @@ class LiveReader:
                 with self._lock:
                     if began_s >= self._wanted_s:  # not asked anew meanwhile
                         self._wanted_s = math.inf
-                        self._got = np.asarray(image, np.uint8) if whole else None, arrived_s
+                        self._got = np.asarray(image) if whole else None, arrived_s
         finally:
             self._capture.release()
 
@@ -126,6 +139,9 @@ class OpenCvCamera:
         self._begun_s: float | None = None
         self._open()
 
+    def prepare(self) -> None:
+        """Nothing is needed."""
+
     def begin(self) -> None:
         """Ask for a fresh frame, a file's next. Reopens a broken stream once. Raises LinkError."""
         if self._live is not None:
@@ -150,19 +166,21 @@ class OpenCvCamera:
             image, exposed_s = answer
         else:
             good, decoded = self._file.retrieve() if self._file is not None else (False, None)
-            image = np.asarray(decoded, dtype=np.uint8) if good and decoded is not None else None
+            image = np.asarray(decoded) if good and decoded is not None else None
             exposed_s = self._begun_s or 0.0
         if image is not None and self._is_jpeg:
             decoded = cv2.imdecode(image, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
             image = None if decoded is None else np.asarray(decoded, dtype=np.uint8)
         if image is None:
             raise self._fault(FrameFault.HALF, "a frame came that can't be decoded")
+        if self._settings.counts:
+            image = words(image, *self._size)
         height, width = image.shape[:2]
         if self._size[0] and (width, height) != self._size:
             opened = f"{self._size[0]} x {self._size[1]}"
             what = f"a frame of {width} x {height} came; it was opened with {opened}"
             raise self._fault(FrameFault.WRONG_SIZE, what)
-        return RawFrame(image, exposed_s)
+        return RawFrame(image, exposed_s, 8 * image.itemsize)
 
     def close(self) -> None:
         """Let it go; may be called again."""
@@ -191,9 +209,13 @@ class OpenCvCamera:
             capture.release()
             asked = f"cv2.VideoCapture({self._source!r})"
             hint = "Check its number, path or URL, and that no other program holds it."
+            if used_by := in_use(self._source):
+                hint = f"It is in use by {used_by}: end that program."
             raise LinkError(self._who, "can't be opened", asked=asked, hint=hint)
         try:
             notes = apply_settings(self._who, capture, self._settings)
+            if is_device(self._source):
+                notes = (*_held_still(self._who, capture, self._settings), *notes)
         except BaseException:
             capture.release()
             raise
@@ -202,12 +224,24 @@ class OpenCvCamera:
             [f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes]
         )
         # undecoded, since the library scales a frame of another size to the first one's
-        is_mjpeg = _is_url(self._source) and fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)) == "MJPG"
+        is_mjpeg = fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)) == "MJPG"
+        is_mjpeg &= capture.getBackendName() == "FFMPEG"
         self._is_jpeg = is_mjpeg and capture.set(cv2.CAP_PROP_FORMAT, -1)
         if is_live(self._source):
             self._live = LiveReader(capture, self._clock, self._name)
         else:
             self._file = capture
+
+
+def in_use(source: Source) -> str:
+    """Which other program of this user holds a device of Linux: name and number; "" for none."""
+    path = f"/dev/video{source}" if isinstance(source, int) else source
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        with suppress(OSError):
+            if (pid := link.parts[2]) != str(os.getpid()) and str(link.readlink()) == path:
+                name = Path("/proc", pid, "comm").read_text(encoding="utf-8").strip()
+                return f"{name} (process {pid})"
+    return ""
 
 
 def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:
@@ -231,9 +265,31 @@ def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> t
         name: (partial(capture.set, prop), partial(capture.get, prop))
         for name, prop in NUMBERS.items()
     }
-    if settings.exposure is not None and not capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL):
-        capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_OF_OLD)
+    if settings.counts:
+        capture.set(cv2.CAP_PROP_CONVERT_RGB, 0.0)
+        if capture.get(cv2.CAP_PROP_CONVERT_RGB) != 0.0:
+            what = "temperatures are asked for (radiometric), but it gives converted pictures only"
+            hint = f"OpenCV's backend {capture.getBackendName()} can't leave frames as they are."
+            asked = "CAP_PROP_CONVERT_RGB = 0"
+            raise DeviceError(who, what, asked=asked, hint=f"{hint} Use another one, or genicam:.")
     return apply(who, settings, ways)
+
+
+def _held_still(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:
+    def state(prop: int, off: tuple[float, ...], switch_off: bool) -> str:
+        if switch_off:
+            any(capture.set(prop, value) for value in off)
+        value = capture.get(prop)
+        return "" if value <= 0.0 or value in off else f"= {value:g}"
+
+    return hold_still(who, settings, {name: partial(state, *how) for name, how in AUTO.items()})
+
+
+def words(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
+    """16-bit counts that a backend handed over as bytes, of any shape; else ``image``."""
+    if image.dtype == np.uint8 and image.size == 2 * width * height:
+        return np.frombuffer(image.tobytes(), dtype="<u2").reshape(height, width)
+    return image
 
 
 def fourcc_name(code: float) -> str:

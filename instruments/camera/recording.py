@@ -7,7 +7,8 @@ from __future__ import annotations
 import csv
 import math
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -212,6 +213,28 @@ class RecordingWriter:
 
     def add(self, frame_id: str, frames: FrameSet) -> None:
         """Write a frame's images as PNG; the folder appears when all of them are there."""
+        with self._made(frame_id) as making:
+            for name, field in zip(FILES, FIELDS, strict=True):
+                image = getattr(frames, field)
+                if image is None:
+                    continue
+                good, data = cv2.imencode(".png", image, PNG_FAST)
+                if not good:
+                    kind = f"{image.shape} of {image.dtype}"
+                    raise RecordingError(f"an image {kind} can't be written as PNG")
+                _write(making / name, data.tobytes())
+
+    def copy(self, frame_id: str, folder: Path) -> None:
+        """Write a frame's images as they are in ``folder``, under their names, byte for byte."""
+        with self._made(frame_id) as making:
+            for name in FILES:
+                if name in FILES[:2] or (folder / name).exists():
+                    _image(folder / name)
+                    _write(making / name, (folder / name).read_bytes())
+
+    @contextmanager
+    def _made(self, frame_id: str) -> Iterator[Path]:
+        """A folder that becomes the frame's when all is in it."""
         safe = frame_id.isprintable() and not UNSAFE & set(frame_id)
         if not frame_id or frame_id != frame_id.strip(" .") or not safe:
             what = "a frame's id must be a name that any file system takes"
@@ -222,15 +245,7 @@ class RecordingWriter:
         # beside frames/, not in it: a reader must not take it for a frame
         making = self.path / f"making {frame_id}"
         making.mkdir(exist_ok=True)
-        for name, field in zip(FILES, FIELDS, strict=True):
-            image = getattr(frames, field)
-            if image is None:
-                continue
-            good, data = cv2.imencode(".png", image, PNG_FAST)
-            if not good:
-                kind = f"{image.shape} of {image.dtype}"
-                raise RecordingError(f"an image {kind} can't be written as PNG")
-            _write(making / name, data.tobytes())
+        yield making
         making.replace(folder)
 
     def add_truth(self, frame_id: str, rows: Sequence[TruthRow]) -> None:

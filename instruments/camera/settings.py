@@ -11,6 +11,7 @@ from instruments.errors import DeviceError
 
 Trigger = Literal["free", "software", "hardware"]
 Value = bool | int | float | str
+AUTOMATIC = "automatic functions are on"
 TOLERANCE = 0.02  # of a number's size: cameras round exposure and gain to steps of their own
 
 
@@ -19,7 +20,10 @@ class Settings:
     """None leaves the camera as it is. ``exposure`` in us (GenICam) or the backend's unit (OpenCV).
 
     ``features``: further GenICam features, set last in that order. ``trigger_source``: line of a
-    hardware trigger. ``tries``: names that may fail, "all" for every one.
+    hardware trigger. ``tries``: names that may fail, "all" for every one. ``auto``: automatic
+    functions are left as they are, else switched off. ``counts``: 16-bit counts are needed as the
+    sensor gives them. ``ptp``: its clock is set by PTP, and the bench waits for that. ``shutter``:
+    GenICam command before each capture, which takes ``shutter_s``.
     """
 
     resolution: tuple[int, int] | None = None
@@ -31,6 +35,11 @@ class Settings:
     trigger: Trigger = "free"
     trigger_source: str = "Line0"
     tries: frozenset[str] = frozenset()
+    auto: bool = False
+    counts: bool = False
+    ptp: bool = False
+    shutter: str = ""
+    shutter_s: float = 1.0
 
 
 def apply(
@@ -64,6 +73,25 @@ def apply(
         hint = "Ask for what the camera offers, or name the setting in the rig file's try."
         raise DeviceError(who, what, hint=hint)
     return tuple(fault for _, fault in faults)
+
+
+def hold_still(
+    who: str, settings: Settings, functions: Mapping[str, Callable[[bool], str]]
+) -> tuple[str, ...]:
+    """Switch automatic functions off and read them back, or leave them where ``settings`` allow it.
+    Each of ``functions`` gives what it is set to, "" where it is off or not offered; where its
+    argument is true, it is switched off first. Notes about those that are on. Raises DeviceError.
+    """
+    on = [
+        f"{name} {state}"
+        for name, function in functions.items()
+        if (state := function(not settings.auto))
+    ]
+    if on and not settings.auto:
+        what = f"automatic functions can't be switched off: {', '.join(on)}"
+        hint = "Switch them off by the maker's program; or auto = true in the rig file: then the"
+        raise DeviceError(who, what, hint=f"{hint} report says that they are on.")
+    return (f"{AUTOMATIC}: {', '.join(on)}",) if on else ()
 
 
 def _message(error: Exception) -> str:

@@ -1,7 +1,7 @@
 """Cameras served as MJPEG streams over HTTP (multipart/x-mixed-replace), one path a camera.
 
 One frame set a tick for all readers; ticks that a slow reader misses, or whose frame never came,
-are left out. Each part has its length and time of exposure.
+are left out. Each part has its length and time of exposure. ``/`` may show a page.
 """
 
 from __future__ import annotations
@@ -46,12 +46,14 @@ class StreamServer:
         host: str = "127.0.0.1",
         port: int = 0,
         fps: float = 5.0,
+        page: bytes = b"",
     ) -> None:
         if isinstance(clock, VirtualClock):
             raise ValueError("streams are served in real time, not under virtual time")
         self.clock = clock
         self.period_s = 1.0 / fps
         self.closing = False
+        self.page = page
         self._source = source
         self._lock = threading.Lock()
         self._tick = -1
@@ -109,6 +111,14 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Send one camera's pictures until the client disconnects."""
         camera = self.path.partition("?")[0].strip("/").removesuffix(".mjpg")
+        page = self.server.owner.page
+        if page and not camera:
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Length", str(len(page)))
+            self.end_headers()
+            self.wfile.write(page)
+            return
         if camera not in KNOWN:
             there = ", ".join(f"/{name}.mjpg" for name in KNOWN)
             self.send_error(HTTPStatus.NOT_FOUND, f"no such camera; there are {there}")

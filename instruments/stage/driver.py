@@ -177,7 +177,7 @@ class Stage:
         wanted = {"X": x_mm or None, "Y": y_mm or None, "Z": z_mm or None, "A": a_deg or None}
         way = declared(wanted, self.axes, who=self.who)
         if not way:
-            raise LimitError(self.who, "a jog by nothing", hint="Give a way along an axis.")
+            raise LimitError(self.who, "a jog without a distance", hint="Give a way along an axis.")
         feed = feed_for(way, feed_mm_min, self.settings)
         line = jog_line(way, feed, who=self.who)
         self._check_homed(line)

@@ -199,7 +199,7 @@ def _words(axes: Mapping[str, float], feed_mm_min: float, who: str) -> str:
         what = f"no such axes to move: {', '.join(axes) or 'none'}"
         raise LimitError(who, what, hint="Use X, Y, Z or A.")
     if not feed_mm_min >= 0.001:
-        raise LimitError(who, f"a feed of {feed_mm_min} mm/min is no feed")
+        raise LimitError(who, f"a feed has to be at least 0.001 mm/min, is {feed_mm_min}")
     numbers = [*axes.items(), ("F", feed_mm_min)]
     return "".join(f"{letter}{_decimal(value, who)}" for letter, value in numbers)
 

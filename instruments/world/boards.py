@@ -242,11 +242,15 @@ def _lattices(
     rng: np.random.Generator, width: int, height: int, cells: tuple[tuple[int, float], ...]
 ) -> Image:
     """Random lattices of several sizes, blown up smoothly and added."""
-    cloth = np.zeros((height, width), dtype=np.float32)
+    cloth: Image | None = None
     for cell, weight in cells:
         lattice = rng.standard_normal((height // cell + 2, width // cell + 2), dtype=np.float32)
         smooth = cv2.resize(lattice, (width, height), interpolation=cv2.INTER_CUBIC)
-        cv2.scaleAdd(smooth, weight, cloth, cloth)
+        if cloth is None:
+            cloth = np.asarray(smooth * np.float32(weight), dtype=np.float32)
+        else:
+            cv2.scaleAdd(smooth, weight, cloth, cloth)
+    assert cloth is not None  # noqa: S101 - there is a size at least
     return cloth
 
 

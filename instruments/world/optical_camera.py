@@ -21,7 +21,6 @@ from instruments.world.objects import SceneObject
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import (
     Expected,
-    Exposure,
     Grey,
     Image,
     OpticalReadout,
@@ -52,14 +51,22 @@ class Surfaces:
     ) -> list[Layer]:
         """A layer for each of ``count`` things, from a value for each pair."""
         ends = np.searchsorted(self.owner, np.arange(count + 1))
-        at, depth_mm = self.cover, self.depth_mm
-        return [
-            merged(
-                at.row[part], at.column[part], at.share[part], depth_mm[part], value[part],
-                None if along is None else along[part],
-            )
-            for part in (slice(start, end) for start, end in pairwise(ends))
-        ]  # fmt: skip
+        return [self._layer(slice(*part), value, along) for part in pairwise(ends)]
+
+    def _layer(
+        self, part: slice, value: NDArray[np.float32] | Floats, along: Floats | None
+    ) -> Layer:
+        at = self.cover
+        solid, row, column, share = at.solid[part], at.row[part], at.column[part], at.share[part]
+        several = len(solid) > 0 and solid[0] != solid[-1]  # else no two meet in a pixel
+        return (merged if several else Layer)(
+            row,
+            column,
+            share,
+            self.depth_mm[part],
+            value[part],
+            None if along is None else along[part],
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,37 +177,36 @@ class OpticalCamera:
         self.view = View(camera)
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
         self._focal_px = float(camera.fc.mean())
-        self._backdrops: dict[
-            tuple[Backdrop, Lighting, Exposure], tuple[Image, Image, Expected]
-        ] = {}
+        self._backdrops: dict[tuple[Backdrop, Lighting], tuple[Image, Image, Image]] = {}
         self._layers = KeptLayers()
-        self._latest: tuple[object, list[Expected]] = (None, [])
+        self._latest: tuple[object, Expected | None] = (None, None)
 
     def expose(
         self, state: SceneState, shadows: ShadowMap | None, rng: np.random.Generator
     ) -> Grey:
         """One exposure, (height, width) uint8."""
-        return self.readout.expose(self._parts(state, shadows), rng)
+        return self.readout.expose(self._expected(state, shadows), rng)
 
     def expected(self, state: SceneState, shadows: ShadowMap | None = None) -> Image:
         """Mean grey level of each pixel before noise and rounding, (height, width)."""
-        whole, *parts = self._parts(state, shadows)
-        mean = whole.mean.copy()
-        for part in parts:
-            mean[part.rows, part.columns] = part.mean
-        return mean
+        return self._expected(state, shadows).mean.copy()
 
-    def _parts(self, state: SceneState, shadows: ShadowMap | None) -> list[Expected]:
-        """The empty scene, and over it the part where things stand or throw shadows."""
+    def _expected(self, state: SceneState, shadows: ShadowMap | None) -> Expected:
+        """The frame before noise; kept while nothing changes."""
         looks = tuple((thing.hulls, thing.paint) for thing in state.everything())
         fixed = state.boards, state.lighting, state.backdrop, state.exposure, state.velocity_mm_s
         key = (looks, fixed, shadows is None)
-        if self._latest[0] != key:
-            self._latest = None, []  # let go before the next is drawn
-            self._latest = key, self._drawn(state, shadows)
-        return self._latest[1]
+        kept, expected = self._latest
+        if expected is None or kept != key:
+            self._latest = None, None  # let go before the next is drawn
+            expected = self.readout.expected(self._drawn(state, shadows), state.exposure)
+            self._latest = key, expected
+        return expected
 
-    def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> list[Expected]:
+    def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> Image:
+        """Light on the sensor: the empty scene, and over it the part where things stand or throw
+        shadows.
+        """
         empty, soft, whole = self._backdrop(state)
         moments = self._moments(state)
         layers = [self._seen(moment) for moment in moments]
@@ -211,10 +217,11 @@ class OpticalCamera:
         reach = reach_px(float(np.hypot(extra, self.readout.sensor.blur_px)))
         around = _bounds(everything, dark, empty.shape, reach)
         if around is None:
-            return [whole]
+            return whole
         light = sum(self._lens(around, empty, soft, dark, seen) for seen in layers)
-        mean = np.asarray(light / np.float32(len(layers)), dtype=np.float32)
-        return [whole, self.readout.expected(mean, *around, state.exposure)]
+        drawn = whole.copy()
+        drawn[around] = light / np.float32(len(layers))
+        return drawn
 
     def _moments(self, state: SceneState) -> list[SceneState]:
         """Even moments of the exposure, less than half a pixel of motion apart."""
@@ -260,9 +267,9 @@ class OpticalCamera:
         sharp = self.readout.sensor.blur_px
         return sigma if np.hypot(sigma, sharp) - sharp > SHARP_PX else 0.0
 
-    def _backdrop(self, state: SceneState) -> tuple[Image, Image, Expected]:
+    def _backdrop(self, state: SceneState) -> tuple[Image, Image, Image]:
         """The empty scene's light before the lens, out of focus, and on the sensor."""
-        key = (state.backdrop, state.lighting, state.exposure)
+        key = (state.backdrop, state.lighting)
         if key not in self._backdrops:
             while len(self._backdrops) >= BACKDROPS_KEPT:
                 self._backdrops.pop(next(iter(self._backdrops)))
@@ -274,9 +281,7 @@ class OpticalCamera:
                 soft = whole = blurred_by_depth(empty, self._sigma(depth).astype(np.float32))
             else:
                 soft, whole = empty, blurred(empty, sharp)
-            every = slice(None)
-            expected = self.readout.expected(whole, every, every, state.exposure)
-            self._backdrops[key] = empty, soft, expected
+            self._backdrops[key] = empty, soft, whole
         return self._backdrops[key]
 
     def _sigma(self, depth_mm: NDArray[np.floating]) -> Floats:

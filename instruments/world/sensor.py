@@ -8,7 +8,7 @@ normal.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from statistics import NormalDist
@@ -173,10 +173,8 @@ class OpticalSensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Expected:
-    """A frame or part before noise: mean grey level, its standard deviation, rows and columns."""
+    """A frame before noise: mean grey level and its standard deviation."""
 
-    rows: slice
-    columns: slice
     mean: Image
     spread: Image
 
@@ -196,10 +194,8 @@ class OpticalReadout:
         vignette = 1.0 - np.float32(sensor.vignetting) * (1.0 - cos4)
         self._response = vignette * (1.0 + np.float32(sensor.prnu) * normal_noise(rng, shape))
 
-    def expected(
-        self, light: Image, rows: slice, columns: slice, exposure: Exposure | None = None
-    ) -> Expected:
-        """What light (h, w) on that part of the sensor gives. Variance: K^2 (electrons + read
+    def expected(self, light: Image, exposure: Exposure | None = None) -> Expected:
+        """What light (height, width) on the sensor gives. Variance: K^2 (electrons + read
         noise^2), EMVA 1288; a full well holds no more.
         """
         shutter = exposure or Exposure()
@@ -207,27 +203,35 @@ class OpticalReadout:
         full = np.float32(sensor.full_well_e)
         dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
         filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
-        electrons = light * self._response[rows, columns]
-        electrons *= filled
-        electrons += dark
-        np.minimum(electrons, full, out=electrons)
-        spread = electrons + np.float32(sensor.read_noise_e**2)
-        spread *= np.float32(gain**2)
-        cv2.sqrt(spread, spread)
-        mean = np.add(electrons, self._dark_e[rows, columns], out=electrons)
-        mean *= np.float32(gain)
-        mean += np.float32(sensor.offset_dn)
-        return Expected(rows, columns, mean, spread)
+        mean, spread = np.empty_like(light), np.empty_like(light)
+        for rows in _blocks(light):
+            electrons, variance = mean[rows], spread[rows]
+            np.multiply(light[rows], self._response[rows], out=electrons)
+            electrons *= filled
+            electrons += dark
+            np.minimum(electrons, full, out=electrons)
+            np.add(electrons, np.float32(sensor.read_noise_e**2), out=variance)
+            variance *= np.float32(gain**2)
+            np.sqrt(variance, out=variance)
+            electrons += self._dark_e[rows]
+            electrons *= np.float32(gain)
+            electrons += np.float32(sensor.offset_dn)
+        return Expected(mean, spread)
 
-    def expose(self, parts: Sequence[Expected], rng: np.random.Generator) -> Grey:
-        """One exposure with fresh noise, uint8 (uint16 above 8 bits). The first part is the whole
-        image, later ones lie over it.
-        """
-        shape = (parts[0].mean.shape[0], parts[0].mean.shape[1])
-        noise = normal_noise(rng, shape)
+    def expose(self, expected: Expected, rng: np.random.Generator) -> Grey:
+        """One exposure with fresh noise, uint8 (uint16 above 8 bits)."""
+        mean, spread = expected.mean, expected.spread
+        noise = normal_noise(rng, (mean.shape[0], mean.shape[1]))
         depth, kind = (cv2.CV_16U, np.uint16) if self.sensor.bits > 8 else (cv2.CV_8U, np.uint8)
-        exposed: Grey = np.empty(shape, dtype=kind)
-        for part in parts:
-            at = (part.rows, part.columns)
-            exposed[at] = cv2.add(cv2.multiply(noise[at], part.spread), part.mean, dtype=depth)
-        return np.minimum(exposed, kind(2**self.sensor.bits - 1))
+        exposed: Grey = np.empty(mean.shape, dtype=kind)
+        for rows in _blocks(mean):
+            part = noise[rows]
+            part *= spread[rows]
+            cv2.add(part, mean[rows], exposed[rows], dtype=depth)
+        return np.asarray(np.minimum(exposed, kind(2**self.sensor.bits - 1), out=exposed))
+
+
+def _blocks(image: Image) -> Iterator[slice]:
+    """Rows of an image at a time, which stay in the processor's cache."""
+    rows = max(NOISE_BLOCK // image.shape[1], 1)
+    return (slice(start, start + rows) for start in range(0, len(image), rows))

@@ -157,58 +157,67 @@ def meet(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Flo
     """Ray (x, y, 1) with solid ``which``, each (n,): depth (n,) mm, outward normal (3, n), truly
     hit (n,). ``solids`` are in the frame of the camera, which is outside of them.
     """
+    columns = _columns(solids)
     depth, hit, normal = np.empty(len(x)), np.empty(len(x), dtype=np.bool_), np.empty((3, len(x)))
     for start in range(0, len(x), BLOCK):
         part = slice(start, start + BLOCK)
-        depth[part], normal[:, part], hit[part] = _meet_block(solids, which[part], x[part], y[part])
+        depth[part], normal[:, part], hit[part] = _meet_block(
+            solids, columns, which[part], x[part], y[part]
+        )
     return depth, normal, hit
 
 
-def _meet_block(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
-    depth, height, hit = _meet_cone(solids, which, x, y)
-    rays = np.stack([x, y, np.ones_like(x)])
-    slope, radius_0, *vectors = np.take(
-        np.stack([solids.slope, solids.radius_0, *solids.a.T, *solids.axis.T]), which, axis=1
-    )
-    # Off the axis, and tilted by the cone's slope: n = p - a - h axis - k (r0 + k h) axis.
-    along = height + slope * (radius_0 + slope * height)
-    normal = np.stack(
-        [
-            depth * ray - start - along * axis
-            for ray, start, axis in zip(rays, vectors[:3], vectors[3:], strict=True)
-        ]
-    )
-    for below in (True, False):
-        beyond = height < solids.low[which] if below else height > solids.high[which]
-        flat = (solids.flat_a if below else solids.flat_b)[which]
-        for solve, chosen in ((_meet_disc, beyond & flat), (_meet_ball, beyond & ~flat)):
-            at = np.flatnonzero(chosen)
-            if len(at):
-                there, outward, met, keep = solve(solids, which[at], rays[:, at], below)
-                hit[at] = met
-                depth[at[keep]], normal[:, at[keep]] = there[keep], outward[:, keep]
-    normal /= np.sqrt(dot(normal, normal))
-    return depth, normal, hit
+def _columns(solids: Solids) -> Floats:
+    """What a ray's hit needs of each of k solids, (17, k).
 
-
-def _meet_cone(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
-    """The body's endless cone: |p|^2 - h^2 = (r0 + k h)^2, camera at the origin."""
+    The body's endless cone: |p|^2 - h^2 = (r0 + k h)^2, camera at the origin; the height and qb are
+    linear in the ray: their coefficients, and qc, are one for each solid.
+    """
     a, axis, r0, k = solids.a.T, solids.axis.T, solids.radius_0, solids.slope
     h0 = -dot(a, axis)
     bend = 1.0 + k * k
-    # qb is linear in the ray: its coefficients, and those of the height, are one for each solid.
     to_b = -a - (bend * h0 + k * r0) * axis
     qc = dot(a, a) - bend * h0 * h0 - 2.0 * k * r0 * h0 - r0 * r0
-    axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc = np.take(
-        np.stack([*axis, *to_b, bend, h0, qc]), which, axis=1
-    )
+    flat = solids.flat_a + 2.0 * solids.flat_b
+    return np.stack([*axis, *to_b, bend, h0, qc, k, r0, *a, solids.low, solids.high, flat])
+
+
+def _meet_block(
+    solids: Solids, columns: Floats, which: Ints, x: Floats, y: Floats
+) -> tuple[Floats, Floats, Bools]:
+    (
+        axis_x, axis_y, axis_z, b_x, b_y, b_z, bend, h0, qc,
+        slope, radius_0, a_x, a_y, a_z, low, high, flat_ends,
+    ) = np.take(columns, which, axis=1)  # fmt: skip
     dh = x * axis_x + y * axis_y + axis_z
     qb = x * b_x + y * b_y + b_z
     # a ray along the axis meets an end, never the body
     qa = np.maximum(x * x + y * y + 1.0 - bend * dh * dh, 1e-9)
     under = qb * qb - qa * qc
     depth = (-qb - np.sqrt(np.maximum(under, 0.0))) / qa
-    return depth, h0 + depth * dh, under >= 0.0
+    height, hit = h0 + depth * dh, under >= 0.0
+    # Off the axis, and tilted by the cone's slope: n = p - a - h axis - k (r0 + k h) axis.
+    along = height + slope * (radius_0 + slope * height)
+    normal = np.stack(
+        [
+            depth * x - a_x - along * axis_x,
+            depth * y - a_y - along * axis_y,
+            depth - a_z - along * axis_z,
+        ]
+    )
+    for below in (True, False):
+        beyond = np.flatnonzero(height < low if below else height > high)
+        if len(beyond) == 0:
+            continue
+        flat = (flat_ends[beyond] % 2.0 == 1.0) if below else (flat_ends[beyond] >= 2.0)
+        for solve, at in ((_meet_disc, beyond[flat]), (_meet_ball, beyond[~flat])):
+            if len(at):
+                rays = np.stack([x[at], y[at], np.ones(len(at))])
+                there, outward, met, keep = solve(solids, which[at], rays, below)
+                hit[at] = met
+                depth[at[keep]], normal[:, at[keep]] = there[keep], outward[:, keep]
+    normal /= np.sqrt(dot(normal, normal))
+    return depth, normal, hit
 
 
 Met = tuple[Floats, Floats, Bools, Bools]  # depth, outward normal, truly hit, to be kept

@@ -19,6 +19,7 @@ import numpy as np
 from matplotlib import style
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch
@@ -132,7 +133,9 @@ def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None])
         # the letter.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         figure = Figure(figsize=inches, layout="constrained")
+        FigureCanvasSVG(figure)
         plot(figure)
+        _lay_out(figure)
         written = io.StringIO()
         figure.savefig(
             written,
@@ -149,6 +152,16 @@ def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None])
     defined = {known_id: f"{name}-{number}" for number, known_id in enumerate(known, 1)}
     body = _TAG.sub(lambda tag: _rewritten(tag, name, defined), body)
     return _MARKS.sub(_grouped, _LINKS.sub(_links, re.sub(r">\s+<", "><", body.strip())))
+
+
+def _lay_out(figure: Figure) -> None:
+    """Place the axes now; `savefig` would draw the whole figure an additional time for it."""
+    for axes in figure.axes:
+        axes.apply_aspect()
+    engine = figure.get_layout_engine()
+    if figure.axes and engine is not None:
+        engine.execute(figure)
+    figure.set_layout_engine("none")
 
 
 def not_measured(name: str, inches: tuple[float, float], why: str) -> str:

@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 import threading
+import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator
 from functools import partial
@@ -188,13 +189,16 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
         'rig = "rig.toml"\nchunk_limit_s = 1.0\n',
         encoding="utf-8",
     )
+    first = said(4, "campaign chunk {} 0 --out {}", file, tmp_path / "out")
+    assert first.out == "ideal-000000: done\n"
+    assert first.err.count("ended with code 3 at scene ideal-0001") == 3
+    assert "scene ideal-0001 was set aside" in first.err
     out = said(4, "campaign run {} --workers 1 --json --out {}", file, tmp_path / "out")
     found = json.loads(out.out)
     assert sorted(found["set_aside"]) == ["ideal-0001", "ideal-0004"]
     assert "ended with code 3" in found["set_aside"]["ideal-0001"]
     assert "no sign of life for 1 s" in found["set_aside"]["ideal-0004"]
     assert all("with this scene alone" in why for why in found["set_aside"].values())
-    assert out.err.count("ended with code 3 at scene ideal-0001") == 3
     assert "the scene is tried again alone, in a new process" in out.err
     assert "scene ideal-0004 was set aside" in out.err
     rows = query(tmp_path / "out", "SELECT member, failure FROM scenes ORDER BY member")[1]
@@ -246,6 +250,17 @@ def test_a_family_stops_when_its_interval_is_tight_enough_whatever_came_first(
     assert len(digests) == 1
 
 
+@pytest.mark.parametrize(
+    ("families", "scenes", "in_chunk"), [(1, 40, 10), (2, 1000, 50), (2, 1, 1), (2, 8, 4)]
+)
+def test_chunks_suit_the_number_of_scenes(families: int, scenes: int, in_chunk: int) -> None:
+    names = ("ideal", "overlapping")[:families]
+    assert Plan(families=names, scenes=scenes).chunk_scenes == in_chunk
+    asked = Plan(families=names, scenes=scenes, chunk_scenes=50)
+    text = plan_text(asked, {})
+    assert Plan.model_validate(tomllib.loads(text) | {"made_by": {}}) == asked
+
+
 def test_what_the_commands_write_and_refuse(
     plan: Plan, plain: tuple[Path, str], tmp_path: Path, said: Said
 ) -> None:
@@ -267,6 +282,9 @@ def test_what_the_commands_write_and_refuse(
     assert set(json.loads(rows)[0]) >= {"family", "member", "detector", "failure", "max_mm"}
     assert "SELEC" in said(2, "campaign query {} SELEC", folder).err
     assert "no campaign is there" in said(2, "campaign query {} SELECT", tmp_path).err
+
+    assert "the query is empty" in said(2, "campaign query {} {}", folder, [" "]).err
+    assert "a file of this name" in said(2, line, "thesis", plan.rig, plan.rig).err
 
     shown = said(0, "campaign show {} overlapping-0002", folder)
     assert "overlapping-0002  thesis    " in shown.out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -75,7 +76,8 @@ def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None
     assert (ideal["success"]["p_value"], ideal["new"]["missed"]) == (1.0, 0)
     assert overlapping["new"]["missed"] == 12
     html = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
-    assert "in overlapping teats the share of right poses fell by 30.0 % points" in html
+    assert "in overlapping teats the share of right scenes fell by 30.0 % points" in html
+    assert not re.search(r"\bposes?\b", html + told + met.out, re.IGNORECASE)
     far = written(tmp_path / "far", off_mm=0.9)
     grown = said(0, "campaign compare {} {}", old, far).out
     assert "the mean distance to the teat end grew by 0.350 mm" in grown

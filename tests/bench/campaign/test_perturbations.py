@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -120,6 +121,19 @@ def test_scenes_get_cool_quarters_and_warm_rooms() -> None:
     off = np.asarray(state.teat_temps_c) - cooler.teat_temps_c
     np.testing.assert_allclose(sorted(off), [0.0, 1.5, 3.0, 5.0])
     assert Applied("warm-room", 30.5).state(state, SEEDS).ambient_c == 30.5
+
+
+def test_light_and_paint_of_a_scene_are_set_and_the_rest_stays() -> None:
+    state = warm(situation("ideal", 0))
+    painted = Applied("teat-paint", 0.5).state(state, SEEDS)
+    assert painted.teat_paint == replace(state.teat_paint, albedo=0.5)
+    assert Applied("teat-gloss", 0.2).state(state, SEEDS).teat_paint.gloss == 0.2
+    assert Applied("board", 0.9).state(state, SEEDS).backdrop.board_albedo == 0.9
+    dimmer = Applied("light", 0.5).state(state, SEEDS).lighting
+    assert dimmer == replace(state.lighting, brightness=0.5 * state.lighting.brightness)
+    even = Applied("even-light", 2.2).state(state, SEEDS).lighting
+    assert (even.lamps, even.ambient) == ((), 2.2)
+    assert replace(painted, teat_paint=state.teat_paint) == state
 
 
 @pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.none is not None])

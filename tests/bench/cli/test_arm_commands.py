@@ -86,7 +86,7 @@ def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
     out = tmp_path / "arm-verification.toml"
-    plan = "--distances 1 --touches 5 --length-mm 250 --directions 2"
+    plan = "--distances 1 --touches 5 --length-mm 250 --directions 2 --length-u-mm 0.01"
     leaning = (f"leaning {way}" for way in ("left", "right", "towards you", "away from you"))
     prompts = [HOMING, "Fix the divot at half the arm's reach"]
     prompts += [
@@ -105,6 +105,9 @@ def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
     assert "limit 0.7 mm" in terminal.text
     found = load_verification(out)
     assert [test.calibrated_mm for test in found.lengths] == [250.0, 250.0]
+    assert {test.calibrated_u_mm for test in found.lengths} == {0.01}
+    assert "lengths of the dated verification show an arm of u = 0." in terminal.text
+    assert "--accuracy-mm 0.23 is not refuted" in terminal.text
     assert re.search(rf"Articulated location error {found.location_mm:.2f} mm", terminal.text)
 
 
@@ -246,4 +249,4 @@ def test_the_guides_pieces_of_files_are_right() -> None:
         for r in load_script(find_script(None)).script.requirements
         if isinstance(r, ArmRequirement)
     ]
-    assert note.model_copy(update={"dated_required": False, "source": shipped.source}) == shipped
+    assert note.model_copy(update={"source": shipped.source}) == shipped

@@ -1,4 +1,4 @@
-"""docs/comparing.md does what it says: its script judges a change, and both services are given what that
+"""docs/scoring.md does what it says: its script judges a change, and both services are given what that
 script writes.
 """
 
@@ -17,7 +17,7 @@ import yaml
 from tests.bench.small_recording import ENDS_MM, write_recording
 from tests.conftest import ROOT
 
-PAGE = (ROOT / "docs" / "comparing.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "scoring.md").read_text(encoding="utf-8")
 (SCRIPT,) = re.findall(r"```sh\n(set -eu\n.*?)```", PAGE, re.DOTALL)
 GITHUB, GITLAB = (
     yaml.safe_load(text) for text in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)

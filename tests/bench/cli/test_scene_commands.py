@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.config import ConfigError, read_config
+from bench.config import ConfigError, read_calibration, read_config
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedOptical, EmulatedThermal, Rig
 from bench.rig.scenes import chosen, record, rig_renderer, warm
 from instruments.camera.recording import Recording, RecordingError
 from instruments.world.situations import SITUATIONS, situation
+from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, teatbench, words
 
 
@@ -62,6 +63,29 @@ def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
     assert [one.read_bytes() for one in files[0]] == [two.read_bytes() for two in files[1]]
     with pytest.raises(RecordingError, match="there is such a frame already"):
         list(record(rig, ["dim_light"], [5], tmp_path / "one", seed=1))
+
+
+def test_a_recording_is_perturbed_in_scene_pictures_and_calibration(
+    tmp_path: Path, said: Said
+) -> None:
+    rig = write_small_rig(tmp_path)
+    line = "scene record --situation ideal --seeds 1 --rig {} --out {}"
+    said(0, line, rig, tmp_path / "plain")
+    perturbed = words("--perturb teat-paint=0.9 --perturb exposure=0.5 --perturb column=2")
+    said(0, f"{line} {{}}", rig, tmp_path / "other", perturbed)
+    plain, other = (Recording(tmp_path / name) for name in ("plain", "other"))
+    assert plain.truth == other.truth
+    known, told = (read_calibration(one.calibration_path) for one in (plain, other))
+    assert told.right.cc[0] == pytest.approx(known.right.cc[0] + 2.0)
+    pictures = [one.load("ideal-0000").left.astype(float) for one in (plain, other)]
+    end_px = known.project([row.xyz_mm for row in plain.truth["ideal-0000"]])[0]
+    column, row = end_px[0].round().astype(int)
+    teat = [picture[row + 10 : row + 20, column].mean() for picture in pictures]
+    assert teat[1] > 2.0 * teat[0]  # 0.9 / 0.07 of half the light, if it isn't clipped
+    assert pictures[1].max() <= 128
+    refusal = said(2, f"{line} --perturb paint=1", rig, tmp_path / "none").err
+    assert "did you mean 'teat-paint'?" in refusal
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.slow

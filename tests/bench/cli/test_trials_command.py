@@ -68,7 +68,7 @@ def test_show_has_a_help_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert ended.value.code == 0
     seen = capsys.readouterr().out
     assert seen.startswith("usage: teatbench trials show [-h]")
-    assert "list the poses of a script, and estimate the time" in seen
+    assert "list the poses of a script, and estimate its time" in seen
     assert "--rig RIG" in seen
 
 

@@ -214,6 +214,7 @@ WITHOUT_A_LINK = {
     "tell",
     "report",
     "score",
+    "recording pack",
     "compare",
 }
 WITHOUT_A_LINK |= {"plan", "detect", "rigs", "emulate", "runs", "completion"}

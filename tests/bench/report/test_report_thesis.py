@@ -246,6 +246,15 @@ def test_the_six_situations_have_all_their_figures(situations: Path) -> None:
     # as the fact sheet has it
     assert "the printed ones: 5.8 px on the mean" in rows["homography from thermal to optical"][3]
     assert rows_of(chapter, "Printed figures without a counterpart")
+    judged = rows_of(chapter, "Ends found by thesis as the thesis judged them")
+    assert judged["all 6"][0] == "18 of 24"
+    in_thermal = int(judged["all 6"][2].split(" of ")[0])
+    assert in_thermal > int(judged["all 6"][1].split(" of ")[0])  # in mm
+    assert sum(int(row[2].split(" of ")[0]) for row in judged.values()) == 2 * in_thermal
+    assert judged["hot body at the ends"][2] == "0 of 4"
+    assert set(rows_of(chapter, "Refined against unrefined ends of thesis")) == set(judged) - {
+        "all 6"
+    }
 
 
 def test_other_cameras_are_not_held_against_the_printed_homographies(situations: Path) -> None:

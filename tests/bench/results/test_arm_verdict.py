@@ -7,11 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, f
 
+from bench.results.stated_arm import STATED_FACT, stated_fact, too_small
 from bench.results.verdicts import decide_arm
 from bench.rig.arm_files import LengthTest, LocationTest, Verification, as_dict
+from bench.rig.model import Arm
 from bench.scoring.decisions import Verdict
+from bench.scoring.guard_band import acceptance_limit_mm, leak
+from bench.scoring.stated_u import StatedCheck
 from bench.script.model import ArmRequirement, find_script, load_script
+from bench.truth.uncertainty import ROUNDING_MM
 from tests.bench.calibrate.test_arm_verification import CROSS, SWUNG
 
 RULE = ArmRequirement(
@@ -50,8 +56,11 @@ def dated(
     return as_dict(Verification(made, serial, locations, (length,) if lengths else ()))
 
 
-def facts(before: Any = None, after: Any = None, verification: Any = None) -> dict[str, Any]:
+def facts(
+    before: Any = None, after: Any = None, verification: Any = None, **more: Any
+) -> dict[str, Any]:
     found = {"arm check before": before, "arm check after": after, "arm verification": verification}
+    found |= more
     head = {"wall_started": STARTED.isoformat(), "identities": {"arm": {"serial_number": "40937"}}}
     return head | {key: value for key, value in found.items() if value is not None}
 
@@ -59,17 +68,18 @@ def facts(before: Any = None, after: Any = None, verification: Any = None) -> di
 GOOD, WORSE = check(), check(1.6)
 MET, NOT_MET, OPEN = Verdict.MET, Verdict.NOT_MET, Verdict.INCONCLUSIVE
 CASES: list[tuple[dict[str, Any], Verdict, str]] = [
-    (facts(GOOD, GOOD), MET, "0.30 mm before and 0.30 mm after; no dated verification is named"),
+    (facts(GOOD, GOOD), OPEN, "names no dated verification with a length check"),
+    (facts(GOOD, GOOD, kind="emulated"), MET, "0.30 mm before and 0.30 mm after; no dated"),
     (facts(GOOD, GOOD, dated()), MET, "verified on 2026-05-22"),
     (facts(), Verdict.NOT_MEASURED, "neither a check point nor a verification"),
     (facts(GOOD), OPEN, "not checked after the trials"),
     (facts(verification=dated()), OPEN, "before the trials; the arm was not checked after"),
     (facts(WORSE, GOOD), NOT_MET, "before the trials: readings of one point lie up to 0.48 mm"),
     (facts(GOOD, WORSE), NOT_MET, "the check after the trials"),
-    (facts(check(1.5), GOOD), MET, "0.45 mm before"),
+    (facts(check(1.5), GOOD, dated()), MET, "0.45 mm before"),
     (facts(*[check(shift_mm=1.6)] * 2), NOT_MET, "1.60 mm from its place before the trials"),
     (facts(GOOD, check(shift_mm=0.6)), NOT_MET, "moved by 0.60 mm during the run"),
-    (facts(GOOD, check(shift_mm=0.4)), MET, ""),
+    (facts(GOOD, check(shift_mm=0.4), dated()), MET, ""),
     (facts(check(axes=np.repeat(SWUNG[:1], 5, axis=0)), GOOD), OPEN, "swung by 0 degrees only"),
     (facts(check(n=4), GOOD), OPEN, "4 touches only"),
     (facts(GOOD, GOOD, dated(181)), NOT_MET, "181 days old, limit 180 days"),
@@ -91,11 +101,12 @@ def test_each_case(known: dict[str, Any], verdict: Verdict, says: str) -> None:
     assert decision.sentence.endswith(".")
 
 
-def test_a_script_may_demand_the_dated_verification_and_ask_for_no_length() -> None:
-    strict = RULE.model_copy(update={"dated_required": True})
-    assert decide_arm(strict, facts(GOOD, GOOD)).verdict is OPEN
-    assert decide_arm(strict, facts(GOOD, GOOD, dated())).verdict is MET
-    lenient = RULE.model_copy(update={"length_limit_mm": None})
+def test_a_script_may_go_without_the_dated_verification_or_its_length() -> None:
+    unlimited = RULE.model_copy(update={"length_limit_mm": None})
+    assert decide_arm(unlimited, facts(GOOD, GOOD, dated(lengths=False))).verdict is OPEN
+    assert decide_arm(unlimited, facts(GOOD, GOOD, dated())).verdict is MET
+    lenient = unlimited.model_copy(update={"dated_required": False})
+    assert decide_arm(lenient, facts(GOOD, GOOD)).verdict is MET
     assert decide_arm(lenient, facts(GOOD, GOOD, dated(lengths=False))).verdict is MET
     assert ("length" in decide_arm(lenient, facts()).rule) is False
 
@@ -109,4 +120,76 @@ def test_the_worst_figure_is_shown_against_its_limit() -> None:
 def test_the_shipped_script_asks_for_it() -> None:
     asked = load_script(find_script(None)).script.requirements
     (rule,) = (rule for rule in asked if isinstance(rule, ArmRequirement))
-    assert (rule.location_limit_mm, rule.length_limit_mm, rule.dated_required) == (0.46, 0.7, False)
+    assert (rule.location_limit_mm, rule.length_limit_mm, rule.dated_required) == (0.46, 0.7, True)
+
+
+# The stated uncertainty against the touches: numbers drawn, no arm and no picture
+
+
+def stated(u_mm: float = 0.23, df: float | None = None) -> dict[str, Any]:
+    return stated_fact(Arm.model_construct(url="", accuracy_mm=u_mm, accuracy_df=df))
+
+
+def drawn(chance: np.random.Generator, times: float, lengths: bool) -> dict[str, Any]:
+    """A run of 30 touches by an arm of ``times`` its stated u, along each axis."""
+    sd_mm = np.hypot(0.23 * times, ROUNDING_MM)
+    axes = np.tile(SWUNG, (3, 1)).tolist()
+    each = [PLACE + chance.normal(0.0, sd_mm, (15, 3)) for _ in range(2)]
+    before, after = (
+        {
+            "check_point_mm": PLACE.tolist(),
+            "touches": [{"tip_mm": t, "axis": a} for t, a in zip(tips.tolist(), axes, strict=True)],
+        }
+        for tips in each
+    )
+    ends = chance.normal(0.0, sd_mm, (7, 2, 3)) + np.array([[0.0, 0.0, 0.0], [300.0, 0.0, 0.0]])
+    found = Verification(
+        STARTED,
+        "40937",
+        (LocationTest("near", chance.normal(0.0, sd_mm, (10, 3)), np.tile(SWUNG, (2, 1))),),
+        tuple(LengthTest("flat", a, b, 300.0) for a, b in ends),
+    )
+    more = {"verification": as_dict(found)} if lengths else {}
+    return facts(before, after, **more) | {STATED_FACT: stated()}
+
+
+@pytest.mark.parametrize("lengths", [False, True])
+def test_an_arm_at_twice_its_stated_u_is_caught_and_a_sound_one_rarely_accused(
+    lengths: bool,
+) -> None:
+    chance, runs = np.random.default_rng(20), 400
+    accused = {
+        times: sum(bool(too_small(drawn(chance, times, lengths))) for _ in range(runs)) / runs
+        for times in (1.0, 2.0)
+    }
+    assert accused[2.0] >= 0.95
+    assert accused[1.0] <= 0.05 + 2.0 * np.sqrt(0.05 * 0.95 / runs), "5 %, as far as 400 runs tell"
+
+
+def test_what_the_touches_show_is_against_the_arm_and_named() -> None:
+    wide = facts(GOOD, GOOD, kind="emulated") | {STATED_FACT: stated(0.05)}
+    decision = decide_arm(RULE, wide)
+    assert decision.verdict is NOT_MET
+    assert "differ as those of an arm of u = 0.08 mm do; stated are 0.05 mm" in decision.sentence
+    assert decide_arm(RULE, wide | {STATED_FACT: stated()}).verdict is MET
+
+
+def test_a_statement_of_few_degrees_of_freedom_is_held_less_firmly() -> None:
+    """Against chi-square and Fisher's F of scipy's distributions."""
+    exact, vague = StatedCheck("", 30.0, 12), StatedCheck("", 30.0, 12, 5.0)
+    assert exact.p_value == pytest.approx(chi2.sf(30.0, 12))
+    assert vague.p_value == pytest.approx(f.sf(30.0 / 12, 12, 5.0))
+    assert exact.limit(0.05) == pytest.approx(chi2.isf(0.05, 12))
+    assert vague.limit(0.05) == pytest.approx(12 * f.isf(0.05, 12, 5.0))
+    low, high = exact.ratio_interval
+    assert (low, high) == pytest.approx(np.sqrt(30.0 / chi2.ppf([0.975, 0.025], 12)))
+    assert Arm.model_construct(url="", accuracy_mm=0.2, accuracy_df=8.0).u_mm == pytest.approx(
+        0.2 * np.sqrt(8 / 6)
+    )
+
+
+def test_half_of_the_real_u_lets_a_sixth_of_false_acceptances_through() -> None:
+    """The figure that the report names: accepted by the guard band of half of the real u."""
+    assert leak(float(acceptance_limit_mm(5.0, 0.115) or 0.0), 5.0, 0.23) == pytest.approx(
+        0.18, abs=0.03
+    )

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bench.record.reader import RunRecord, TrialRecord
 from bench.results.attribution import Cause, attributed
-from bench.results.cameras_agree import decide_cameras
+from bench.results.cameras_agree import answers_of, cameras_of, decide_cameras, told_apart
+from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.scene import score_scene
 from bench.script.model import CamerasRequirement
+from tests.bench.commands import Said, teatbench
+from tests.plain_text import plain_text
 
 RULE = CamerasRequirement(kind="cameras_agree", name="cameras agree")
 RNG_SEEDS = range(200)
@@ -69,6 +75,119 @@ def test_few_poses_and_other_pictures_show_nothing() -> None:
     unseen = [TrialRecord({"id": "1", "name": "1"}, truth=[{"teat": "1", "cameras": None}])]
     assert decide_cameras(RULE, unseen).verdict is Verdict.NOT_MEASURED
     assert decide_cameras(RULE, trials(0.0, thermal_px=2.0)).verdict is Verdict.NOT_MET
+
+
+def blind(told: int, ends: int = 48) -> list[TrialRecord]:
+    """Twelve poses of which so many ends tell, by chance, a disparity of 9 px."""
+    found = trials(9.0, thermal_px=None)
+    nothing = {"disparity_px": None, "rows_px": None}
+    for at in range(told, ends):
+        row: dict[str, Any] = dict(found[at % 12].truth[at // 12])
+        row["cameras"] = json.dumps(json.loads(row["cameras"]) | nothing)
+        rows = list(found[at % 12].truth)
+        rows[at // 12] = row
+        found[at % 12] = replace(found[at % 12], truth=rows)
+    return found
+
+
+def test_what_is_off_beyond_what_can_be_measured_is_no_figure() -> None:
+    for told in (0, 4):
+        found = decide_cameras(RULE, blind(told))
+        assert found.verdict is Verdict.INCONCLUSIVE
+        assert f"nly {told} of 48 ends told in left and right" in found.sentence
+        assert "more than 25 px of columns or 10 px of rows" in found.sentence
+        assert found.measured is None
+    cold = decide_cameras(RULE, trials(0.0, thermal_px=None))
+    assert cold.verdict is Verdict.INCONCLUSIVE
+    assert "nly 0 of 48 ends told in the thermal picture" in cold.sentence
+    assert "48 of 48 ends told" in decided(0.0).sentence
+
+
+ENDS = np.array([[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-260.6, 267.1, 136.3]])
+TOLD = load_rig(find_rig(None)).calibration
+
+
+def answered(seen_px: float, answers_px: float | None) -> list[TrialRecord]:
+    """Six poses of cameras that are off by so much, and a detector whose answers are."""
+    stated = TOLD if answers_px is None else TOLD.moved("right", "cx", answers_px)
+    found_mm = stated.place(*TOLD.project(ENDS)) if answers_px is not None else ENDS[:0]
+    truth: list[dict[str, Any]] = [
+        {f"{axis}_mm": value for axis, value in zip("xyz", end, strict=True)}
+        for end in ENDS.tolist()
+    ]
+    made = []
+    for one in trials(seen_px, poses=6):
+        rows = [{**row, **place} for row, place in zip(one.truth, truth, strict=False)]
+        score = score_scene(
+            found_mm, ENDS, [True] * 3, u_mm=0.3, seconds=0.1, limit_mm=5.0, time_limit_s=2.0
+        )
+        detections = ({"detector": "d", "reason": "cameras disagree"},)
+        made.append(TrialRecord(one.head, truth=rows, detections=detections, scores={"d": score}))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("seen_px", "answers_px", "words", "cause"),
+    [
+        (0.8, 0.8, "calibration, not detector", Cause.CALIBRATION),
+        (0.0, 0.8, "detector, not calibration", Cause.DETECTOR),
+        (-0.8, 0.8, "detector, not calibration", Cause.DETECTOR),
+        (0.8, None, "", Cause.CALIBRATION),  # it found nothing at all
+        (0.0, None, "", Cause.DETECTOR),
+        (0.8, 0.0, "", None),
+    ],
+)
+def test_a_shift_of_the_answers_is_the_cameras_only_where_they_have_it_too(
+    seen_px: float, answers_px: float | None, words: str, cause: Cause | None
+) -> None:
+    made = answered(seen_px, answers_px)
+    answers = answers_of(made, "d", TOLD)
+    apart = told_apart(cameras_of(made), answers, 0.25)
+    assert apart.endswith(words)
+    assert bool(words) == bool(apart)
+    if answers_px is not None:
+        assert answers is not None
+        assert answers.value == pytest.approx(answers_px, abs=0.02)
+    run = RunRecord(Path(), {"detectors": ["d"], "ending": "finished"}, tuple(made))
+    assert {one.cause for one in attributed(run, "d", TOLD)} == ({cause} if cause else set())
+
+
+@pytest.fixture(scope="module")
+def off(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording whose calibration is off by half a pixel of column."""
+    out = tmp_path_factory.mktemp("off") / "recording"
+    line = "scene record --situation ideal --seeds 3 --seed 7 --perturb column=0.5 --out {}"
+    assert teatbench(line, out) == 0
+    return out
+
+
+@pytest.mark.slow
+def test_a_calibration_is_checked_on_touched_ends(off: Path, said: Said, tmp_path: Path) -> None:
+    line = "calibrate check {} --ends {} --page {}"
+    found = said(1, line, off / "calibration.toml", off, tmp_path / "page")
+    assert "12 of 12 ends told\ndisparity off by 0.5" in found.out
+    assert "It no longer holds." in found.out
+    assert "calibrate again ('calibrate cameras'" in found.err
+    assert "What touched teat ends are off" in plain_text(tmp_path / "page" / "index.html")
+    sound = RIGS / "calibration.toml"
+    assert "It still holds." in said(0, line, sound, off, tmp_path / "page").out
+    refusal = said(2, "calibrate check {} PICTURES --ends {}", sound, off).err
+    assert "in the place of pictures" in refusal
+    shutil.copytree(off / "frames", tmp_path / "bare" / "frames")
+    bare = said(2, "calibrate check {} --ends {}", sound, tmp_path / "bare").err
+    assert "no frames with visible known ends" in bare
+
+
+@pytest.mark.slow
+def test_a_recording_s_cameras_are_checked_as_a_run_s(
+    off: Path, said: Said, tmp_path: Path
+) -> None:
+    scored = said(1, "score {} --detector fused --out {}", off, tmp_path).out
+    assert "The bench has to be put right first: cameras agree with the truth." in scored
+    (run,) = tmp_path.iterdir()
+    page = plain_text(run / "report" / "index.html")
+    assert "Cameras and answers against the known ends" in page
+    assert "12 of 12 ends told" in page
 
 
 @pytest.mark.parametrize(("px", "cause"), [(0.0, Cause.DETECTOR), (0.8, Cause.CALIBRATION)])

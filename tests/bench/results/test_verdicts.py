@@ -16,10 +16,18 @@ from bench.config import read_config
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.page import _latency_parts
 from bench.report.wording import headline
+from bench.results.stated_arm import STATED_FACT
 from bench.results.verdicts import judge, latency_of, run_verdict
 from bench.scoring.decisions import Decision, Verdict
-from bench.script.model import RECORDING_RULES, Rules, SuccessRequirement, TimeRequirement
+from bench.script.model import (
+    RECORDING_RULES,
+    ErrorRequirement,
+    Rules,
+    SuccessRequirement,
+    TimeRequirement,
+)
 from reports.page import Paragraph
+from tests.bench.results.test_arm_verdict import check, stated
 from tests.bench.results.test_error_rows import ENDS, record, trial
 
 MET, NOT_MET, OPEN, NOTHING = Verdict
@@ -55,6 +63,18 @@ def test_59_good_poses_meet_everything(tmp_path: Path) -> None:
     assert verdicts == {rule.name: MET for rule in RULES.requirements}
     assert run_verdict(judge(run, RULES)) is MET
     assert {d.n for d in decided(run).values()} == {59}
+
+
+def test_a_guard_band_that_the_touches_refute_lets_nothing_be_met(tmp_path: Path) -> None:
+    run = record(tmp_path, off_by([1.0] * 59))
+    facts = {**run.facts, "arm check before": check(4.0), STATED_FACT: stated()}
+    doubted = decided(replace(run, facts=facts))
+    open_ones = {name for name, d in doubted.items() if d.verdict is OPEN}
+    guarded = ErrorRequirement | SuccessRequirement
+    assert open_ones == {rule.name for rule in RULES.requirements if isinstance(rule, guarded)}
+    assert all("guard band is too narrow" in doubted[name].sentence for name in open_ones)
+    sound = {**facts, "arm check before": check()}
+    assert {d.verdict for d in decided(replace(run, facts=sound)).values()} == {MET}
 
 
 def test_repeats_are_not_poses_for_any_requirement(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -25,6 +26,7 @@ from instruments.camera.genicam import GenicamCamera
 from instruments.camera.settings import Settings
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock
+from tests.bench.commands import teatbench
 from tests.conftest import ROOT
 from tests.instruments.camera.peers import ADDRESS, gige_camera, need_aravis
 from tests.instruments.camera.small_world import GalleryWorld
@@ -262,3 +264,69 @@ def test_lost_packets_are_taken_again_and_counted(clock: RealClock) -> None:
         "left camera: lost packets: left camera genicam:127.0.0.1: a frame's buffer came with"
         " status MISSING_PACKETS" in "".join(events)
     )
+
+
+FILES = """
+[cameras]
+settle_s = 0
+
+[cameras.left]
+url = "files:left"
+
+[cameras.right]
+url = "files:right"
+
+[cameras.thermal]
+url = "files:thermal.tiff"
+radiometric = { profile = "lepton" }
+"""
+
+
+def test_files_of_16_bits_go_end_to_end_into_a_recording(tmp_path: Path) -> None:
+    chance = np.random.default_rng(3)
+    counts = [(30000 + chance.integers(0, 800, (24, 32))).astype(np.uint16) for _ in range(2)]
+    cv2.imwritemulti(str(tmp_path / "thermal.tiff"), counts)
+    for name in ("left", "right"):
+        (tmp_path / name).mkdir()
+        for number in range(2):
+            picture = chance.integers(0, 255, (48, 64)).astype(np.uint8)
+            cv2.imwrite(str(tmp_path / name / f"{number}.png"), picture)
+    rig = tmp_path / "rig.toml"
+    rig.write_text(HEAD + FILES, encoding="utf-8")
+    out = tmp_path / "recording"
+    assert teatbench("camera grab {} --out {} --count 2", rig, out) == 0
+    for number, asked in enumerate(counts):
+        path = out / "frames" / f"{number:04d}" / "thermal_radiometric.png"
+        assert np.array_equal(np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)), asked)
+    assert teatbench("camera grab {} --out {} --count 3", rig, tmp_path / "more") == 3, "used up"
+
+
+THERMAL_GIGE = '\n[cameras.thermal]\nurl = "genicam:FLIR"\n'
+
+
+def test_a_radiometric_profile_sets_the_camera_and_keys_of_the_rig_go_first(tmp_path: Path) -> None:
+    keys = 'radiometric = { profile = "flir-a" }\nshutter = true\nshutter_s = 0.5\n'
+    asked = rig_of(tmp_path, TABLES + THERMAL_GIGE + keys).rig.cameras.tables["thermal"].settings
+    assert (asked.pixel_format, asked.counts) == ("Mono16", True)
+    assert dict(asked.features) == {"IRFormat": "TemperatureLinear10mK"}
+    assert (asked.shutter, asked.shutter_s) == ("NUCAction", 0.5)
+    own = 'pixel_format = "Mono14"\nfeatures = { IRFormat = "Radiometric" }\nshutter = "Close"\n'
+    keys = 'radiometric = { profile = "flir-a" }\n' + own
+    asked = rig_of(tmp_path, TABLES + THERMAL_GIGE + keys).rig.cameras.tables["thermal"].settings
+    assert (asked.pixel_format, asked.features["IRFormat"]) == ("Mono14", "Radiometric")
+    assert asked.shutter == "Close"
+
+
+@pytest.mark.parametrize(
+    ("thermal", "message"),
+    [
+        (THERMAL + 'radiometric = { profile = "leptom" }\n', 'did you mean "lepton"?'),
+        (THERMAL + "radiometric = {}\n", "either profile or kelvin_per_count"),
+        (THERMAL + 'shutter = "NUCAction"\n', 'shutter is for cameras of the kind "genicam:"'),
+        (THERMAL_GIGE + "shutter = true\n", "needs a radiometric profile that knows the command"),
+    ],
+)
+def test_faults_of_thermal_keys(tmp_path: Path, thermal: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        rig_of(tmp_path, TABLES + thermal)
+    assert message in str(caught.value)

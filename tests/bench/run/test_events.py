@@ -125,13 +125,9 @@ def test_a_pause_goes_back_to_where_it_was_and_stays_where_it_is_given_up() -> N
     assert states.current is S.PAUSED
 
 
-def test_the_page_draws_and_lists_the_table_as_it_is() -> None:
+def test_the_page_lists_the_table_as_it_is() -> None:
     page = PAGE.read_text(encoding="utf-8")
     after = {state: [to for to in RunState if to in TABLE[state]] for state in RunState}
-    drawing = ["stateDiagram-v2", "    [*] --> planned"]
-    drawing += [f"    {state} --> {to}" for state in RunState for to in after[state]]
-    drawing += [f"    {state} --> [*]" for state in RunState if state in ENDS]
-    assert "\n".join(drawing) + "\n```" in page
     listed = re.findall(r"^\| (\w+) \| [^|]+ \| ([^|]+) \|$", page, re.MULTILINE)
     assert [(str(state), ", ".join(after[state]) or "-") for state in RunState] == listed[1:]
 

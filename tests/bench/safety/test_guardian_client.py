@@ -356,5 +356,5 @@ def test_the_last_word_of_a_bench_that_ends_is_read_before_it_counts_as_dead(
     monkeypatch.setattr("bench.safety.guardian._is_dying", looked)
     with Path(os.devnull).open("wb") as echo:
         reader = HeartbeatReader(source, echo.fileno(), os.getpid())
-        assert reader.wait_for_trouble() is None
+        assert reader.wait_for_loss() is None
     os.close(bench_end)

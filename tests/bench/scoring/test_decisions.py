@@ -260,8 +260,9 @@ def test_the_decision_carries_what_a_report_prints() -> None:
     assert (d.n, d.measured, d.unit, d.limit, d.margin) == (59, 3.0, "mm", 5.0, 2.0)
     assert d.accept == pytest.approx(4.611, abs=0.0005)
     assert d.uncertainty == pytest.approx(0.389, abs=0.0005)
-    within = "within the acceptance limit of 4.611 mm; shown for 95 % of poses."
-    assert d.sentence == f"The largest distance over 59 poses is 3.00 mm, {within}"
+    within = "within the acceptance limit of 4.611 mm; shown for 95 % of poses"
+    shows = "59 of 59 poses within 3.00 mm show 95.0 %"
+    assert d.sentence == f"The largest distance over 59 poses is 3.00 mm, {within}; {shows}."
     figures = "4.611, 5.378, T = 5 mm, u = 0.23 mm, 59 poses, 95 %, more near the acceptance limit"
     assert all(figure in d.rule for figure in figures.split(", "))
     assert d.as_dict()["verdict"] == "met"

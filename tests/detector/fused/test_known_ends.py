@@ -27,6 +27,9 @@ def frames(draw_scene: Draw, udder: list[Body]) -> Pictures:
         ("column=-5", (-5.0, 0.0, 0.0)),
         ("row=0.5", (0.0, -0.5, 0.0)),
         ("thermal-pose=0.1", (0.0, 0.0, -0.95)),
+        ("row=-8", (0.0, 8.0, 0.0)),
+        ("column=-18", (-18.0, 0.0, 0.0)),
+        ("thermal-pose=0.8", (0.0, 0.0, -7.3)),
     ],
 )
 def test_what_the_calibration_gets_wrong_is_measured(
@@ -36,6 +39,14 @@ def test_what_the_calibration_gets_wrong_is_measured(
     found = offsets_at(frames, stated, np.array([body.end_mm for body in udder]))
     figures = np.array([[one.disparity_px, one.rows_px, one.thermal_px[0]] for one in found])
     np.testing.assert_allclose(np.median(figures.astype(float), axis=0), expected, atol=0.06)
+
+
+def test_what_is_farther_off_is_no_figure(
+    frames: Pictures, rig: Calibration, udder: list[Body]
+) -> None:
+    stated = Applied("row", 14.0).stated(rig)
+    found = offsets_at(frames, stated, np.array([body.end_mm for body in udder]))
+    assert {(one.disparity_px, one.rows_px) for one in found} == {(None, None)}
 
 
 def test_an_end_that_no_picture_shows_has_no_offset(

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from instruments.camera.cameras import Camera, CameraSet
 from instruments.camera.emulator import EmulatedCameras
-from instruments.camera.frame import Conversion, Radiometry, RawFrame
+from instruments.camera.frame import Conversion, FrameError, Radiometry, RawFrame
 from instruments.camera.genicam import DRIFT, DeviceTime
 from instruments.camera.opencv import OpenCvCamera, fourcc_name, is_live
 from instruments.camera.settings import Settings, apply, same
@@ -79,6 +79,24 @@ def test_opencv_plays_a_recorded_video_to_its_end(tmp_path: Path) -> None:
     cameras.close()
 
 
+def test_a_picture_size_that_changes_in_a_file_is_a_fault_though_the_library_rescales(
+    tmp_path: Path,
+) -> None:
+    pictures = [np.full((48 * by, 64 * by, 3), 90, np.uint8) for by in (1, 1, 2)]
+    path = tmp_path / "left.mjpg"
+    path.write_bytes(b"".join(cv2.imencode(".jpg", one)[1].tobytes() for one in pictures))
+    rescaled = cv2.VideoCapture(str(path))
+    assert {rescaled.read()[1].shape for _ in pictures} == {(48, 64, 3)}
+    camera = OpenCvCamera("left", str(path), VirtualClock())
+    for _ in range(2):
+        camera.begin()
+        assert camera.take().pixels.shape == (48, 64, 3)
+    camera.begin()
+    with pytest.raises(FrameError, match="a frame of 128 x 96 came; it was opened with 64 x 48"):
+        camera.take()
+    camera.close()
+
+
 def test_opencv_says_which_camera_does_not_open_and_lets_the_others_go(tmp_path: Path) -> None:
     closed: list[str] = []
 
@@ -134,6 +152,9 @@ class Still:
     def __init__(self, pixels: Any = None, bits: int = 8) -> None:
         self.frame = RawFrame(np.full((4, 6), 7, np.uint8) if pixels is None else pixels, 1.0, bits)
         self.identity = "still"
+
+    def prepare(self) -> None:
+        pass
 
     def begin(self) -> None:
         pass

@@ -142,5 +142,5 @@ def test_temperatures_that_cannot_be_are_refused() -> None:
         Conversion().temperatures(hot)
     with pytest.raises(ValueError, match="from a grey frame"):
         Conversion(radiometry=Radiometry(0.04)).temperatures(
-            RawFrame(np.zeros((2, 2, 3), np.uint8), 0.0)
+            RawFrame(np.zeros((2, 2, 3), np.uint16), 0.0, 16)
         )

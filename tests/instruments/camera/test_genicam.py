@@ -8,12 +8,14 @@ import importlib
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from instruments.camera.frame import FrameError, FrameFault, RawFrame
-from instruments.camera.genicam import GenicamCamera, load_aravis
+from instruments.camera.frame import Conversion, FrameError, FrameFault, Radiometry, RawFrame
+from instruments.camera.genicam import AUTOMATIC, PTP, DeviceTime, GenicamCamera, load_aravis
+from instruments.camera.radiometric import PROFILES
 from instruments.camera.settings import Settings, Trigger
 from instruments.clock import RealClock
 from instruments.errors import DeviceError, InstrumentError, LinkError
@@ -230,3 +232,137 @@ def test_a_camera_that_refuses_when_it_is_opened_again_is_tried_once_more(
                 camera.begin()
         camera.begin()
         assert "Fake" in camera.identity
+
+
+# A camera with automatic functions, temperatures and a shutter: the library's, described otherwise
+
+AUTO_XML = """
+<Enumeration Name="{name}" NameSpace="Standard">
+  <EnumEntry Name="{on}" NameSpace="Standard"><Value>0</Value></EnumEntry>
+  <EnumEntry Name="{off}" NameSpace="Standard"><Value>1</Value></EnumEntry>
+  <pValue>{name}{by}</pValue>
+</Enumeration>
+<IntReg Name="{name}Register" NameSpace="Custom">
+  <Address>{address}</Address><Length>4</Length><AccessMode>RW</AccessMode>
+  <pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess>
+</IntReg>
+<IntSwissKnife Name="{name}Fixed" NameSpace="Custom"><Formula>0</Formula></IntSwissKnife>
+"""
+COMMAND_XML = """
+<Command Name="NUCAction" NameSpace="Custom">
+  <pValue>NUCRegister</pValue><CommandValue>7</CommandValue>
+</Command>
+<IntReg Name="NUCRegister" NameSpace="Custom">
+  <Address>0x2f00</Address><Length>4</Length><AccessMode>RW</AccessMode>
+  <pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess>
+</IntReg>
+"""
+
+
+def described(
+    aravis: Any, text: str, path: Path, *names: str, by: str = "Register", on: str = "Continuous"
+) -> None:
+    """The camera of ``text`` has the features ``names`` too, switched on, from now on."""
+    nodes = [
+        AUTO_XML.format(name=name, address=hex(0x2000 + 4 * i), by=by, on=on, off="Off")
+        for i, name in enumerate(names)
+    ]
+    at = text.index("<StringReg")
+    old = text.index('<Enumeration Name="GainAuto"')
+    if "GainAuto" in names:  # it has one of its own, which is off
+        end = text.index("</Enumeration>", old) + len("</Enumeration>")
+        gone, after = text[old:end], text.index("</IntReg>", end) + len("</IntReg>")
+        assert "GainAutoRegister" in gone
+        text = text[:old] + text[after:]
+    path.write_text(text[:at] + "".join(nodes) + COMMAND_XML + text[at:], encoding="utf-8")
+    aravis.set_fake_camera_genicam_filename(str(path))
+
+
+@pytest.fixture
+def plain(aravis: Any, tmp_path: Path) -> Iterator[str]:
+    """The description of the camera in this process, which is put back at the end."""
+    text = str(aravis.Camera.new(IN_PROCESS).get_device().get_genicam_xml()[0])
+    yield text
+    (tmp_path / "plain.xml").write_text(text, encoding="utf-8")
+    aravis.set_fake_camera_genicam_filename(str(tmp_path / "plain.xml"))
+
+
+@pytest.mark.parametrize("name", AUTOMATIC)
+def test_each_automatic_function_is_switched_off_or_told(
+    aravis: Any, plain: str, clock: RealClock, tmp_path: Path, name: str
+) -> None:
+    described(aravis, plain, tmp_path / "obeys.xml", name)
+    with opened(IN_PROCESS, clock, auto=True) as camera:
+        assert f"automatic functions are on: {name} Continuous" in camera.identity
+    with opened(IN_PROCESS, clock) as camera:
+        assert "automatic" not in camera.identity
+        node = camera._camera.get_device().get_feature(name)
+        assert node.get_value_as_string() == "Off"
+    described(aravis, plain, tmp_path / "fixed.xml", name, by="Fixed")
+    with pytest.raises(DeviceError, match=f"be switched off: {name} Continuous.*auto = true"):
+        opened(IN_PROCESS, clock)
+
+
+def test_temperatures_and_shutter_of_a_flir_a(
+    aravis: Any, plain: str, clock: RealClock, tmp_path: Path
+) -> None:
+    described(aravis, plain, tmp_path / "flir.xml", "IRFormat", on="Radiometric")
+    profile = PROFILES["flir-a"]
+    text = (tmp_path / "flir.xml").read_text(encoding="utf-8")
+    linear = text.replace('EnumEntry Name="Off" NameSpace="Standard"><Value>1</Value>', "{}", 1)
+    entry = 'EnumEntry Name="TemperatureLinear10mK" NameSpace="Standard"><Value>1</Value>'
+    (tmp_path / "flir.xml").write_text(linear.replace("{}", entry), encoding="utf-8")
+    asked: dict[str, Any] = {
+        "pixel_format": profile.pixel_format,
+        "features": profile.features,
+        "shutter": profile.shutter,
+        "shutter_s": 0.0,
+        "counts": True,
+    }
+    with opened(IN_PROCESS, clock, **asked) as camera:
+        device = camera._camera.get_device()
+        assert device.get_feature("IRFormat").get_value_as_string() == "TemperatureLinear10mK"
+        assert device.read_register(0x2F00) != 7
+        camera.prepare()
+        assert device.read_register(0x2F00) == 7, "the shutter was told to close"
+        frame = whole(camera)
+        declared = Conversion(radiometry=Radiometry(profile.kelvin_per_count))
+        assert frame.bits == 16
+        assert declared.temperatures(frame).dtype == "uint16"
+    with (
+        opened(IN_PROCESS, clock, shutter="NoSuchCommand") as camera,
+        pytest.raises(LinkError, match=r"did not close its shutter.*Correct shutter"),
+    ):
+        camera.prepare()
+
+
+@pytest.mark.parametrize("enable", ["PtpEnable", "GevIEEE1588"])
+def test_clocks_that_ptp_keeps_in_step_are_waited_for_and_told(
+    aravis: Any, plain: str, clock: RealClock, tmp_path: Path, enable: str
+) -> None:
+    with pytest.raises(DeviceError, match=r"offers no PTP.*Leave ptp out"):
+        opened(IN_PROCESS, clock, ptp=True)
+    switch = f"""
+<Boolean Name="{enable}"><pValue>PtpRegister</pValue><OnValue>1</OnValue><OffValue>0</OffValue>
+</Boolean>
+<IntReg Name="PtpRegister"><Address>0x2e00</Address><Length>4</Length>
+  <AccessMode>RW</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign>
+  <Endianess>BigEndian</Endianess></IntReg>
+"""
+    status = dict(PTP)[enable]
+    state = AUTO_XML.format(
+        name=status, address="0x2e00", by="Register", on="Listening", off="Slave"
+    )
+    text = plain.replace("<StringReg", f"{switch}{state}<StringReg", 1)
+    (tmp_path / "ptp.xml").write_text(text, encoding="utf-8")
+    aravis.set_fake_camera_genicam_filename(str(tmp_path / "ptp.xml"))
+    with opened(IN_PROCESS, clock, ptp=True) as camera:
+        assert camera.identity.endswith("; PTP Slave")
+
+
+def test_clocks_in_step_tell_the_skew_by_their_stamps() -> None:
+    """Two cameras that expose 3 ms apart, and whose frames come 80 ms apart, the later one first."""
+    time = DeviceTime()
+    assert time.bench_s(1000.003, 10.010) - time.bench_s(1000.0, 10.090) == pytest.approx(
+        0.003, abs=1e-4
+    )

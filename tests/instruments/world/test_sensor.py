@@ -11,7 +11,6 @@ from instruments.world.sensor import Image, OpticalReadout, OpticalSensor, norma
 
 FLAT = OpticalSensor(prnu=0.0, dsnu_e=0.0, vignetting=0.0)
 SHAPE = (240, 320)
-WHOLE = (slice(None), slice(None))
 
 
 def readout(sensor: OpticalSensor) -> OpticalReadout:
@@ -20,9 +19,9 @@ def readout(sensor: OpticalSensor) -> OpticalReadout:
 
 def frames(sensor: OpticalSensor, level: float, count: int) -> Image:
     camera = readout(sensor)
-    expected = camera.expected(np.full(SHAPE, level, dtype=np.float32), *WHOLE)
+    expected = camera.expected(np.full(SHAPE, level, dtype=np.float32))
     return np.array(
-        [camera.expose([expected], np.random.default_rng(i)) for i in range(count)],
+        [camera.expose(expected, np.random.default_rng(i)) for i in range(count)],
         dtype=np.float32,
     )
 
@@ -68,12 +67,3 @@ def test_bright_saturates_and_dark_stops_at_zero() -> None:
     assert np.median(bright) == bright.max() == 255
     assert frames(replace(FLAT, offset_dn=0.0, read_noise_e=100.0), 0.0, 1).min() == 0
     assert frames(replace(FLAT, offset_dn=0.0, read_noise_e=100.0), 0.0, 1).max() < 20
-
-
-def test_a_part_of_a_frame_lies_over_the_whole() -> None:
-    camera = readout(FLAT)
-    whole = camera.expected(np.full(SHAPE, 0.2, dtype=np.float32), *WHOLE)
-    part = camera.expected(np.full((50, 60), 0.8, dtype=np.float32), slice(10, 60), slice(20, 80))
-    picture = camera.expose([whole, part], np.random.default_rng(1)).astype(float)
-    assert picture[10:60, 20:80].mean() == pytest.approx(4.0 + 0.8 * 255.0, abs=0.3)
-    assert picture[60:].mean() == pytest.approx(4.0 + 0.2 * 255.0, abs=0.3)

@@ -1,0 +1,150 @@
+"""`init`: a rig file from what stands at the ports, what this machine lists, and some questions."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from datetime import date
+from typing import TypeVar
+
+from bench.cli.arguments import CODES, refuse_existing
+from bench.config import ConfigError, parse_config, read_text
+from bench.files import write_synced
+from bench.rig.alone import attached
+from bench.rig.finding import Found, ports, probe, rig_text
+from bench.rig.loading import TO_COPY
+from bench.rig.model import Rig, camera_url
+from instruments.camera.radiometric import PROFILES
+from instruments.clock import RealClock, wall_time
+
+# standard uncertainty by model, mm, as the maker states it
+MODELS = {"3DX": 0.23, "3DL": 0.64, "3D": 0.38}
+AXES = ("XY", "XYZ", "XYA", "XYZA")
+PLACES = {  # what stands in the file where nothing was found
+    "arm": "/dev/ttyUSB0",
+    "bath": "tcp://192.168.0.40:502",
+    "cameras.left": "opencv:LEFT",
+    "cameras.right": "opencv:RIGHT",
+}
+T = TypeVar("T")
+Ask = Callable[[str, str], str]
+
+
+def init(given: argparse.Namespace) -> int:
+    refuse_existing(given.out, replace=given.replace)
+    found = _found(given.port)
+    cameras = dict(one for one in attached() if one[0] != "genicam:")
+    for url, name in cameras.items():
+        print(f"{url}: camera, {name}")
+
+    def ask(question: str, default: str) -> str:
+        if given.yes:
+            return default
+        print(f"{question} [{default or 'none'}] ", end="", flush=True)
+        return sys.stdin.readline().strip() or default
+
+    values: dict[str, dict[str, object]] = {
+        "": {
+            "name": ask("What is the rig called?", "udder lab"),
+            "calibration": "calibration.toml",
+        },
+        "operator": {"url": "console:"},
+    }
+    for kind in _ABOUT:
+        if one := _chosen(kind, [each for each in found if each.kind == kind], ask):
+            values[kind] = {"url": one.url, **_ABOUT[kind](one, ask)}
+    values.setdefault("bath", {"profile": "julabo-presto"})
+    values |= _cameras(cameras, ask)
+    missing = {name: url for name, url in PLACES.items() if "url" not in values.get(name, {})}
+    about = [f"Written by 'teatbench init' on {wall_time():%Y-%m-%d}. What was found:"]
+    about += [f"  {one.url}: {one.kind}, {one.who}" for one in found]
+    about += [f"  {url}: camera, {name}" for url, name in cameras.items()]
+    about += [f"  nothing for {name}" for name in missing]
+    about += [f"Next: teatbench check {given.out.name}, then docs/lab.md."]
+    text = rig_text(read_text(TO_COPY), values, missing, "\n".join(about))
+    parse_config(given.out, text, Rig)
+    write_synced(given.out, text.encode("utf-8"))
+    for name in missing:
+        print(f"not found: {name}; its url is marked in the file")
+    print(f"Written: {given.out}. Next: teatbench check {given.out}")
+    return CODES.met
+
+
+def _found(urls: list[str] | None) -> list[Found]:
+    """What answers, said line by line."""
+    at = dict.fromkeys(urls, "") if urls else dict(ports())
+    if not at:
+        print("no serial port on this machine; --port names an address on the network")
+    found = []
+    with closing(RealClock()) as clock:
+        for url, adapter in at.items():
+            print(f"{url}: {adapter or 'asked for'}", flush=True)
+            one = probe(url, clock, lambda text: print(f"  {text}", flush=True))
+            print(f"{url}: {one.kind}, {one.who}" if one else f"{url}: nothing that is known")
+            found += [one] if one else []
+    return found
+
+
+def _chosen(kind: str, there: list[Found], ask: Ask) -> Found | None:
+    if len(there) < 2:
+        return there[0] if there else None
+    urls = ", ".join(one.url for one in there)
+    answer = ask(f"Which is the {kind}: {urls}?", there[0].url)
+    return _one_of(f"the {kind}", answer, {one.url: one for one in there})
+
+
+def _arm(found: Found, ask: Ask) -> Mapping[str, object]:
+    known = next((one for one in MODELS if one.removeprefix("3") in found.who.split()), "3DX")
+    answer = ask(f"Which MicroScribe ({', '.join(MODELS)})?", known)
+    accuracy_mm = _one_of("the model", answer, MODELS)
+    return {"accuracy_mm": accuracy_mm, "accuracy_source": f"maker's data sheet, {answer}"}
+
+
+def _bath(found: Found, ask: Ask) -> Mapping[str, object]:
+    profiles, tested = found.profiles, ""
+    answer = profiles[0]
+    if len(profiles) > 1:
+        fits = ", ".join(profiles)
+        answer = ask(f"{found.url} answers by several profiles ({fits}): which is it?", answer)
+    day = ask("On which day was the bath's own cut-out tested (2026-11-20)?", "")
+    try:
+        tested = date.fromisoformat(day).isoformat() if day else ""
+    except ValueError:
+        raise ConfigError.plain(f"{day!r} is no day; write it as 2026-11-20") from None
+    profile = _one_of("the profile", answer, {name: name for name in profiles})
+    return {"profile": profile, "cut_out_tested": tested}
+
+
+def _stage(_: Found, ask: Ask) -> Mapping[str, object]:
+    answer = ask(f"What does the stage move ({', '.join(AXES)})?", AXES[0])
+    return {"axes": _one_of("the axes", answer.upper(), {axes: axes for axes in AXES})}
+
+
+_ABOUT = {"arm": _arm, "bath": _bath, "stage": _stage}
+
+
+def _cameras(there: Mapping[str, str], ask: Ask) -> dict[str, dict[str, object]]:
+    """Which camera is which is asked: nothing that a camera says of itself tells it."""
+    values: dict[str, dict[str, object]] = {}
+    for name in ("left", "right", "thermal"):
+        listed = f" ({', '.join(there)}, or another url)" if there else " (its url)"
+        if not (url := ask(f"Which is the {name} camera{listed}?", "")):
+            continue
+        try:
+            values[f"cameras.{name}"] = {"url": camera_url(url)}
+        except ValueError as error:
+            raise ConfigError.plain(f"{url}: {error}") from error
+    if "cameras.thermal" in values:
+        profile = ask(f"Does it deliver temperatures ({', '.join(PROFILES)})?", "")
+        if profile:
+            _one_of("the radiometric profile", profile, PROFILES)
+            values["cameras.thermal"]["radiometric"] = {"profile": profile}
+    return values
+
+
+def _one_of(what: str, answer: str, known: Mapping[str, T]) -> T:
+    if answer not in known:
+        raise ConfigError.plain(f"{what} {answer!r} is not one of {', '.join(known)}")
+    return known[answer]

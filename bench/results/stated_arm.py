@@ -1,0 +1,81 @@
+"""The arm's stated uncertainty, and what a run's touches and the dated verification say of it.
+
+The touches of one divot scatter as an arm of the stated u along each axis would: n of them have
+3 (n - 1) degrees of freedom about their mean. A length's error is that of two touches and of the
+gauge. What all touches of one divot have in common shows in lengths only, and between divots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from bench.rig.arm_files import LocationTest, Verification, from_dict
+from bench.rig.model import Arm
+from bench.scoring.stated_u import StatedCheck, refuted
+from bench.truth.arm_tip import AFTER, BEFORE, CHECK_FACT, location_of
+from bench.truth.uncertainty import ROUNDING_MM
+
+STATED_FACT = "arm uncertainty"
+VERIFICATION_FACT = "arm verification"
+
+
+def stated_fact(arm: Arm) -> dict[str, Any]:
+    """What the rig file states of the arm; ``df`` None: taken as exact."""
+    return {
+        "u_mm": arm.accuracy_mm,
+        "source": arm.accuracy_source,
+        "df": arm.accuracy_df,
+        "resolution_mm": ROUNDING_MM,
+    }
+
+
+def check_touches(name: str, stated: Mapping[str, Any], *tests: LocationTest) -> StatedCheck:
+    """The scatter of each test about its own mean."""
+    squares = sum(float(np.sum(test.deviations_mm**2)) for test in tests)
+    df = 3 * sum(test.n - 1 for test in tests)
+    return StatedCheck(name, squares / _touch_mm2(stated), df, stated["df"])
+
+
+def check_verification(stated: Mapping[str, Any], dated: Verification) -> Iterator[StatedCheck]:
+    """Its divots; and its lengths, where there are some."""
+    yield check_touches("divots of the dated verification", stated, *dated.locations)
+    if dated.lengths:
+        squares = sum(
+            one.error_mm**2 / (2.0 * _touch_mm2(stated) + one.calibrated_u_mm**2)
+            for one in dated.lengths
+        )
+        name = "lengths of the dated verification"
+        yield StatedCheck(name, squares, len(dated.lengths), stated["df"])
+
+
+def arm_checks(facts: Mapping[str, Any]) -> list[StatedCheck]:
+    """All checks of the arm's stated uncertainty that a run's facts allow; none of an older run."""
+    if (stated := facts.get(STATED_FACT)) is None:
+        return []
+    keys = [key for when in (BEFORE, AFTER) if (key := CHECK_FACT.format(when)) in facts]
+    tests = [location_of(facts[key], key) for key in keys]
+    checks = [check_touches("check touches of the run", stated, *tests)] if tests else []
+    if VERIFICATION_FACT in facts:
+        checks += check_verification(stated, from_dict(facts[VERIFICATION_FACT]))
+    return checks
+
+
+def too_small(facts: Mapping[str, Any]) -> str:
+    """Says that the stated uncertainty is too small, and by how much; "" where nothing says so."""
+    found = refuted(arm_checks(facts))
+    if not found:
+        return ""
+    u_mm, worst = facts[STATED_FACT]["u_mm"], max(found, key=lambda check: check.ratio)
+    return (
+        f"the {worst.name} differ as those of an arm of u = {worst.ratio * u_mm:.2f} mm do; stated"
+        f" are {u_mm:g} mm (chi-square {worst.squares:.1f} with {worst.df} degrees of freedom,"
+        f" p = {worst.p_value:.2g})"
+    )
+
+
+def _touch_mm2(stated: Mapping[str, Any]) -> float:
+    """Variance of one touch of a divot along an axis."""
+    return float(stated["u_mm"] ** 2 + stated["resolution_mm"] ** 2)

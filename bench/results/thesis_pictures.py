@@ -1,0 +1,150 @@
+"""The thesis's own criterion: a teat counts as found where the answer lies on its end in the
+picture (section 5.2.7: "detection of any point of the end of the teat is a perfect result"): within
+a teat's radius of the axis of its rounded end, taken as upright.
+
+Read from the stages that its detector leaves in the record: ends in the thermal picture, the places
+where the homographies put them in the optical pictures (unrefined), and where the optical pictures
+moved these (refined).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from bench.record.reader import TrialRecord
+from bench.scoring.errors import Bools, Floats
+from detector.calibration import Calibration
+
+RADIUS_MM = 11.0  # of a phantom's teat; some 13 px in the optical pictures
+GATE_PX = 40.0  # the side of the region that refinement searches (section 4.2)
+PICTURES = ("thermal", "left", "left refined", "right", "right refined")
+STAGES = {
+    "thermal": ("teat ends", "points_px"),
+    "left": ("nominations", "left_px"),
+    "left refined": ("ends", "left_px"),
+    "right": ("nominations", "right_px"),
+    "right refined": ("ends", "right_px"),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InPictures:
+    """One row a visible teat end and trial: distances (n, 5) px of the answer nearest to it in each
+    of `PICTURES` and (n, 2) mm unrefined and refined, not-a-number where none is near; whether it
+    lies on the end there (n, 5); ``astray`` by situation: ends that were nominated at no teat.
+    """
+
+    situations: tuple[str, ...]
+    teats: tuple[str, ...]
+    off_px: Floats
+    on_end: Bools
+    off_mm: Floats
+    astray: Mapping[str, int]
+
+    def of(self, situation: str | None = None, teat: str | None = None) -> Bools:
+        """The rows of one situation and teat (n,); of all for None."""
+        rows = zip(self.situations, self.teats, strict=True)
+        return np.array(
+            [situation in (None, s) and teat in (None, t) for s, t in rows], dtype=np.bool_
+        )
+
+    def moved(self, rows: Bools) -> tuple[int, int]:
+        """How many ends the optical pictures moved nearer to the truth, and how many farther off,
+        each picture by itself.
+        """
+        nearer = (self.off_px[:, (2, 4)] - self.off_px[:, (1, 3)])[rows]
+        return int((nearer < 0.0).sum()), int((nearer > 0.0).sum())
+
+
+def in_pictures(
+    trials: Sequence[TrialRecord], detector: str, calibration: Calibration
+) -> InPictures | None:
+    """Of a detector that leaves the thesis's stages; None for any other."""
+    rows: list[tuple[str, str, Floats, Bools, Floats]] = []
+    astray: dict[str, int] = {}
+    seen = False
+    for trial in trials:
+        traces = [json.loads(d["trace"]) for d in trial.detections if d["detector"] == detector]
+        named = traces[0] if traces else {}
+        if "thermal" not in named or "edges" not in named:
+            continue
+        seen = True
+        situation = str(trial.head["situation"])
+        answers = _answers(named)
+        visible = [row for row in trial.truth if row["visible"]]
+        points = [[row[f"{axis}_mm"] for axis in "xyz"] for row in visible]
+        ends = np.array(points, dtype=np.float64).reshape(-1, 3)
+        off_px, on_end, off_mm, unpaired = _compared(ends, answers, calibration)
+        astray[situation] = astray.get(situation, 0) + unpaired
+        each = zip(visible, off_px, on_end, off_mm, strict=True)
+        rows += [(situation, str(row["teat"]), *values) for row, *values in each]
+    if not seen:
+        return None
+    situations, teats, off, on, mm = zip(*rows, strict=True) if rows else ((),) * 5
+    return InPictures(
+        situations,
+        teats,
+        np.array(off, dtype=np.float64).reshape(-1, len(PICTURES)),
+        np.array(on, dtype=np.bool_).reshape(-1, len(PICTURES)),
+        np.array(mm, dtype=np.float64).reshape(-1, 2),
+        astray,
+    )
+
+
+def _answers(trace: Mapping[str, Any]) -> Floats:
+    """The answer's ends (5, n, 2) px in `PICTURES`; none where a stage was not reached."""
+    found = [trace.get(stage, {}).get(key, []) for stage, key in STAGES.values()]
+    try:
+        return np.array(found, dtype=np.float64).reshape(len(PICTURES), -1, 2)
+    except (TypeError, ValueError):  # another detector's stages of these names
+        return np.empty((len(PICTURES), 0, 2))
+
+
+def _compared(
+    ends_mm: Floats, answers_px: Floats, calibration: Calibration
+) -> tuple[Floats, Bools, Floats, int]:
+    """Of true ends (k, 3) and answers (5, n, 2): distances (k, 5), whether on the end (k, 5), mm
+    (k, 2), and how many answers belong to no end. Answers are paired by the optical pictures.
+    """
+    apex, focal = _seen(ends_mm, calibration)
+    middle, _ = _seen(ends_mm - np.array([0.0, 0.0, RADIUS_MM]), calibration)
+    far = np.linalg.norm(answers_px[:, None] - apex[:, :, None], axis=3)  # (5, k, n)
+    cost = np.nan_to_num(np.minimum(far[1], far[3]), nan=1e6)
+    at, of = linear_sum_assignment(np.minimum(cost, 2.0 * GATE_PX))
+    good = cost[at, of] < GATE_PX
+    at, of = at[good], of[good]
+    off_px, from_axis_px = np.full((2, len(ends_mm), len(PICTURES)), np.nan)
+    off_px[at] = far[:, at, of].T
+    # from the axis of the rounded end, from its apex to its middle
+    along = middle[:, at] - apex[:, at]
+    there = answers_px[:, of] - apex[:, at]
+    share = np.clip((there * along).sum(axis=2) / (along**2).sum(axis=2), 0.0, 1.0)
+    from_axis_px[at] = np.linalg.norm(there - share[..., None] * along, axis=2).T
+    depth = calibration.world_from_right.inverse().apply(ends_mm)[:, 2:3]
+    off_mm = np.full((len(ends_mm), 2), np.nan)
+    for k, (one, other) in enumerate(((1, 3), (2, 4))):
+        found = calibration.place(answers_px[one, of], answers_px[other, of])
+        off_mm[at, k] = np.linalg.norm(found - ends_mm[at], axis=1)
+    with np.errstate(invalid="ignore"):
+        on_end = np.asarray(from_axis_px <= RADIUS_MM * focal / depth)
+    return off_px, on_end, off_mm, answers_px.shape[1] - len(of)
+
+
+def _seen(points_mm: Floats, calibration: Calibration) -> tuple[Floats, Floats]:
+    """Where the five pictures show points (k, 3), (5, k, 2), and their focal lengths (5,), px; the
+    thermal one not-a-number without a lens.
+    """
+    left, right = calibration.project(points_mm)
+    lens, pose = calibration.thermal.lens, calibration.thermal_from_right
+    thermal, focal_px = np.full_like(left, np.nan), np.nan
+    if lens is not None and pose is not None:
+        in_right = calibration.world_from_right.inverse().apply(points_mm)
+        thermal, focal_px = lens.project(pose.apply(in_right)), lens.fc[0]
+    focal = (focal_px, *(calibration.left.fc[0],) * 2, *(calibration.right.fc[0],) * 2)
+    return np.array([thermal, left, left, right, right]), np.array(focal)

@@ -1,0 +1,160 @@
+"""Finds what stands at ports and addresses, for a new rig file; and writes that file.
+
+Nothing that is sent moves, heats or changes a setting: a status query (GRBL), the sign-on and the
+identity (MicroScribe), reads (baths). They come in this order, so that a byte of one is not a
+command of another: a GRBL board that answers is asked nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass
+
+from serial.tools import list_ports
+
+from bench.rig.model import Arm
+from bench.rig.model import Bath as BathTable
+from bench.rig.opening import open_instruments, rig_of
+from bench.rig.urls import bath_url, serial_url
+from instruments.bath.profile import load_profile, profile_names
+from instruments.clock import Clock
+from instruments.errors import InstrumentError
+from instruments.link import Link
+from instruments.stage.protocol import STATUS_QUERY, Decoder, Status, Welcome
+
+LISTEN_S = 2.5  # a board that the port's opening resets says its welcome within this
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What answered at ``url``: "arm", "bath" or "stage", who it says it is, and for a bath the
+    profiles that it answered by.
+    """
+
+    kind: str
+    url: str
+    who: str
+    profiles: tuple[str, ...] = ()
+
+
+def ports() -> Iterator[tuple[str, str]]:
+    """Each serial port of this machine, and what its adapter is called."""
+    for port in sorted(list_ports.comports()):
+        yield port.device, port.description if port.description != "n/a" else "no name"
+
+
+def probe(url: str, clock: Clock, tell: Callable[[str], None]) -> Found | None:
+    """What answers at ``url``; None where nothing that is known does, or it can't be opened."""
+    if _is(serial_url, url):
+        for look in (_stage, _arm):
+            tell(f"{url}: {look.__name__.strip('_')}?")
+            try:
+                if found := look(url, clock):
+                    return found
+            except InstrumentError as error:
+                tell(f"{url}: {error}")
+    if not _is(bath_url, url):
+        return None
+    fitting: dict[str, str] = {}
+    for name in profile_names():
+        tell(f"{url}: bath, {name}?")
+        if who := _bath(url, name, clock):
+            fitting[name] = who
+    if not fitting:
+        return None
+    return Found("bath", url, next(iter(fitting.values())), tuple(fitting))
+
+
+def _is(check: Callable[[str], str], url: str) -> bool:
+    try:
+        return bool(check(url))
+    except ValueError:
+        return False
+
+
+def _stage(url: str, clock: Clock) -> Found | None:
+    """Listens for a welcome, and asks for the status, which needs no line and changes nothing."""
+    with closing(Link(url, clock, who="stage")) as link:
+        decoder, who, until_s = Decoder(), "", clock.now() + LISTEN_S
+        while clock.now() < until_s:
+            link.write(STATUS_QUERY)
+            for answer in decoder.feed(link.drain(0.2, at_most_s=0.4)):
+                if isinstance(answer, Welcome):
+                    who = f"{answer.dialect} {answer.version}"
+                elif isinstance(answer, Status):
+                    axes = answer.mpos_mm or answer.wpos_mm or ()
+                    return Found("stage", url, f"{who or 'GRBL'}, {len(axes)} axes, {answer.name}")
+    return None
+
+
+def _arm(url: str, clock: Clock) -> Found | None:
+    rig = rig_of(arm=Arm.model_construct(url=url))
+    with open_instruments(rig, ("arm",), clock) as devices:
+        try:
+            identity = asdict(devices.arm.sign_on())
+        except InstrumentError:
+            return None
+    named = (identity[key] for key in ("product", "model", "serial_number"))
+    return Found("arm", url, " ".join(map(str, named)))
+
+
+def _bath(url: str, name: str, clock: Clock) -> str:
+    """Who answers by that profile with a temperature that makes sense; "" for nobody."""
+    rig = rig_of(load_profile(name), bath=BathTable(url=url, profile=name))
+    try:
+        with open_instruments(rig, ("bath",), clock) as devices:
+            reading = devices.bath.read()
+            known = devices.bath.identity
+            said = [str(known[key]) for key in ("model", "version", "firmware") if known.get(key)]
+    except InstrumentError:
+        return ""
+    return f"{' '.join(said) or 'it'}, at {reading.temp_c:.2f} degC"
+
+
+# The file
+
+_TABLE = re.compile(r"\[([\w.]+)\]")
+_KEY = re.compile(r"(\w+) = .*?(?:\s+# (.*))?")
+KEPT = ("cameras", "cameras.checks", "limits")  # all of their keys have defaults
+MISSING = "NOT FOUND: fill it in"
+
+
+def rig_text(
+    example: str,
+    values: Mapping[str, Mapping[str, object]],
+    missing: Mapping[str, str],
+    about: str,
+) -> str:
+    """The ``example`` with ``values`` by table and key; all else stays as comments, with what is
+    said of it: other keys, and tables without a value. The url of a table in ``missing`` is there
+    to be filled in.
+    """
+    given = {name: dict(table) for name, table in values.items()}
+    for name, url in missing.items():
+        given.setdefault(name, {}).setdefault("url", url)
+    lines, table = [f"# {line}".rstrip() for line in about.splitlines()], ""
+    for line in example.splitlines():
+        if line.startswith("#"):
+            continue
+        if head := _TABLE.match(line):
+            table = head[1]
+        own = given.get(table, {})
+        off = "" if own or table in KEPT else "# "
+        if key := _KEY.fullmatch(line):
+            if key[1] in own:
+                marked = key[1] == "url" and table in missing
+                said = ". ".join(filter(None, (MISSING if marked else "", key[2])))
+                line = f"{key[1]} = {_toml(own[key[1]])}".ljust(31) + (f" # {said}" if said else "")
+            else:
+                off = "# "
+        lines.append(f"{off}{line}" if line else "")
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_toml(one)}" for key, one in value.items()) + " }"
+    return json.dumps(value, ensure_ascii=False)

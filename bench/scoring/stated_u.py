@@ -1,0 +1,65 @@
+"""Is a stated standard uncertainty true? Deviations that it should explain, against it.
+
+The sum of (deviation / u)^2 is chi-square with its degrees of freedom where u is exact; over them,
+Fisher's F where u itself rests on finitely many (JCGM 100:2008, G.3). Only the upper tail accuses:
+deviations that are smaller than stated harm no decision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf, sqrt
+
+from scipy.special import chdtrc, chdtri, fdtrc, fdtri
+
+LEVEL = 0.05  # of sound statements are accused, over all checks of one statement
+
+
+@dataclass(frozen=True, slots=True)
+class StatedCheck:
+    """``squares``: sum of (deviation / stated u)^2, with ``df`` degrees of freedom, not 0.
+    ``stated_df``: those of the statement; None: it is taken as exact.
+    """
+
+    name: str
+    squares: float
+    df: int
+    stated_df: float | None = None
+
+    @property
+    def ratio(self) -> float:
+        """What u the deviations show, over what is stated."""
+        return sqrt(self.squares / self.df)
+
+    @property
+    def ratio_interval(self) -> tuple[float, float]:
+        """95 % confidence interval of that ratio."""
+        low, high = self._quantile(0.025), self._quantile(0.975)
+        return sqrt(self.squares / low), sqrt(self.squares / high) if high > 0 else inf
+
+    @property
+    def p_value(self) -> float:
+        """The chance of such deviations or larger ones, where the statement is true."""
+        if self.stated_df is None:
+            return float(chdtrc(self.df, self.squares))
+        return float(fdtrc(self.df, self.stated_df, self.squares / self.df))
+
+    def limit(self, level: float) -> float:
+        """The sum of squares that a true statement exceeds with the chance ``level``."""
+        return self._quantile(level)
+
+    def _quantile(self, above: float) -> float:
+        if self.stated_df is None:
+            return float(chdtri(self.df, above))
+        return self.df * float(fdtri(self.df, self.stated_df, 1.0 - above))
+
+
+def level_of_each(checks: Sequence[StatedCheck]) -> float:
+    """`LEVEL` shared by the checks (Bonferroni)."""
+    return LEVEL / max(1, len(checks))
+
+
+def refuted(checks: Sequence[StatedCheck]) -> list[StatedCheck]:
+    """Those that show more than is stated."""
+    return [check for check in checks if check.p_value < level_of_each(checks)]

@@ -1,0 +1,67 @@
+"""Thermal cameras that deliver temperatures as counts, by name: what makes them do so, and what a
+count is. No such camera was at hand: what a row has is from the source that it names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from instruments.camera.settings import Value
+
+
+@dataclass(frozen=True, slots=True)
+class RadiometricProfile:
+    """Temperature: ``kelvin_at_zero`` + ``kelvin_per_count`` x count. ``pixel_format`` as OpenCV
+    or GenICam has it, GenICam ``features`` to be set, and the command that closes the ``shutter``.
+    """
+
+    kelvin_per_count: float
+    pixel_format: str
+    source: str
+    kelvin_at_zero: float = 0.0
+    features: Mapping[str, Value] = field(default_factory=dict)
+    shutter: str = ""
+
+
+_LEPTON = "FLIR, Lepton software interface description, RAD TLinear resolution"
+_BOSON = "inferred: FLIR, Boson radiometry application note, TLinear"
+_AX5 = "FLIR support, temperature linear mode of Ax5; TemperatureLinearMode's word is inferred"
+_A = "FLIR support, temperature linear mode of A3xx, A6xx, A50, A70, A400 and A700"
+_AX5_FEATURES = {"TemperatureLinearMode": "On", "CMOSBitDepth": "bit14bit"}
+
+PROFILES: Mapping[str, RadiometricProfile] = {
+    # over UVC (PureThermal): TLinear is set in the camera, by its maker's program
+    "lepton": RadiometricProfile(0.01, "Y16", _LEPTON),
+    "lepton-low-gain": RadiometricProfile(0.1, "Y16", _LEPTON),
+    "boson": RadiometricProfile(0.01, "Y16", _BOSON),
+    # over GigE Vision
+    "flir-ax5": RadiometricProfile(
+        0.04,
+        "Mono14",
+        _AX5,
+        features=_AX5_FEATURES | {"TemperatureLinearResolution": "High"},
+        shutter="NUCAction",
+    ),
+    "flir-ax5-low": RadiometricProfile(
+        0.4,
+        "Mono14",
+        _AX5,
+        features=_AX5_FEATURES | {"TemperatureLinearResolution": "Low"},
+        shutter="NUCAction",
+    ),
+    "flir-a": RadiometricProfile(
+        0.01,
+        "Mono16",
+        _A,
+        features={"IRFormat": "TemperatureLinear10mK"},
+        shutter="NUCAction",
+    ),
+    "flir-a-100mk": RadiometricProfile(
+        0.1,
+        "Mono16",
+        _A,
+        features={"IRFormat": "TemperatureLinear100mK"},
+        shutter="NUCAction",
+    ),
+}

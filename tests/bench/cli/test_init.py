@@ -1,0 +1,129 @@
+"""`init`: what stands at ports is found without anything moved, heated or set; the file that is
+written can be checked, and says what is missing.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from bench.rig import finding
+from bench.rig.emulated_rig import EmulatedRig
+from bench.rig.loading import find_rig, load_rig
+from bench.rig.model import Rig
+from instruments.clock import RealClock
+from instruments.link import Link
+from tests.bench.commands import Said, teatbench
+
+LISTED = [("opencv:4", "Cam A"), ("genicam:FLIR-1", "FLIR A50"), ("genicam:", "not looked for")]
+
+
+@pytest.fixture(scope="module")
+def twin() -> Iterator[EmulatedRig]:
+    with closing(RealClock()) as clock:
+        rig = load_rig(find_rig("emulated"))
+        with EmulatedRig(rig, clock, 1, pty=sys.platform != "win32") as emulated:
+            yield emulated
+
+
+@pytest.fixture(autouse=True)
+def _here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few profiles, short waits, no look for cameras of this machine."""
+    monkeypatch.setattr(finding, "LISTEN_S", 0.6)
+    monkeypatch.setattr(finding, "profile_names", lambda: ["julabo-magio", "julabo-presto"])
+    monkeypatch.setattr("bench.cli.init.attached", lambda: iter(LISTED))
+    monkeypatch.setattr("bench.rig.finding.list_ports.comports", list)
+
+
+def typed(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(lines) + "\n"))
+
+
+def rig_of(path: Path) -> Rig:
+    return load_rig(path).rig
+
+
+def test_instruments_are_found_and_nothing_of_them_changes(
+    twin: EmulatedRig, tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: dict[str, bytes] = {}
+    write = Link.write
+
+    def noted(link: Link, data: bytes) -> None:
+        sent[link.url] = sent.get(link.url, b"") + data
+        write(link, data)
+
+    monkeypatch.setattr(Link, "write", noted)
+    urls: Mapping[str, str] = {name: twin.urls[name] for name in ("arm", "bath", "stage")}
+    plant, stage = twin.world.plant, twin.stage
+    assert stage
+    before = plant.set_point_c, plant.running, tuple(stage.position_mm())
+    out = tmp_path / "my-rig.toml"
+    typed(
+        monkeypatch,
+        *("north lab", "3DL", "julabo-presto", "2026-11-20", "xyz"),
+        *("opencv:4", "opencv:5", "genicam:FLIR-1", "flir-a"),
+    )
+    text = said(0, "init --out {} --port {} --port {} --port {}", out, *urls.values()).out
+    assert "opencv:4: camera, Cam A" in text
+    rig = rig_of(out)
+    assert (rig.name, rig.arm.url, rig.bath.url) == ("north lab", urls["arm"], urls["bath"])
+    assert (rig.arm.accuracy_mm, rig.arm.accuracy_source) == (0.64, "maker's data sheet, 3DL")
+    assert (rig.bath.profile, rig.bath.cut_out_tested) == ("julabo-presto", "2026-11-20")
+    assert rig.stage
+    assert (rig.stage.url, rig.stage.axes) == (urls["stage"], "XYZ")
+    assert rig.cameras.thermal
+    assert rig.cameras.thermal.radiometric
+    assert rig.cameras.thermal.settings.features == {"IRFormat": "TemperatureLinear10mK"}
+    assert set(sent[urls["stage"]]) == set(b"?"), "a stage is asked for its status only"
+    assert (plant.set_point_c, plant.running, tuple(stage.position_mm())) == before
+    file = out.read_text(encoding="utf-8")
+    assert f"#   {urls['arm']}: arm, MicroScribe" in file
+    assert "# remind_s = 120.0" in file
+
+
+def test_what_is_not_found_is_marked_and_the_file_can_be_checked(
+    tmp_path: Path, said: Said
+) -> None:
+    out = tmp_path / "my-rig.toml"
+    text = said(0, "init --yes --out {}", out).out
+    assert "no serial port on this machine" in text
+    for name in ("arm", "bath", "cameras.left", "cameras.right"):
+        assert f"not found: {name}; its url is marked in the file" in text
+    rig = rig_of(out)
+    assert rig.stage is None
+    assert rig.cameras.thermal is None
+    assert out.read_text(encoding="utf-8").count(finding.MISSING) == 4
+    again = said(2, "init --yes --out {}", out).err
+    assert "is there already" in again
+    assert teatbench("init --yes --replace --out {}", out) == 0
+
+
+@pytest.mark.parametrize(
+    ("answers", "message"),
+    [
+        (["lab", "4"], "4: not a camera; allowed:"),
+        (["lab", "opencv:1", "opencv:2", "opencv:3", "leptom"], "'leptom' is not one of lepton"),
+    ],
+)
+def test_an_answer_that_makes_no_sense_writes_nothing(
+    tmp_path: Path,
+    said: Said,
+    monkeypatch: pytest.MonkeyPatch,
+    answers: list[str],
+    message: str,
+) -> None:
+    typed(monkeypatch, *answers)
+    assert message in said(2, "init --out {}", tmp_path / "rig.toml").err
+    assert not (tmp_path / "rig.toml").exists()
+
+
+def test_a_port_that_is_not_there_is_said(tmp_path: Path, said: Said) -> None:
+    text = said(0, "init --yes --out {} --port socket://127.0.0.1:1", tmp_path / "r.toml").out
+    assert "nothing takes the connection" in text
+    assert "socket://127.0.0.1:1: nothing that is known" in text

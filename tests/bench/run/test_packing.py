@@ -1,0 +1,114 @@
+"""A run made into a recording to publish, and scored by somebody who has nothing else."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bench.files import sha256_of
+from bench.record.reader import read_run
+from tests.bench.commands import Said
+
+RUN = Path(__file__).parents[1] / "record" / "kept" / "schema-5"
+PACK = "recording pack {} --out {} --licence CC-BY-4.0"
+
+
+@pytest.fixture
+def packed(tmp_path: Path, said: Said) -> Path:
+    said(0, PACK, RUN, tmp_path / "pack")
+    return tmp_path / "pack"
+
+
+def test_all_of_the_run_is_in_it_byte_for_byte_with_digests_budgets_and_card(packed: Path) -> None:
+    run = read_run(RUN)
+    for trial in run.trials:
+        for name in ("left.png", "right.png", "thermal_radiometric.png"):
+            given = (RUN / "frames" / trial.id / name).read_bytes()
+            assert (packed / "frames" / trial.id / name).read_bytes() == given
+    lines = (packed / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
+    sums = {name: digest for digest, name in (line.split("  ") for line in lines)}
+    files = {p.relative_to(packed).as_posix() for p in packed.rglob("*") if p.is_file()}
+    assert set(sums) == files - {"SHA256SUMS"}
+    assert all(sha256_of(packed / name) == digest for name, digest in sums.items())
+    with (packed / "budgets.csv").open(encoding="utf-8", newline="") as file:
+        parts = list(csv.DictReader(file))
+    with (packed / "truth.csv").open(encoding="utf-8", newline="") as file:
+        ends = list(csv.DictReader(file))
+    for end in ends:
+        of_it = [p for p in parts if (p["frame"], p["teat"]) == (end["frame"], end["teat"])]
+        whole = sum(float(part["u_mm"]) ** 2 for part in of_it) ** 0.5
+        assert whole == pytest.approx(float(end["u_mm"]), rel=1e-9)
+    card = (packed / "README.md").read_text(encoding="utf-8")
+    assert f"{len(run.trials)} frame sets" in card
+    assert "CC-BY-4.0" in card
+    assert "no real camera" in card
+    assert run.head
+    assert run.head.wall_digest in card
+    package = json.loads((packed / "datapackage.json").read_text(encoding="utf-8"))
+    assert package["licenses"] == [{"name": "CC-BY-4.0"}]
+    named = {one["path"]: one["hash"] for one in package["resources"]}
+    assert named.items() <= {name: f"sha256:{digest}" for name, digest in sums.items()}.items()
+
+
+def test_it_scores_as_the_run_did(packed: Path, said: Said, tmp_path: Path) -> None:
+    run = read_run(RUN)
+    (detector,) = run.detectors
+    out = tmp_path / "scored"
+    subprocess.run(  # an interpreter that knows nothing of the run
+        [sys.executable, "-m", "bench.cli", "score", packed, "--detector", detector, "--out", out],
+        check=False,
+        capture_output=True,
+        cwd=tmp_path,
+    )
+    (scored,) = out.iterdir()
+    again = read_run(scored)
+    for trial, other in zip(run.trials, again.trials, strict=True):
+        score, second = trial.scores[detector], other.scores[detector]
+        assert second.counts == score.counts
+        assert second.radial_mm == pytest.approx(score.radial_mm, abs=0.05)
+
+
+@pytest.mark.parametrize("how", ["changed", "missing", "added"])
+def test_what_was_altered_after_packing_is_not_scored(
+    packed: Path, said: Said, tmp_path: Path, how: str
+) -> None:
+    path = packed / "truth.csv"
+    if how == "changed":
+        path.write_text(path.read_text(encoding="utf-8").replace(",1,", ",0,"), encoding="utf-8")
+    elif how == "missing":
+        path.unlink()
+    else:
+        path = packed / "frames" / "more"
+        shutil.copytree(packed / "frames" / read_run(RUN).trials[0].id, path)
+    told = said(2, "score {} --out {}", packed, tmp_path / "scored").err
+    assert path.name in told
+    assert "SHA256SUMS" in told
+    assert not (tmp_path / "scored").exists()
+
+
+def test_a_folder_that_is_there_and_a_run_that_was_altered_are_refused(
+    packed: Path, said: Said, tmp_path: Path
+) -> None:
+    before = sha256_of(packed / "README.md")
+    assert "is there already" in said(2, PACK, RUN, packed).err
+    assert sha256_of(packed / "README.md") == before
+    run = tmp_path / "run"
+    shutil.copytree(RUN, run)
+    frame = run / "frames" / read_run(RUN).trials[0].id / "left.png"
+    frame.write_bytes(frame.read_bytes()[:-20])
+    said(2, PACK, run, tmp_path / "other")
+    assert not list(tmp_path.glob("other*"))
+
+
+def test_without_a_licence_card_and_terminal_say_so(said: Said, tmp_path: Path) -> None:
+    told = said(0, "recording pack {} --out {} --title Udders", RUN, tmp_path / "pack")
+    assert "no licence is stated" in told.err
+    card = (tmp_path / "pack" / "README.md").read_text(encoding="utf-8")
+    assert card.startswith("# Udders\n")
+    assert "none stated" in card
