@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from detector.fused.edges import CLEAR
 from detector.fused.fit import Parameters
-from detector.fused.model import CZ, END, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, axes
+from detector.fused.model import CZ, END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, axes
 from detector.fused.refine import FINE_OUTLINE, Fitted, on_one_bar
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
@@ -24,6 +24,7 @@ _LEAST_BETWEEN = 0.65  # of the end, where no side is warm
 # merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two
 # pictures, twice
 _FARTHEST = 0.9
+_SHAPED = 2.0  # of a fit of any shape: it was begun where the usual shape doesn't fit
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
@@ -31,6 +32,7 @@ OUTLINE = "its outline isn't that of a teat"
 ELSEWHERE = "the thermal picture shows its outline elsewhere"
 _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
+_LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
@@ -55,6 +57,7 @@ class Evidence:
     sd_mm: Array
     # whether both sides were followed up to where the last of an end is seen
     followed: NDArray[np.bool_]
+    shaped: NDArray[np.bool_]  # fitted as a short teat of any shape
     # the median distance (m, 3 parts) of the thermal outline, NaN where it shows none
     thermal_px: Array
 
@@ -65,6 +68,7 @@ class Evidence:
             (2 * self.end + self.side + self.both)[:, :2].sum(axis=1)
             - 4 * self.misfit_px
             + _FARTHEST * self.followed
+            + _SHAPED * self.shaped
         )
 
 
@@ -89,8 +93,9 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
     better, other, thermal = sides.max(axis=0), sides.min(axis=0), _thermal_offsets(fitted)
     inside, beside = warmth[:, 1:-1], warmth[:, [0, -1]]
     return Evidence(
-        shares[END], better, other, misfit, inside, beside, largest, fitted.followed, thermal
-    )
+        shares[END], better, other, misfit, inside, beside, largest, fitted.followed,
+        fitted.shaped, thermal,
+    )  # fmt: skip
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:
@@ -198,6 +203,22 @@ def doubts(
     return bridging[: p.most_doubts], one_each[: p.most_doubts]
 
 
+def shapes(teats: Array, evidence: Evidence, reasons: list[str | None], p: Parameters) -> list[int]:
+    """Of teats (m, 8), those that show an end in all pictures but don't fit: one a place."""
+    end = evidence.end.min(axis=1) > _LEAST_SHAPED_END
+    rejected = np.array([reason is not None for reason in reasons])
+    unlike = (evidence.side.max(axis=1) < _WHOLE_SIDE) & (
+        rejected | (evidence.misfit_px > p.good_misfit_px / 3)
+    )
+    same = on_one_bar(teats)
+    kept: list[int] = []
+    for i in np.argsort(-evidence.merit, kind="stable").tolist():
+        sound = [k for k, r in enumerate(reasons) if r is None and not unlike[k]]
+        if end[i] and unlike[i] and not same[i, kept + sound].any():
+            kept.append(i)
+    return kept[: p.most_shapes]
+
+
 def maybe_hidden(reason: str | None) -> bool:
     """Whether a nearer teat may explain what speaks against this one, if anything."""
     return reason is None or "seen" in reason or reason in (OUTLINE, _UNSURE, _WORSE)
@@ -209,7 +230,8 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
             return f"{unseen} in the {name} picture"
     if _one_sees_a_side(evidence, i):
         return "a side of it is seen in one picture only"
-    if evidence.misfit_px[i] > p.greatest_misfit_px:
+    flat = teat[HEIGHT] < p.least_height
+    if evidence.misfit_px[i] > (p.good_misfit_px if flat else p.greatest_misfit_px):
         return OUTLINE
     if not p.least_radius_mm < teat[RADIUS] < p.greatest_radius_mm:
         return _SIZE
@@ -261,12 +283,15 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
 
 def _held_by_thermal(evidence: Evidence, i: int) -> bool:
     """Whether a teat may lack its sides in a picture: end well seen in both, end and a side in the
-    thermal one, less clearly where the other optical picture shows a side.
+    thermal one, less clearly where the other optical picture shows a side; or short, its end whole.
     """
     end = evidence.end[i, :2].min()
     side = evidence.side[i, :2].max()
     thermal = min(evidence.end[i, 2], evidence.side[i, 2])
-    return bool((end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5))
+    short = evidence.shaped[i] and min(end, evidence.end[i, 2]) > 0.95 and evidence.side[i, 2] > 0.5
+    return bool(
+        short or (end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5)
+    )
 
 
 def _elsewhere(offset_px: Array, most_px: float) -> bool:

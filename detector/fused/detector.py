@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.fused import pictures
-from detector.fused.decide import Evidence, doubts, maybe_hidden, objections, warmth_across, weigh
+from detector.fused.decide import (
+    Evidence,
+    doubts,
+    maybe_hidden,
+    objections,
+    shapes,
+    warmth_across,
+    weigh,
+)
 from detector.fused.depth_search import (
     Map,
     best_starts,
@@ -25,6 +33,8 @@ from detector.fused.depth_search import (
 from detector.fused.fit import Parameters, View
 from detector.fused.model import apexes, axes
 from detector.fused.refine import (
+    FAR_MM,
+    NEAR_MM,
     OPTICAL_FINE,
     OPTICAL_FLOOR_PX,
     OPTICAL_ROUGH,
@@ -34,10 +44,12 @@ from detector.fused.refine import (
     end_covariances,
     fine,
     hidden_points,
+    on_one_bar,
     one_sided,
     refine,
     refine_again,
     refine_slid,
+    shaped_again,
     slide_ends,
     world_covariances,
 )
@@ -150,10 +162,19 @@ def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) 
         if bridging:
             starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
             more += fine(starts, left_out, views, p)
-        slid = slide_ends(judged.fitted.teats[shifted], views)
+        doubtful = judged.fitted.teats[shifted]
+        slid = slide_ends(doubtful, views, NEAR_MM)
         if len(slid):
             more += refine_slid(slid, views, p)
         judged = _judge(more, thermal, p)
+        # farther only where none is near, as an arm may show what looks like an end too
+        same = on_one_bar(judged.fitted.teats)[np.ix_(shifted, judged.accepted)].any(axis=1)
+        slid = slide_ends(doubtful[~same], views, FAR_MM)
+        if len(slid):
+            judged = _judge(judged.fitted + refine_slid(slid, views, p), thermal, p)
+    unlike = shapes(judged.fitted.teats, judged.evidence, judged.reasons, p)
+    if unlike:
+        judged = _judge(shaped_again(judged.fitted, unlike, p, views), thermal, p)
     again = [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)]
     hidden = hidden_points(judged.fitted, judged.accepted, again)
     if not hidden.any():

@@ -78,6 +78,7 @@ class Parameters:
     farthest_mm: float = 1900.0
     least_radius_mm: float = 7.5  # teats are 8 to 14 mm in radius
     greatest_radius_mm: float = 15.0
+    least_height: float = 0.65  # of an end, in radii: what is flatter must fit the better
     greatest_lean: float = 0.5  # slope, some 27 degrees: teats lean by less than 20 either way
     prior: Prior = field(default_factory=Prior)
     most_nominations: int = 14
@@ -88,10 +89,11 @@ class Parameters:
     whole_end: float = 0.7  # share of the rounded end, below which a fit may have bridged two teats
     whole_end_both: float = 0.85  # where both sides are seen
     most_doubts: int = 3
+    most_shapes: int = 6  # fits that are tried again as short teats of any shape
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
     least_end: float = 0.4  # of the rounded end's; where the thermal picture doesn't show it,
     least_end_alone: float = 0.75  # where both sides were followed up to it,
-    least_end_followed: float = 0.6  # and where only one side is seen,
+    least_end_followed: float = 0.57  # and where only one side is seen,
     least_end_one_sided: float = 0.45
     # of one that is less sure than this; least_end_alone where it is warm all round
     least_end_unsure: float = 0.87
@@ -216,8 +218,8 @@ def step(teats: Array, seen: Seen, weight: Array, prior: Prior) -> Array:
     moved = teats + np.nan_to_num(change)
     moved[:, [LEAN_X, LEAN_Z]] = np.clip(moved[:, [LEAN_X, LEAN_Z]], -0.8, 0.8)
     moved[:, RADIUS] = np.clip(moved[:, RADIUS], 4.0, 25.0)
-    moved[:, TAPER] = np.clip(moved[:, TAPER], -0.15, 0.15)
-    moved[:, HEIGHT] = np.clip(moved[:, HEIGHT], 0.5, 1.6)
+    moved[:, TAPER] = np.clip(moved[:, TAPER], -0.25, 0.25)
+    moved[:, HEIGHT] = np.clip(moved[:, HEIGHT], 0.5, 2.0)
     return np.asarray(moved)
 
 

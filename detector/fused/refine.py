@@ -70,6 +70,7 @@ class Fitted(Rows):
     weight: Array
     hidden: NDArray[np.bool_]  # (m, k): behind another teat, or left out
     followed: NDArray[np.bool_]  # (m,): up both sides to where the last of an end is seen
+    shaped: NDArray[np.bool_]  # (m,): not of the usual shape: of any taper and height of its end
 
 
 def refine(teats: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
@@ -104,7 +105,8 @@ def fine(
         seen = _look_again(seen, moved, moved - teats, views, fine=True)
         teats = moved
     weight = _trusted(seen, hidden, first + steps)
-    return Fitted(teats, seen, weight, hidden, np.zeros(len(teats), dtype=bool))
+    no = np.zeros(len(teats), dtype=bool)
+    return Fitted(teats, seen, weight, hidden, no, no)
 
 
 def _look_again(
@@ -203,7 +205,7 @@ def on_one_bar(teats: Array) -> NDArray[np.bool_]:
 
 
 _END_OUTLINE = Outline(np.array([1.0]), (np.arange(18) + 0.5) / 18)
-_SLIDE_MM = np.arange(-14.0, 15.0)  # towards the end
+NEAR_MM, FAR_MM = np.arange(-14.0, 15.0), np.arange(15.0, 27.0)  # towards the end
 _CLOSE_PX = 0.6
 # of the best place's share of an end, and of the whole end: so much must be seen where an end may
 # be
@@ -213,6 +215,7 @@ _SHAPE = 0.3
 # of the usual lean: what is left of a hidden teat's outline hardly separates lean from depth
 _UPRIGHT = 0.5
 _NEARER_MM = 3.0
+_SHORT_MM = 26.0  # of the sides of a teat that stands 35 mm out of an udder
 # left, right, thermal: about a nearer teat, where its edge is what is found
 _ROOM_PX = (3.0, 3.0, 1.0)
 
@@ -221,12 +224,41 @@ def refine_again(
     fitted: Fitted, hidden: NDArray[np.bool_], views: tuple[View, ...], p: Parameters
 ) -> Fitted:
     """The teats fitted again without outline points (m, k) that another teat hides."""
-    at, rest = np.flatnonzero(hidden.any(axis=1)), np.flatnonzero(~hidden.any(axis=1))
-    upright = replace(p, prior=replace(p.prior, lean_sd=_UPRIGHT * p.prior.lean_sd))
-    again = fine(
-        fitted.teats[at], hidden[at] | fitted.hidden[at], views, upright, steps=FINE_STEPS - 1
+    result = fitted.take(np.flatnonzero(~hidden.any(axis=1)))
+    for shaped, priors in ((False, p), (True, any_shape(p))):
+        at = np.flatnonzero(hidden.any(axis=1) & (fitted.shaped == shaped))
+        if len(at):
+            upright = replace(
+                priors, prior=replace(priors.prior, lean_sd=_UPRIGHT * priors.prior.lean_sd)
+            )
+            left_out = hidden[at] | fitted.hidden[at]
+            again = fine(fitted.teats[at], left_out, views, upright, steps=FINE_STEPS - 1)
+            result += replace(again, followed=fitted.followed[at], shaped=fitted.shaped[at])
+    return result
+
+
+def any_shape(p: Parameters) -> Parameters:
+    """The prior of short teats: tapered, and flat to pointed."""
+    prior = replace(p.prior, lean_sd=0.12, radius_sd_mm=2.5, taper_sd=0.07, height_sd=0.35)
+    return replace(p, prior=prior)
+
+
+def shaped_again(
+    fitted: Fitted, which: list[int], p: Parameters, views: tuple[View, ...]
+) -> Fitted:
+    """All, and ``which`` fitted again as short ones of any shape: sides no farther than such a teat
+    stands out of an udder. The first fits of these are as unsure as the second.
+    """
+    teats = fitted.teats[which]
+    n = len(FINE_OUTLINE.part)
+    along = np.full(n, 0.0)
+    along[FINE_OUTLINE.part != END] = np.concatenate(
+        [FINE_OUTLINE.along_mm[::-1], FINE_OUTLINE.along_mm]
     )
-    return fitted.take(rest) + replace(again, followed=fitted.followed[at])
+    hidden = np.tile(along > _SHORT_MM, (len(teats), len(views)))
+    found = fine(teats, hidden, views, any_shape(p), steps=FINE_STEPS + 1)
+    unlike = np.isin(np.arange(len(fitted.teats)), which)
+    return replace(fitted, shaped=unlike) + replace(found, shaped=np.ones(len(teats), dtype=bool))
 
 
 def one_sided(teats: Array, p: Parameters, views: int) -> tuple[Array, NDArray[np.bool_]]:
@@ -253,21 +285,21 @@ def refine_slid(slid: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
     return replace(more, followed=np.ones(len(slid), dtype=bool))
 
 
-def slide_ends(teats: Array, views: tuple[View, ...]) -> Array:
-    """Teats (m, 8) with ends moved along their axes to where both optical pictures show a round
-    end.
+def slide_ends(teats: Array, views: tuple[View, ...], slide_mm: Array) -> Array:
+    """Teats (m, 8) with ends moved along their axes by one of ``slide_mm`` (s,), to where both
+    optical pictures show a round end.
 
     Light paints rims on a teat, but nothing as wide beyond its end: of places nearly as good as the
     best, the farthest out.
     """
-    m, count = len(teats), len(_SLIDE_MM)
+    m, count = len(teats), len(slide_mm)
     if m == 0:
         return teats
     slid = np.repeat(teats[:, None], count, axis=1)
     slid[..., HEIGHT] = 1.0
     axis = axes(teats)[:, None]
     slid[..., :3] -= (teats[:, RADIUS] * (teats[:, HEIGHT] - 1.0))[:, None, None] * axis
-    slid[..., :3] -= _SLIDE_MM[:, None] * axis
+    slid[..., :3] -= slide_mm[:, None] * axis
     jacobian = np.zeros((m * count, 2 * len(_END_OUTLINE.part), COUNT))
     seen = look(slid.reshape(-1, COUNT), views[:2], _END_OUTLINE, jacobian, fine=True)
     part = np.tile(_END_OUTLINE.part == END, 2)
@@ -317,6 +349,8 @@ def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
 
 _SUPPORT_PX = 0.3
 _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
+# of a short teat's end: along its axis and anywhere
+_SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
@@ -327,6 +361,15 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     edges share (paint, shadow, sampling), by the scatter of stretches about the outline; the limb
     correction; the end's deviation from half an ellipsoid; the unseen part of the end.
     """
+    if fitted.shaped.any():
+        result = np.empty((len(fitted.teats), 3, 3))
+        at, rest = np.flatnonzero(fitted.shaped), np.flatnonzero(~fitted.shaped)
+        same = replace(fitted, shaped=np.zeros_like(fitted.shaped))
+        if len(rest):
+            result[rest] = end_covariances(same.take(rest), p)
+        result[at] = end_covariances(same.take(at), any_shape(p))
+        result[at] += _shape_covariances(fitted.take(at))
+        return result
     m, k = fitted.weight.shape
     optical = 2 * len(FINE_OUTLINE.part)
     # how the ends move with each edge (m, 3, k), mm a px
@@ -355,6 +398,13 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     return np.asarray(
         sum(np.einsum("mik,mjk->mij", move, move) for move in moves) + _LEAST_MM2 * np.eye(3)
     )
+
+
+def _shape_covariances(fitted: Fitted) -> Array:
+    """What the unlikeness of a teat's end to half an ellipsoid adds, (m, 3, 3) mm^2."""
+    axis = axes(fitted.teats)
+    along = np.einsum("mi,mj->mij", axis, axis)
+    return np.asarray(_SHAPE_ALONG_MM**2 * along + _SHAPE_ACROSS_MM**2 * np.eye(3))
 
 
 def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
