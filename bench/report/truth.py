@@ -182,8 +182,9 @@ def _stated(run: RunRecord) -> Iterator[Part]:
         " freedom itself | >p | stated u"
     )
     note = (
-        f"A sound statement is accused in at most {100 * LEVEL:g} % of runs, all rows together. One"
-        " divot's touches don't show what they have in common; lengths do. A u of half the real one"
+        f"A sound statement is accused in at most {100 * LEVEL:g} % of runs, all rows together."
+        " Not refuted is no proof: touches of one divot don't show the error that they have in"
+        " common, lengths a part of it. A u of half the real one"
         " lets 18 % false acceptances through, instead of 5 %."
     )
     yield table("The arm's stated uncertainty against what was touched", heads, rows, note)

@@ -57,13 +57,20 @@ def where_seen(
     frames: FrameSet, calibration: Calibration, truth: Sequence[TruthRow]
 ) -> Mapping[str, EndOffsets]:
     """Of the visible teats of ``truth``, by name; nothing where the pictures can't be used."""
+    try:
+        return _seen(frames, calibration, truth)
+    except (UnusableError, np.linalg.LinAlgError):
+        return {}
+
+
+def _seen(
+    frames: FrameSet, calibration: Calibration, truth: Sequence[TruthRow]
+) -> Mapping[str, EndOffsets]:
+    """The same. Raises UnusableError, LinAlgError."""
     rows = [row for row in truth if row.visible]
     if not rows:
         return {}
-    try:
-        offsets = offsets_at(frames, calibration, np.array([row.xyz_mm for row in rows]))
-    except (UnusableError, np.linalg.LinAlgError):
-        return {}
+    offsets = offsets_at(frames, calibration, np.array([row.xyz_mm for row in rows]))
     return {row.teat: one for row, one in zip(rows, offsets, strict=True)}
 
 
@@ -239,11 +246,11 @@ def check_folder(
         some = [known[-1]] * len(anew) if anew else sorted(spread(known))
         shots = anew or map(recording.load, some)
         seen = [
-            (f"{number} {frame}", where_seen(shot, calibration, truth[frame]))
+            (f"{number} {frame}", _seen(shot, calibration, truth[frame]))
             for number, (frame, shot) in enumerate(zip(some, shots, strict=True))
         ]
-    except RecordingError as error:
-        raise ConfigError.plain(str(error)) from error
+    except (RecordingError, UnusableError, np.linalg.LinAlgError) as error:
+        raise ConfigError.plain(f"{folder}: its pictures can't be checked: {error}") from error
     each = len(set(some)) < LEAST_POSES
     rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for pose, ends in seen:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from instruments.world.boards import Weave, woven
 from instruments.world.compositing import Cover, cover_outlines
 from instruments.world.optics import CameraModel, Floats
-from instruments.world.sensor import Image
+from instruments.world.sensor import Image, in_blocks
 from instruments.world.shading import Lamp, Lighting, Rows, irradiance
 from instruments.world.solids import Ints, Point, Solids, dot
 
@@ -152,15 +152,18 @@ def draw(backdrop: Backdrop, lighting: Lighting, camera: CameraModel) -> tuple[I
     image = np.full((camera.height_px, camera.width_px), room, dtype=np.float32)
     for patch, seen in _patches_seen(backdrop, camera):
         light = seen.light(lighting, patch.albedo)
-        if patch.texture > 0.0:
-            shade = seen.texture(patch)
-            shade *= np.float32(patch.texture)
-            shade += 1.0
-            light *= shade
+        shade = seen.texture(patch) if patch.texture > 0.0 else None
         part = image[seen.rows, seen.columns]
-        light -= part
-        light *= seen.share
-        part += light
+        for rows in in_blocks(light):
+            new, behind = light[rows], part[rows]
+            if shade is not None:
+                varies = shade[rows]
+                varies *= np.float32(patch.texture)
+                varies += 1.0
+                new *= varies
+            new -= behind
+            new *= seen.share[rows]
+            behind += new
     image.flags.writeable = False
     # a poster on the board is as far and as warm as the board
     off = tuple(poster for poster in backdrop.posters if not _within(poster, backdrop))

@@ -205,12 +205,12 @@ def _refuse_near(nearest_mm: float, camera: CameraModel) -> None:
 
 def _of_corners(corners: Sequence[Floats], owners: Sequence[int], camera: CameraModel) -> Cover:
     """Polygons (m, 2) in the ideal plane, each with the number of its solid."""
-    counts = np.array([len(outline) for outline in corners])
+    counts = np.array([len(outline) for outline in corners], dtype=np.intp)
     owner = np.repeat(np.asarray(owners, dtype=np.intp), counts)
-    start = np.concatenate(corners)
-    following, last = np.arange(1, len(start) + 1), np.cumsum(counts)
-    following[last - 1] = last - counts
-    end = start[following]
+    start, after = np.concatenate(corners), np.arange(1, len(owner) + 1)
+    lasts = np.cumsum(counts) - 1
+    after[lasts] = lasts - counts + 1  # an outline is closed
+    end = start[after]
     # edges in pieces of STEP_PX, those near the image kept, and distorted
     length_px = np.linalg.norm((end - start) * camera.fc, axis=1)
     pieces = np.maximum(np.ceil(length_px / STEP_PX), 1.0).astype(np.intp)
@@ -292,9 +292,10 @@ def _bent(plane: Floats, camera: CameraModel, low: Floats, high: Floats) -> Floa
 def _areas(count: int, owner: Ints, start: Floats, end: Floats, camera: CameraModel) -> Cover:
     """Signed areas in one flat buffer of windows; a closed outline's rows sum to zero."""
     low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
-    first = np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))  # each solid's edges are a run
-    low[owner[first]] = np.minimum.reduceat(start, first)
-    high[owner[first]] = np.maximum.reduceat(start, first)
+    # an outline's points follow each other
+    runs = np.flatnonzero(np.append(True, owner[1:] != owner[:-1]))
+    low[owner[runs]] = np.minimum.reduceat(start, runs)
+    high[owner[runs]] = np.maximum.reduceat(start, runs)
     (x0, y0), (right, bottom) = np.floor(low).astype(np.intp).T, np.floor(high).astype(np.intp).T
     width, height = right - x0 + 2, bottom - y0 + 1
     offset = np.concatenate([[0], np.cumsum(width * height)])

@@ -218,9 +218,11 @@ class OpticalCamera:
         around = _bounds(everything, dark, empty.shape, reach)
         if around is None:
             return whole
-        light = sum(self._lens(around, empty, soft, dark, seen) for seen in layers)
+        light, *others = (self._lens(around, empty, soft, dark, seen) for seen in layers)
+        for other in others:
+            light += other
         drawn = whole.copy()
-        drawn[around] = light / np.float32(len(layers))
+        np.divide(light, np.float32(len(layers)), out=drawn[around])
         return drawn
 
     def _moments(self, state: SceneState) -> list[SceneState]:

@@ -45,6 +45,12 @@ def normal_noise(rng: np.random.Generator, shape: tuple[int, int]) -> Image:
     return noise.reshape(shape)
 
 
+def in_blocks(image: Image) -> Iterator[slice]:
+    """Rows of an image at a time, which stay in the processor's cache."""
+    rows = max(NOISE_BLOCK // image.shape[1], 1)
+    return (slice(start, start + rows) for start in range(0, len(image), rows))
+
+
 FAINT = 1e-5  # weights below this are left out
 LEVELS_PX = 0.25  # blurs between which pictures are interpolated
 
@@ -204,7 +210,7 @@ class OpticalReadout:
         dark = np.float32(sensor.dark_e_per_s * shutter.time_s)
         filled = np.float32(sensor.full_well_e * shutter.time_s / NORMAL_EXPOSURE_S)
         mean, spread = np.empty_like(light), np.empty_like(light)
-        for rows in _blocks(light):
+        for rows in in_blocks(light):
             electrons, variance = mean[rows], spread[rows]
             np.multiply(light[rows], self._response[rows], out=electrons)
             electrons *= filled
@@ -224,14 +230,8 @@ class OpticalReadout:
         noise = normal_noise(rng, (mean.shape[0], mean.shape[1]))
         depth, kind = (cv2.CV_16U, np.uint16) if self.sensor.bits > 8 else (cv2.CV_8U, np.uint8)
         exposed: Grey = np.empty(mean.shape, dtype=kind)
-        for rows in _blocks(mean):
+        for rows in in_blocks(mean):
             part = noise[rows]
             part *= spread[rows]
             cv2.add(part, mean[rows], exposed[rows], dtype=depth)
         return np.asarray(np.minimum(exposed, kind(2**self.sensor.bits - 1), out=exposed))
-
-
-def _blocks(image: Image) -> Iterator[slice]:
-    """Rows of an image at a time, which stay in the processor's cache."""
-    rows = max(NOISE_BLOCK // image.shape[1], 1)
-    return (slice(start, start + rows) for start in range(0, len(image), rows))

@@ -4,6 +4,8 @@ be kept as a case of a recording.
 
 from __future__ import annotations
 
+import json
+import sys
 import tomllib
 from pathlib import Path
 
@@ -23,7 +25,7 @@ from bench.campaign.search import (
 )
 from instruments.camera.recording import Recording
 from tests.bench.campaign.small_campaign import write_small_rig
-from tests.bench.commands import Said
+from tests.bench.commands import Said, teatbench
 
 PARAMETERS, SCENES, LIMIT_MM = 30, 60, 5.0
 
@@ -130,6 +132,35 @@ def test_a_failure_is_kept_as_a_case(found: tuple[Path, Path], tmp_path: Path, s
     (kept / "calibration.toml").write_text("another", encoding="utf-8")
     assert "has another calibration" in said(2, "campaign keep {} 1 --into {}", out, kept).err
     assert Recording(kept).frames == ("side-by-side",)
+
+
+PROGRAM = """
+import json, sys
+print(json.dumps({"ready": True}), flush=True)
+for line in sys.stdin:
+    print(json.dumps({"frame": json.loads(line)["frame"], "teats": ANSWER}), flush=True)
+"""
+
+
+def test_the_gate_holds_a_kept_case(found: tuple[Path, Path], tmp_path: Path, said: Said) -> None:
+    """A version that finds all visible ends, then one that finds none."""
+    kept = tmp_path / "kept"
+    said(0, "campaign keep {} 1 --into {} --name case", found[0], kept)
+    ends = [{"world_mm": row.xyz_mm} for row in Recording(kept).truth["case"] if row.visible]
+    runs = []
+    for version, answer in (("old", ends), ("new", [])):
+        folder = tmp_path / version
+        folder.mkdir()
+        program = PROGRAM.replace("ANSWER", json.dumps(answer))
+        (folder / "program.py").write_text(program, encoding="utf-8")
+        command = json.dumps([sys.executable, "program.py"])
+        (folder / "mine.toml").write_text(f"command = {command}\n", encoding="utf-8")
+        out = folder / "runs"
+        # one scene shows no requirement
+        assert teatbench("score {} --detector {} --out {}", kept, folder / "mine.toml", out) != 0
+        runs += (folder / "runs").iterdir()
+    told = said(1, "compare {} {} --gate", *runs).out
+    assert "case passed and now fails: 3 missed" in " ".join(told.split())
 
 
 @pytest.mark.parametrize(

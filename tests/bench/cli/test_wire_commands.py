@@ -217,7 +217,7 @@ WITHOUT_A_LINK = {
     "recording pack",
     "compare",
 }
-WITHOUT_A_LINK |= {"plan", "detect", "rigs", "emulate", "runs", "completion"}
+WITHOUT_A_LINK |= {"init", "plan", "detect", "rigs", "emulate", "runs", "completion"}
 WITHOUT_A_LINK |= {"detectors new", "detectors try"}
 WITHOUT_A_LINK |= {f"camera {name}" for name in ("list", "show", "focus", "grab")}
 WITHOUT_A_LINK |= {f"scene {name}" for name in ("sheet", "record", "boards", "sensitivity")}

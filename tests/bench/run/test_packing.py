@@ -15,21 +15,29 @@ from bench.files import sha256_of
 from bench.record.reader import read_run
 from tests.bench.commands import Said
 
-RUN = Path(__file__).parents[1] / "record" / "kept" / "schema-5"
+KEPT = Path(__file__).parents[1] / "record" / "kept" / "schema-5"
 PACK = "recording pack {} --out {} --licence CC-BY-4.0"
 
 
 @pytest.fixture
-def packed(tmp_path: Path, said: Said) -> Path:
-    said(0, PACK, RUN, tmp_path / "pack")
+def kept(tmp_path: Path) -> Path:
+    """A copy: SQLite writes beside what it reads."""
+    return shutil.copytree(KEPT, tmp_path / "kept")
+
+
+@pytest.fixture
+def packed(tmp_path: Path, kept: Path, said: Said) -> Path:
+    said(0, PACK, kept, tmp_path / "pack")
     return tmp_path / "pack"
 
 
-def test_all_of_the_run_is_in_it_byte_for_byte_with_digests_budgets_and_card(packed: Path) -> None:
-    run = read_run(RUN)
+def test_all_of_the_run_is_in_it_byte_for_byte_with_digests_budgets_and_card(
+    packed: Path, kept: Path
+) -> None:
+    run = read_run(kept)
     for trial in run.trials:
         for name in ("left.png", "right.png", "thermal_radiometric.png"):
-            given = (RUN / "frames" / trial.id / name).read_bytes()
+            given = (kept / "frames" / trial.id / name).read_bytes()
             assert (packed / "frames" / trial.id / name).read_bytes() == given
     lines = (packed / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
     sums = {name: digest for digest, name in (line.split("  ") for line in lines)}
@@ -56,8 +64,8 @@ def test_all_of_the_run_is_in_it_byte_for_byte_with_digests_budgets_and_card(pac
     assert named.items() <= {name: f"sha256:{digest}" for name, digest in sums.items()}.items()
 
 
-def test_it_scores_as_the_run_did(packed: Path, said: Said, tmp_path: Path) -> None:
-    run = read_run(RUN)
+def test_it_scores_as_the_run_did(packed: Path, kept: Path, tmp_path: Path) -> None:
+    run = read_run(kept)
     (detector,) = run.detectors
     out = tmp_path / "scored"
     subprocess.run(  # an interpreter that knows nothing of the run
@@ -76,7 +84,7 @@ def test_it_scores_as_the_run_did(packed: Path, said: Said, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("how", ["changed", "missing", "added"])
 def test_what_was_altered_after_packing_is_not_scored(
-    packed: Path, said: Said, tmp_path: Path, how: str
+    packed: Path, kept: Path, said: Said, tmp_path: Path, how: str
 ) -> None:
     path = packed / "truth.csv"
     if how == "changed":
@@ -85,7 +93,7 @@ def test_what_was_altered_after_packing_is_not_scored(
         path.unlink()
     else:
         path = packed / "frames" / "more"
-        shutil.copytree(packed / "frames" / read_run(RUN).trials[0].id, path)
+        shutil.copytree(packed / "frames" / read_run(kept).trials[0].id, path)
     told = said(2, "score {} --out {}", packed, tmp_path / "scored").err
     assert path.name in told
     assert "SHA256SUMS" in told
@@ -93,21 +101,19 @@ def test_what_was_altered_after_packing_is_not_scored(
 
 
 def test_a_folder_that_is_there_and_a_run_that_was_altered_are_refused(
-    packed: Path, said: Said, tmp_path: Path
+    packed: Path, kept: Path, said: Said, tmp_path: Path
 ) -> None:
     before = sha256_of(packed / "README.md")
-    assert "is there already" in said(2, PACK, RUN, packed).err
+    assert "is there already" in said(2, PACK, kept, packed).err
     assert sha256_of(packed / "README.md") == before
-    run = tmp_path / "run"
-    shutil.copytree(RUN, run)
-    frame = run / "frames" / read_run(RUN).trials[0].id / "left.png"
+    frame = kept / "frames" / read_run(kept).trials[0].id / "left.png"
     frame.write_bytes(frame.read_bytes()[:-20])
-    said(2, PACK, run, tmp_path / "other")
+    said(2, PACK, kept, tmp_path / "other")
     assert not list(tmp_path.glob("other*"))
 
 
-def test_without_a_licence_card_and_terminal_say_so(said: Said, tmp_path: Path) -> None:
-    told = said(0, "recording pack {} --out {} --title Udders", RUN, tmp_path / "pack")
+def test_without_a_licence_card_and_terminal_say_so(kept: Path, said: Said, tmp_path: Path) -> None:
+    told = said(0, "recording pack {} --out {} --title Udders", kept, tmp_path / "pack")
     assert "no licence is stated" in told.err
     card = (tmp_path / "pack" / "README.md").read_text(encoding="utf-8")
     assert card.startswith("# Udders\n")
