@@ -147,7 +147,7 @@ def test_the_gate_holds_a_kept_case(found: tuple[Path, Path], tmp_path: Path, sa
     kept = tmp_path / "kept"
     said(0, "campaign keep {} 1 --into {} --name case", found[0], kept)
     ends = [{"world_mm": row.xyz_mm} for row in Recording(kept).truth["case"] if row.visible]
-    runs = []
+    runs: list[Path] = []
     for version, answer in (("old", ends), ("new", [])):
         folder = tmp_path / version
         folder.mkdir()
