@@ -33,6 +33,8 @@ def with_lines(url: str, settings: PortSettings) -> tuple[str, PortSettings]:
     for pair in query.split("&") if asked else ():
         key, _, word = pair.partition("=")
         if key not in ("dtr", "rts") or word not in LINES or key in lines:
-            raise ValueError(f'"{pair}" is no setting of this port; write "?dtr=off&rts=off"')
+            what = f'"{pair}" is no setting of this port'
+            raise ValueError(f'{what}; write "?dtr=off&rts=off", each on or off, and once')
         lines[key] = LINES[word]
-    return place, replace(settings, **lines)
+    dtr, rts = lines.get("dtr", settings.dtr), lines.get("rts", settings.rts)
+    return place, replace(settings, dtr=dtr, rts=rts)
