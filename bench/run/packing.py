@@ -20,7 +20,7 @@ from bench.config import ConfigError
 from bench.files import sha256_of, write_synced
 from bench.record.reader import RunRecord, TrialRecord, read_run
 from bench.run.recordings import Recorder
-from instruments.camera.recording import Recording, RecordingError
+from instruments.camera.recording import Recording, RecordingError, RecordingWriter
 from reports.sanitize import csv_text
 
 SUMS, CARD, DESCRIPTION, BUDGETS = "SHA256SUMS", "README.md", "datapackage.json", "budgets.csv"
@@ -107,6 +107,10 @@ def pack_run(run: Path, out: Path, title: str = "", licence: str = "") -> Path:
     making = out.with_name(f"{out.name}.part")
     shutil.rmtree(making, ignore_errors=True)
     try:
+        writer = RecordingWriter(making)
+        for trial in record.trials:
+            writer.copy(trial.id, run / "frames" / trial.id)
+        # finds the frames there, and adds calibration and the truth that holds
         Recorder(making, Recording(run).calibration_path, _refuse, record)
         recording = Recording(making)
         if not recording.truth:

@@ -103,7 +103,7 @@ class Recorder:
         carried = resumed(run)
         for trial in run.trials:
             if trial.id not in has_frames:
-                self._writer.copy(trial.id, run.folder / "frames" / trial.id)
+                self._writer.add(trial.id, Recording(run.folder).load(trial.id))
             if trial.id in has_truth | set(carried.unconfirmed) or trial.invalid is not None:
                 continue
             if trial.how == How.CARRIED and trial.id in carried.since:
