@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
@@ -32,13 +32,8 @@ def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
 
 
 def _tables(value: Any) -> bool:
-    return isinstance(value, Mapping) or (
-        _is_list(value) and bool(value) and isinstance(value[0], Mapping)
-    )
-
-
-def _is_list(value: Any) -> bool:
-    return isinstance(value, Sequence) and not isinstance(value, str)
+    first = next(iter(value), None) if isinstance(value, list | tuple) else value
+    return isinstance(first, Mapping)
 
 
 def _value(value: Any) -> str:

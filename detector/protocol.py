@@ -15,6 +15,8 @@ from detector.calibration import Calibration
 from detector.geometry import Array
 
 Image = NDArray[Any]
+# a family of situations, or a script -> members of the family, or seeds of the script: first, last
+TrainedOn = Mapping[str, tuple[tuple[int, int], ...]]
 
 
 class Frames(Protocol):
@@ -30,6 +32,23 @@ class Frames(Protocol):
     def thermal(self) -> Image | None: ...
     @property
     def thermal_k(self) -> Image | None: ...
+
+
+class DepthFrames(Frames, Protocol):
+    """Frames of a rig with a depth camera. depth_mm: (rows, columns) mm along its optical axis, NaN
+    where nothing was measured, or None. amplitude: (rows, columns) strength of the signal in the
+    camera's unit, or None.
+    """
+
+    @property
+    def depth_mm(self) -> Image | None: ...
+    @property
+    def amplitude(self) -> Image | None: ...
+
+
+def depth_of(frames: Frames) -> tuple[Image | None, Image | None]:
+    """``depth_mm`` and ``amplitude`` as of `DepthFrames`, None of frames that know no depth."""
+    return getattr(frames, "depth_mm", None), getattr(frames, "amplitude", None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,13 +75,15 @@ class Detection:
     """A detector's answer on one frame set.
 
     hidden: teats believed there but unseen. reason: why nothing was found or what was left out,
-    else None.
+    else None. predicted: where unseen ends are expected by the cow's history; never counted as
+    found.
     """
 
     teats: tuple[Teat, ...] = ()
     hidden: int = 0
     reason: str | None = None
     trace: tuple[Stage, ...] = ()
+    predicted: tuple[Teat, ...] = ()
 
     def stage(self, name: str) -> Stage | None:
         """The stage of that name, or None where the detector didn't get that far."""
@@ -72,7 +93,8 @@ class Detection:
 class Detector(Protocol):
     """`parameters`: every setting that changes an answer, for the configuration hash. One that
     states covariances may have a `covariance_leaves_out`, one whose time depends on what computes
-    it a `computed_by`: phrases that the report quotes.
+    it a `computed_by` and a `device`: phrases that the report quotes. One that was trained may have
+    a `trained_on` (`trained_on_of`), on which it isn't scored.
     """
 
     @property
@@ -84,6 +106,57 @@ class Detector(Protocol):
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
         """Teat ends, world frame; an unusable frame set gives a reason, never an exception."""
+        ...
+
+
+def trained_on_of(given: Any) -> TrainedOn:
+    """What a detector says that it was trained on: ``{"ideal": [[0, 199], 300]}``, ranges with both
+    ends or single numbers. Raises ValueError.
+    """
+
+    def span(one: Any) -> tuple[int, int]:
+        ends = one if isinstance(one, list | tuple) and len(one) == 2 else (one, one)
+        if any(type(end) is not int for end in ends) or not 0 <= ends[0] <= ends[1]:
+            raise ValueError(wanted)
+        return ends[0], ends[1]
+
+    wanted = '"trained_on" must be like {"ideal": [[0, 199], 300]}: first and last, or one number'
+    whole = isinstance(given, Mapping) and all(isinstance(name, str) for name in given)
+    if not whole or not all(isinstance(spans, list | tuple) for spans in given.values()):
+        raise ValueError(wanted)
+    return {name: tuple(map(span, spans)) for name, spans in given.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Visit:
+    """An earlier visit of a cow, its ends confirmed (attached or touched): ``teats`` (n,) numbers
+    from 1, ``ends_mm`` (n, 3) world, ``covariances_mm2`` (n, 3, 3).
+    """
+
+    hours_ago: float
+    hours_since_milking: float
+    teats: tuple[int, ...]
+    ends_mm: Array
+    covariances_mm2: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """Which cow stands there: hours since she was milked, days in milk (None: not known), and her
+    earlier visits, the oldest first.
+    """
+
+    hours_since_milking: float
+    days_in_milk: float | None = None
+    visits: tuple[Visit, ...] = ()
+
+
+@runtime_checkable
+class WithContext(Protocol):
+    """A detector that can use a cow's history; plain `detect` works without."""
+
+    def detect_with(self, frames: Frames, calibration: Calibration, context: Context) -> Detection:
+        """As `detect`, with ``predicted`` ends."""
         ...
 
 
@@ -116,6 +189,12 @@ class Served(Protocol):
     def patience_s(self) -> float: ...
     @property
     def start_up_s(self) -> float | None: ...
+
+    def introduce(self) -> None:
+        """Start the process, so that it says what it was trained on and its device. Where it can't
+        be started, `prepare` fails.
+        """
+        ...
 
     def prepare(self, frames: Frames, calibration: Calibration) -> None:
         """Start the process, write its pictures. Raises DetectionFailure."""

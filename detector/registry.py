@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -18,11 +18,13 @@ from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
     from detector.calibration import Calibration
-    from detector.protocol import Detection, Detector, Frames
+    from detector.protocol import Context, Detection, Detector, Frames, TrainedOn
 
 GROUP = "teatbench.detectors"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # it becomes a part of files' names
 
+
+_PHRASES = ("device", "computed_by", "covariance_leaves_out")  # that the report quotes
 
 # name: where what makes it is, and one line on it
 _SHIPPED = {
@@ -34,6 +36,7 @@ _SHIPPED = {
         "thesis.detector",
         "published_homography_no_refinement",
     ),
+    "depth": ("depth", "DepthDetector"),
 }
 _ABOUT = """\
 the published algorithm, stage by stage: thermal edges, one homography, dark line in a\
@@ -42,6 +45,8 @@ the bench's own: thermal nominates, optics localise, stereo decides
 the same with the homographies that the thesis printed, not the calibration's at the teats' plane
 the same without the optical step: the ends stay where the homography puts them
 the same with the printed homographies and without the optical step
+a plain baseline on a depth camera's picture alone: what stands up narrow before something\
+ farther
 """
 
 
@@ -61,10 +66,20 @@ class Plugged:
     version: str
     parameters: Mapping[str, Any]
     inner: Any
+    trained_on: TrainedOn = field(default_factory=dict)
+    device: str = ""
+    computed_by: str = ""
+    covariance_leaves_out: str = ""
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
         """The object's own answer; whoever asks checks it."""
         return cast("Detection", self.inner.detect(frames, calibration))
+
+    def detect_with(self, frames: Frames, calibration: Calibration, context: Context) -> Detection:
+        """The same with a cow's history, for an object that can use it."""
+        own = getattr(self.inner, "detect_with", None)
+        found = own(frames, calibration, context) if own else self.detect(frames, calibration)
+        return cast("Detection", found)
 
 
 def available(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
@@ -125,6 +140,8 @@ def _plugs(plugs: Iterable[EntryPoint] | None) -> list[EntryPoint]:
 
 
 def _plugged(plug: EntryPoint) -> Plugged:
+    from detector.protocol import trained_on_of  # numpy: not for a list of names
+
     # another's code: it may fail in any way, and not every library's errors are Exceptions
     try:
         given = plug.load()
@@ -132,6 +149,8 @@ def _plugged(plug: EntryPoint) -> Plugged:
         parameters = json.loads(json.dumps(dict(getattr(made, "parameters", {})), default=_plain))
         own = plug.dist.version if plug.dist else "unknown"
         version = _line(str(getattr(made, "version", None) or own))
+        trained_on = trained_on_of(getattr(made, "trained_on", {}))
+        phrases = {name: _line(str(getattr(made, name, None) or "")) for name in _PHRASES}
     except KeyboardInterrupt:
         raise
     except BaseException as error:
@@ -147,7 +166,7 @@ def _plugged(plug: EntryPoint) -> Plugged:
             f"detector {plug.name!r} of {_source(plug)} is a {type(made).__name__}, which has no"
             " detect(frame_set, calibration)"
         )
-    return Plugged(plug.name, version, parameters, made)
+    return Plugged(plug.name, version, parameters, made, trained_on, **phrases)
 
 
 def _source(plug: EntryPoint) -> str:

@@ -1,29 +1,40 @@
 """Points that a person touches with any other measuring arm: from a file that the arm's software
 writes (`points:FILE`), or typed from its display (`typed:`), in place of a MicroScribe's driver.
 
-The file is a table of text (CSV) with a row a point. Points that are there when it is opened don't
-count; each later one is taken once, and in order. A row that is still being written waits. What
-can't be used (no row, two, a row that isn't a point) costs the touch, which is asked for again.
+The file is a table of text (CSV) with a row a point. A point counts once, and only if it came after
+its touch was asked for. A row that is still being written waits. What can't be used (no row, two,
+the row before once more, a row that isn't a point) costs the touch, which is asked for again.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 from urllib.parse import parse_qsl
 
 import numpy as np
+import numpy.typing as npt
 
 from instruments.clock import Clock
-from instruments.errors import LimitError, LinkError, ProtocolError, TouchAgainError
+from instruments.errors import (
+    InstrumentError,
+    LimitError,
+    LinkError,
+    ProtocolError,
+    TouchAgainError,
+)
 from instruments.microscribe.configuration import Identity
 from instruments.microscribe.stream import Reading
+from instruments.operators.console import Console
 from instruments.operators.operator import Coordinates, Operator
+from instruments.operators.prompted import PromptedOperator
 
+Floats = npt.NDArray[np.float64]
 FILE, TYPED = "points:", "typed:"
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}  # in mm
 SPELT = {"in": "inch", "inches": "inch", '"': "inch"}
@@ -82,16 +93,20 @@ def points_url(url: str) -> PointsUrl | None:
 
 @dataclass(frozen=True, slots=True)
 class _Point:
-    """mm; ``u_mm`` as the row states it; the stylus's direction where the row has it."""
+    """mm; ``written`` as such, to ``digit_mm``; ``u_mm`` as the row states it; the stylus's
+    direction where the row has it.
+    """
 
-    tip_mm: tuple[float, float, float]
+    tip_mm: Floats
+    written: str
+    digit_mm: float
     u_mm: float | None = None
-    axis: tuple[float, float, float] | None = None
+    axis: Floats | None = None
 
 
 class PointArm:
-    """A measuring arm by its points. ``most_u_mm``: what the rig states of a point; a row that
-    states more is refused. `asked_of` says who types points.
+    """A measuring arm by its points. ``most_u_mm`` and ``resolution_mm``: what the rig states of a
+    point; a row that states more, or is written to less, is refused. `asked_of` says who touches.
     """
 
     moves: ClassVar[bool] = False
@@ -102,17 +117,32 @@ class PointArm:
     homing_again: ClassVar[str] = homing
     warnings: ClassVar[tuple[str, ...]] = ()
 
-    def __init__(self, url: PointsUrl, folder: Path, clock: Clock, most_u_mm: float) -> None:
+    def __init__(
+        self,
+        url: PointsUrl,
+        folder: Path,
+        clock: Clock,
+        most_u_mm: float,
+        resolution_mm: float = 0.01,
+    ) -> None:
         self.who = "arm"
-        self._url, self._clock, self._most_u_mm = url, clock, most_u_mm
+        self._url, self._clock = url, clock
+        self._most_u_mm, self._resolution_mm = most_u_mm, resolution_mm
         self._path = None if url.path is None else folder / url.path
         self._taken: list[str] = []  # rows that are there, or were
+        self._early = 0  # of these, since the last touch was asked for
         self._open = self._ready = False
         self._operator: Operator | None = None
 
     def asked_of(self, operator: Operator | None) -> None:
-        """From now on it is ``operator`` who types points."""
+        """From now on it is ``operator`` who touches. At a terminal or in a browser a new row is
+        as good as Enter.
+        """
         self._operator = operator
+        if isinstance(operator, PromptedOperator) and self._path is not None:
+            operator.before_touch = self._pass_over
+            if isinstance(operator, Console):
+                operator.watch_pedals(lambda: self._arrives)
 
     @property
     def identity(self) -> Identity:
@@ -170,7 +200,7 @@ class PointArm:
         """
         point = self._typed() if self._path is None else self._next()
         if not all(abs(v) <= FARTHEST_MM for v in point.tip_mm):
-            what = f"the point {point.tip_mm} mm is farther than any arm reaches"
+            what = f"the point {tuple(point.tip_mm.tolist())} mm is farther than any arm reaches"
             raise TouchAgainError(self.who, what, hint="Is the unit right (unit=mm)?")
         if point.u_mm is not None and point.u_mm > self._most_u_mm:
             what = f"its software states {point.u_mm:.3f} mm of the point, the rig file"
@@ -179,42 +209,71 @@ class PointArm:
                 f"{what} {self._most_u_mm:.3f} mm",
                 hint="Touch it once more, or state what holds: accuracy_mm under [arm]",
             )
-        axis = np.array(point.axis or (0.0, 0.0, 1.0))
-        return Reading(np.array(point.tip_mm), 0.0, axis / np.linalg.norm(axis), 1, ())
+        if point.digit_mm > self._resolution_mm * 1.001:
+            what = f"{point.written!r} is written to {point.digit_mm:g} mm, the rig file states"
+            raise TouchAgainError(
+                self.who,
+                f"{what} {self._resolution_mm:g} mm",
+                hint="Have more decimals written, or state what holds: resolution_mm under [arm]",
+            )
+        return Reading(point.tip_mm, 0.0, point.axis, 1, written=point.written)
 
     def _typed(self) -> _Point:
-        text = f"Type x, y and z of the arm's display, in {self._url.unit}."
-        point = self._operator.ask(Coordinates(text)).point if self._operator else None
-        if point is None:
+        text = (
+            f"Type x, y and z of the arm's display, in {self._url.unit}; after them i, j and k of"
+            " its stylus, where it shows them."
+        )
+        cells = self._operator.ask(Coordinates(text)).point if self._operator else None
+        if cells is None:
             raise LimitError(self.who, "nobody is there to type points", hint="Use a terminal")
-        factor, (x, y, z) = UNITS[self._url.unit], point
-        return _Point((x * factor, y * factor, z * factor))
+        factor = UNITS[self._url.unit]
+        tip_mm = np.array(cells[:3], dtype=np.float64) * factor
+        digit_mm = min(map(_digit, cells[:3])) * factor
+        return _Point(tip_mm, " ".join(cells), digit_mm, axis=_direction(cells[3:]))
 
     # The file
 
-    def _next(self) -> _Point:
-        end_s = self._clock.now() + self._url.wait_s
-        while not (new := self._new_rows()):
+    def _pass_over(self) -> None:
+        """A touch is asked for: points that are there already are of none."""
+        with suppress(InstrumentError):  # reading raises it
+            new = self._new_rows()
+            self._taken += new
+            self._early = len(new)
+
+    def _arrives(self, seconds: float) -> bool:
+        """Whether a new row comes within so long. Raises as `read` for a file that is gone."""
+        end_s = self._clock.now() + seconds
+        while not self._new_rows():
             if self._clock.now() >= end_s:
-                what = f"no new point came in {self._path} within {self._url.wait_s:g} s"
-                hint = "Touch the point so that the arm's software writes it, then go on"
-                raise TouchAgainError(self.who, what, hint=hint)
+                return False
             self._clock.sleep(TURN_S)
+        return True
+
+    def _next(self) -> _Point:
+        if not self._arrives(self._url.wait_s):
+            early = f"; {self._early} came before it was asked for" if self._early else ""
+            what = f"no new point came in {self._path} within {self._url.wait_s:g} s{early}"
+            hint = "Touch the point so that the arm's software writes it, then go on"
+            raise TouchAgainError(self.who, what, hint=hint)
+        new, before = self._new_rows(), self._taken[-1:]
         self._taken += new
         if len(new) > 1:
             what = f"{len(new)} points came in {self._path} where one was asked for"
             raise TouchAgainError(self.who, what, hint="Touch the point once more, once")
+        if new == before:
+            what = f"{self._path}: the row before is there once more, to the last digit: {new[0]!r}"
+            raise TouchAgainError(self.who, what, hint="Touch the point once more")
         columns, factors, split = self._heads(self._lines())
         try:
-            values = dict(zip(columns, split(new[0]), strict=False))
-            x, y, z = (_number(values[key]) * factors[key] for key in "xyz")
-            u = _number(values["u"]) * factors["u"] if values.get("u") else None
-            axis = [_number(values[key]) for key in "ijk"] if values.get("k") else None
+            cells = dict(zip(columns, split(new[0]), strict=False))
+            tip_mm = np.array([_number(cells[key]) * factors[key] for key in "xyz"])
+            digit_mm = min(_digit(cells[key]) * factors[key] for key in "xyz")
+            u_mm = _number(cells["u"]) * factors["u"] if cells.get("u") else None
+            axis = _direction([cells[key] for key in "ijk"]) if cells.get("k") else None
         except (KeyError, ValueError):
             what = f"{self._path}: this row isn't a point: {new[0]!r}"
             raise TouchAgainError(self.who, what, hint="Touch the point once more") from None
-        known = axis if axis and any(axis) else None
-        return _Point((x, y, z), u, (known[0], known[1], known[2]) if known else None)
+        return _Point(tip_mm, new[0], digit_mm, u_mm, axis)
 
     def _new_rows(self) -> list[str]:
         rows = self._rows()
@@ -290,6 +349,19 @@ def _splitter(line: str) -> Callable[[str], list[str]]:
         return [cell.strip().strip('"') for cell in row.split(mark)]
 
     return split
+
+
+def _digit(cell: str) -> float:
+    """What the last digit of a number is worth, in its own unit. Raises ValueError."""
+    mantissa, _, exponent = cell.replace(",", ".").lower().partition("e")
+    return float(10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])))
+
+
+def _direction(cells: Sequence[str]) -> Floats | None:
+    """A unit vector (3,); None where it isn't known. Raises ValueError."""
+    axis = np.array([_number(cell) for cell in cells])
+    length = float(np.linalg.norm(axis))
+    return axis / length if length else None
 
 
 def _number(cell: str) -> float:

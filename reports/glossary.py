@@ -28,11 +28,14 @@ class Term:
 
 
 class Explained:
-    """Texts with their terms as links to the list, which stands in the file `base`."""
+    """Texts with their terms as links to the list, which stands in the file `base`; a word that is
+    one of `names` is no term.
+    """
 
-    def __init__(self, terms: Sequence[Term], base: str = "") -> None:
+    def __init__(self, terms: Sequence[Term], base: str = "", names: Sequence[str] = ()) -> None:
         self._base = base
         self._ids = {word: term.id for term in terms for word in _spellings(term)}
+        self._ids = {word: term for word, term in self._ids.items() if word not in names}
         words = sorted(self._ids, key=len, reverse=True)
         text = "|".join(map(re.escape, words))
         self._pattern = re.compile(rf"(?<![\w|-])(?:{text})(?![\w|-])") if words else None

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import ClassVar, Literal, get_args
 
-from reports.frames import LAYER_TONES, MOST_DETECTORS, ImageView, LayerTone, layers
+from reports.frames import LAYER_TONES, MOST_DETECTORS, ImageView
 from reports.glossary import Term
 from reports.trust import PageError, SvgFacts, address, checked_slug, one_of, svg_facts
 
@@ -439,10 +439,6 @@ class Page:
         """Every image, in order."""
         shown: Iterator[Look | TrialPart] = chain(self.looks(), self.trials)
         return (image for one in shown for image in one.images)
-
-    def layers(self) -> dict[LayerTone, str]:
-        """Tone and name of the layers that can be switched."""
-        return layers(image for trial in self.trials for image in trial.images)
 
     def _cells(self) -> Iterator[Cell]:
         for part in (*self.parts(), *(table for trial in self.trials for table in trial.tables)):

@@ -176,7 +176,7 @@ class Press:
         file = place.apart.get("glossary", "index.html")
         base = "" if file == place.file else place.base + file
         if base not in self._explained:
-            self._explained[base] = Explained(self._page.glossary, base)
+            self._explained[base] = Explained(self._page.glossary, base, self._page.detectors)
         return self._explained[base]
 
 

@@ -134,11 +134,6 @@ def _campaign() -> Iterator[Sequence[str]]:
         )
 
 
-def _covariances() -> Iterator[Sequence[str]]:
-    for row in read("covariances.csv"):
-        yield row["situation"], row["ours"], f"{row['over_percent']} %", row["path_traced"]
-
-
 def _coverage() -> Iterator[Sequence[str]]:
     """A row a kind of change, a cell a number of poses: covers, median width (mm), green."""
     rows: dict[str, list[str]] = {}
@@ -159,11 +154,6 @@ TABLES: tuple[tuple[str, str, Callable[[], Iterator[Sequence[str]]]], ...] = (
             " | mean, p95, max (mm) | squared error | in their 95 % region |"
         ),
         _campaign,
-    ),
-    (
-        MEASURED,
-        "| situation | ours | over 11.3 | path-traced |",
-        _covariances,
     ),
     (
         MEASURED,

@@ -4,6 +4,7 @@ says how either is made again.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -29,6 +30,8 @@ from tests.doc_figures import (
 )
 
 SENSITIVITY = "../sensitivity/"
+HERD = ROOT / "docs" / "figures" / "herd.json"
+SHARES = ("within_5_mm", "last_within_5_mm", "swapped_within_5_mm")
 
 
 def page(path: str) -> str:
@@ -78,9 +81,30 @@ def test_sentences_on_the_path_traced_frames() -> None:
     assert note in page("docs/detectors.md")
 
 
-def test_the_sentence_on_covariances() -> None:
-    over = {row["situation"]: row["over_percent"] for row in read("covariances.csv")}[ALL]
-    assert f"and {over} % are beyond one in a hundred" in page(MEASURED)
+def test_sentences_on_the_herd() -> None:
+    """As `teatbench campaign herd --json` of these cows, visits and seed printed it."""
+    herd = json.loads(HERD.read_text(encoding="utf-8"))
+    left = herd["unseen"] - herd["found"]
+    shares = [f"{100 * herd[key]:.0f} %" for key in SHARES]
+    text = page("docs/campaigns.md")
+    for words in (
+        (
+            f"{herd['cows']} cows x {herd['visits_each']} visits (seed {herd['seed']}, looked at once)"
+            f" {herd['unseen']} ends were unseen, of which `fused` saw {herd['found']} after all. It"
+            f" predicted {herd['predicted']} of the other {left}:"
+        ),
+        (
+            f"{herd['median_mm']:.1f} mm off in the median, where the last visit alone is"
+            f" {herd['last_median_mm']:.1f} mm off; {shares[0]} of the {left} within 5 mm (the last"
+            f" visit: {shares[1]}; another cow's history: {shares[2]})."
+        ),
+        (
+            f"{100 * herd['inside']:.1f} % were within their 95 % region, of"
+            f" {herd['median_volume_ml']:.1f} ml in the median."
+        ),
+        f"predicted at {herd['invented_visits']} of {herd['visits']} visits",
+    ):
+        assert words in text
 
 
 def test_sensitivity_as_measured_is_that_of_its_points() -> None:

@@ -32,6 +32,8 @@ from bench.rig.arm_files import (
     TouchedPoint,
     Triple,
     Verification,
+    axes_of,
+    swing_text,
     world_from_arm,
 )
 from bench.rig.devices import AnyArm
@@ -190,7 +192,7 @@ def touch_frame(
     """A frame from three touches and one for each of ``checks`` (None: anywhere in the plane)."""
 
     def touched(step: Step, name: str) -> TouchedPoint:
-        reading = _read(arm, person, step)
+        reading = read_touch(arm, person, step)
         x, y, z = (float(v) for v in reading.tip_mm)
         return TouchedPoint(name, (x, y, z), float(reading.spread_mm), step.world_mm)
 
@@ -239,7 +241,7 @@ def verify(arm: AnyArm, person: Person, plan: Plan, made: datetime) -> Verificat
         locations.append(test)
         person.say(
             f"{name}: within {test.largest_mm:.2f} mm of the mean, 2 sd {test.two_sd_mm:.2f} mm,"
-            f" swung by {test.swing_deg:.0f} degrees."
+            f" {swing_text(test)}."
         )
     lengths: list[LengthTest] = []
     for number in range(plan.directions):
@@ -263,9 +265,9 @@ def verify(arm: AnyArm, person: Person, plan: Plan, made: datetime) -> Verificat
 def _end(arm: AnyArm, person: Person, what: str, number: int, text: str, plan: Plan) -> Floats:
     """An end of a length, (3,): as touched, or a sphere's centre by touches round it."""
     if not plan.spheres:
-        return _read(arm, person, Step(what, number, f"{text}.")).tip_mm
+        return read_touch(arm, person, Step(what, number, f"{text}.")).tip_mm
     steps = (Step(what, number, f"{text}, {where}.", off=off) for where, off in ROUND)
-    return sphere_centre(np.array([_read(arm, person, step).tip_mm for step in steps]))
+    return sphere_centre(np.array([read_touch(arm, person, step).tip_mm for step in steps]))
 
 
 def sphere_centre(points_mm: Floats) -> Floats:
@@ -288,12 +290,12 @@ def _divot(arm: AnyArm, person: Person, name: str, touches: int) -> LocationTest
             f"Divot {name}, touch {number + 1} of {touches}: tip in the divot, the stylus"
             f" {LEANS[number % len(LEANS)]}{further}."
         )
-        readings.append(_read(arm, person, Step(name, number, text)))
+        readings.append(read_touch(arm, person, Step(name, number, text)))
     tips, axes = zip(*((one.tip_mm, one.axis) for one in readings), strict=True)
-    return LocationTest(name, np.array(tips), np.array(axes))
+    return LocationTest(name, np.array(tips), axes_of(axes))
 
 
-def _read(arm: AnyArm, person: Person, step: Step) -> Reading:
+def read_touch(arm: AnyArm, person: Person, step: Step) -> Reading:
     """One reading of what ``step`` asks for; asked again while the arm moves."""
     while True:
         person.touch(step)
@@ -302,7 +304,8 @@ def _read(arm: AnyArm, person: Person, step: Step) -> Reading:
         except TouchAgainError as refused:
             person.say(str(refused))
             continue
-        person.say(f"  read {mm(reading.tip_mm)} (arm), spread {reading.spread_mm:.2f} mm")
+        spread = f", spread {reading.spread_mm:.2f} mm" if reading.n > 1 else ""
+        person.say(f"  read {mm(reading.tip_mm)} (arm){spread}")
         return reading
 
 

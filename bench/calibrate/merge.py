@@ -25,7 +25,8 @@ from detector.calibration.values import Pair
 from detector.geometry import Motion
 
 CAMERAS_INPUT = "cameras file"  # the record's name for the file that a later step was made with
-# each attribute of a part, its block in the file, and the step that makes it
+# each attribute of a part, its block in the file, and the step that makes it; a depth camera's are
+# its maker's
 _BLOCKS = {
     "left": ("cameras.left", "cameras"),
     "right": ("cameras.right", "cameras"),
@@ -33,6 +34,8 @@ _BLOCKS = {
     "thermal": ("cameras.thermal", "thermal"),
     "thermal_from_left": ("thermal", "thermal"),
     "homographies": ("homography", "thermal"),
+    "depth": ("cameras.depth", ""),
+    "depth_from_left": ("depth", ""),
     "world_from_right": ("world", "world"),
 }
 
@@ -79,7 +82,7 @@ def merge(files: Sequence[PartFile], record: Record) -> Calibration:
                 )
             found[name] = file
     for name, (block, step) in _BLOCKS.items():
-        if name not in found and name != "thermal_from_left":
+        if name not in found and step and name != "thermal_from_left":
             raise ConfigError.plain(
                 f"[{block}] is in none of the files: add the file that 'teatbench calibrate {step}'"
                 " wrote"

@@ -19,6 +19,7 @@ from bench.calibrate.merge import pair_of_part
 from bench.calibrate.views import pattern_of, write_picture
 from bench.config import ConfigError, short
 from bench.files import write_synced
+from bench.rig.arm_files import axes_of
 from bench.truth.touching import TipReader
 from detector.calibration import Part, Record
 from detector.calibration.boards import Board
@@ -225,7 +226,7 @@ def gather_points(asking: Asking, board: Board, folder: Path) -> TouchedPoints:
         for at in range(len(nine(board))):
             readings.append(_touched(asking, board, at, readings))
         asking.operator.ask(Release())
-        centres, axes = [one.tip_mm for one in readings], [one.axis for one in readings]
+        centres, axes = [one.tip_mm for one in readings], axes_of([one.axis for one in readings])
         parts.append((*seen, under_ball(centres, axes, asking.tip_radius_mm)))
     points = TouchedPoints(*(np.vstack(columns) for columns in zip(*parts, strict=True)))
     rows = np.hstack([points.left_px, points.right_px, points.touched_mm])
@@ -322,9 +323,17 @@ def _touched(asking: Asking, board: Board, at: int, before: list[Reading]) -> Re
     raise DeviceError("arm", what)
 
 
-def under_ball(centres_mm: list[Array], axes: list[Array], radius_mm: float) -> Array:
-    """Points (n, 3) of a plane touched with a ball tip, from its centres and the stylus's axes."""
+def under_ball(centres_mm: list[Array], axes: Array | None, radius_mm: float) -> Array:
+    """Points (n, 3) of a plane touched with a ball tip, from its centres and the stylus's axes.
+    Raises DeviceError for a ball whose axes are not known.
+    """
     points = np.array(centres_mm, dtype=np.float64)
+    if radius_mm == 0.0:
+        return points
+    if axes is None:
+        what = f"a ball tip of {radius_mm:g} mm, and points without the stylus's direction"
+        hint = "Give i, j and k with the points, or touch with a pointed tip"
+        raise DeviceError("arm", what, hint=hint)
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][2]
     side = 1.0 if float(np.mean(axes, axis=0) @ normal) > 0 else -1.0
     return np.asarray(points - radius_mm * side * normal)

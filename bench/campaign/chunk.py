@@ -24,7 +24,7 @@ from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration, ParameterCovariance
 from detector.protocol import Detector, Outcome, Teat
 from instruments.camera.frame import FrameSet
-from instruments.camera.recording import TruthRow
+from instruments.camera.recording import FIELDS, TruthRow
 from instruments.clock import processor_s, stopwatch_s
 from instruments.world.draws import Parameter
 from instruments.world.scene import Renderer
@@ -251,7 +251,7 @@ def set_aside(scene: Scene, detectors: Iterable[str], why: str) -> Rows:
 def digest_of_frames(frames: FrameSet) -> str:
     """The start of the SHA-256 of all pictures' pixels, in hex."""
     whole = hashlib.sha256()
-    for picture in (frames.left, frames.right, frames.thermal, frames.thermal_ck):
+    for picture in (getattr(frames, field) for field in FIELDS):
         if picture is not None:
             whole.update(picture.tobytes())
     return whole.hexdigest()[: 2 * DIGEST_BYTES]

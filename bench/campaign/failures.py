@@ -88,7 +88,7 @@ class Searching:
             raise ConfigError.plain(
                 f"a search is for one detector, not {len(plan.detectors)}: name one"
             )
-        self._job, made_by = open_plan(plan)
+        self._job, made_by = open_plan(plan, members)
         self._folder, self._members = folder, members
         self.found = Found(plan, made_by, [], [], {})
 

@@ -8,7 +8,7 @@ import hashlib
 import importlib.metadata
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
@@ -21,13 +21,14 @@ import instruments.world
 from bench import __version__
 from bench.campaign.chunk import LIMIT_MM, Bench, Scene
 from bench.campaign.perturbations import Applied
+from bench.campaign.quantities import FAMILY, varied
 from bench.config import ConfigError, Positive, Section, read_calibration, read_config, read_text
 from bench.rig.loading import find_rig, load_rig
-from bench.rig.model import EmulatedOptical, EmulatedThermal, make_renderer
+from bench.rig.model import EmulatedDepth, EmulatedOptical, EmulatedThermal, make_renderer
 from bench.rig.scenes import chosen
 from bench.scoring.rates import Rate
 from bench.scoring.sequential import confidence_sequence
-from bench.script.detectors import EXEC, FILE, make_detectors
+from bench.script.detectors import EXEC, FILE, introduced, make_detectors
 from bench.toml import toml_text
 from detector.calibration import Calibration
 from detector.fused import fast
@@ -85,6 +86,7 @@ class Plan(Section):
     limit_mm: Positive = LIMIT_MM
     optical: EmulatedOptical = EmulatedOptical()
     thermal: EmulatedThermal = EmulatedThermal()
+    depth: EmulatedDepth = EmulatedDepth()
     perturbations: tuple[PerturbationTable, ...] = ()
     chunk_scenes: Annotated[int, Field(ge=0, le=10_000)] = 0
     chunk_limit_s: Annotated[float, Field(ge=0, le=1e6)] = 0.0
@@ -138,6 +140,11 @@ class Plan(Section):
         start = self.first + part * self.chunk_scenes
         return Chunk(self.families[family], part, range(start, start + self.scenes_of(part)))
 
+    def asked_of(self, members: int | None = None) -> dict[str, range]:
+        """Family -> members; a quantity at a value (`quantities`) is of the family ``ideal``."""
+        these = range(self.first, self.first + (members or self.most_scenes))
+        return {FAMILY if varied(family) else family: these for family in self.families}
+
     def scenes_of(self, part: int) -> int:
         """Scenes of chunk ``part`` of a family: the last may have fewer."""
         return min(self.chunk_scenes, self.most_scenes - part * self.chunk_scenes)
@@ -179,16 +186,21 @@ class Job:
     seed: int
     limit_mm: float
     perturbations: tuple[Applied, ...] = ()
+    depth: EmulatedDepth = field(default_factory=EmulatedDepth)
+    exact: bool = False  # detectors are told of the cameras what these are drawn by
 
     def renderer(self) -> Renderer:
-        return make_renderer(self.cameras, self.seed, self.optical, self.thermal)
+        return make_renderer(self.cameras, self.seed, self.optical, self.thermal, self.depth)
 
     def make_detectors(self) -> list[Detector]:
         """New ones: what a program did in one chunk changes nothing in another."""
         return make_detectors(self.detectors, gives_up=False)
 
     def bench(self, renderer: Renderer, detectors: list[Detector]) -> Bench:
-        return Bench(renderer, self.stated, detectors, self.seed, self.limit_mm, self.perturbations)
+        changes = self.perturbations
+        return Bench(
+            renderer, self.stated, detectors, self.seed, self.limit_mm, changes, self.exact
+        )
 
 
 def read_plan(path: Path, kind: type[Plan] = Plan) -> Plan:
@@ -210,9 +222,10 @@ def with_whole_paths(plan: SomePlan, folder: Path) -> SomePlan:
     return plan.model_copy(update=changed)
 
 
-def open_plan(plan: Plan) -> tuple[Job, dict[str, str]]:
-    """What a plan's processes need, and the identity of the rows that they make. Raises ConfigError
-    for a rig, calibration or detector that isn't there or is wrong.
+def open_plan(plan: Plan, members: int | None = None) -> tuple[Job, dict[str, str]]:
+    """What a plan's processes need, and the identity of the rows that they make. ``members`` of
+    each family are worked on, else as many as scenes. Raises ConfigError for a rig, calibration or
+    detector that isn't there or is wrong, and for scenes that a detector was trained on.
     """
     rig = load_rig(find_rig(plan.rig))
     if plan.calibration and not plan.calibration.endswith(FILE):
@@ -220,9 +233,12 @@ def open_plan(plan: Plan) -> tuple[Job, dict[str, str]]:
     true = rig.calibration
     stated = read_calibration(Path(plan.calibration)) if plan.calibration else true
     detectors = make_detectors(plan.detectors)
+    with introduced(detectors, plan.asked_of(members)):
+        devices = {one.name: getattr(one, "device", "") for one in detectors}
     emulation = rig.rig.emulation
     optical = emulation.optical.model_copy(update=plan.optical.model_dump(exclude_none=True))
     thermal = emulation.thermal.model_copy(update=plan.thermal.model_dump(exclude_none=True))
+    depth = emulation.depth.model_copy(update=plan.depth.model_dump(exclude_none=True))
     job = Job(
         tomllib.loads(read_text(rig.calibration_path)),
         stated,
@@ -233,16 +249,20 @@ def open_plan(plan: Plan) -> tuple[Job, dict[str, str]]:
         plan.seed,
         plan.limit_mm,
         tuple(Applied(one.name, one.amount) for one in plan.perturbations),
+        depth,
+        exact=not plan.calibration and true.covariance is None,
     )
     cameras = read_text(rig.calibration_path)
     told = read_text(Path(plan.calibration)) if plan.calibration else cameras
     sensors = optical.model_dump_json() + thermal.model_dump_json()
+    sensors += depth.model_dump_json() if true.depth else ""
     same = {
         **of_program(),
         "rig": f"{Path(plan.rig).stem} {digest_of(cameras, sensors)}",
         "calibration": digest_of(told),
         "detectors": ", ".join(
             f"{one.name} {one.version} {digest_of(repr(sorted(one.parameters.items())))}"
+            + (f" on {devices[one.name]}" if devices[one.name] else "")
             for one in detectors
         ),
         "plan": digest_of(repr(_asked(plan))),
@@ -252,7 +272,8 @@ def open_plan(plan: Plan) -> tuple[Job, dict[str, str]]:
 
 def _asked(plan: Plan) -> list[tuple[str, Any]]:
     """What a plan asks for, beyond what is in its files and how it is worked on."""
-    left_out = {"title", "rig", "calibration", "optical", "thermal", "chunk_limit_s", "made_by"}
+    left_out = {"title", "rig", "calibration", "optical", "thermal", "depth", "chunk_limit_s"}
+    left_out |= {"made_by"}
     asked = plan.model_dump(mode="json", exclude=left_out)
     return sorted({**asked, "scenes": plan.most_scenes}.items())
 

@@ -91,7 +91,7 @@ def varied(family: str) -> Varied | None:
 
 @lru_cache(1)
 def _with_sensors(usual: Renderer, seed: int, wanted: Optics) -> Renderer:
-    return Renderer(usual.cameras, seed, wanted.optical, wanted.thermal)
+    return Renderer(usual.cameras, seed, wanted.optical, wanted.thermal, usual.depth)
 
 
 AT = "="

@@ -16,18 +16,21 @@ from bench.calibrate.arm import (
     limits_of,
     mm,
     open_arm,
+    read_touch,
     today,
     touch_frame,
 )
 from bench.calibrate.arm import verify as verify_arm
+from bench.calibrate.simulated_arm import Step
 from bench.cli.arguments import CODES, complain
 from bench.config import ConfigError
-from bench.results.stated_arm import check_verification
+from bench.results.stated_arm import check_verification, stated_fact
 from bench.rig.arm_files import frame_text, load_frame, verification_text, write_file
+from bench.rig.model import Arm
 from bench.scoring.stated_u import refuted
-from bench.truth.touching import ROUNDING_MM
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.stream import Pedal
+from instruments.points import points_url
 
 SHOW_S = 0.2
 
@@ -51,24 +54,26 @@ def read(given: argparse.Namespace) -> int:
         if frame:
             frame = load_frame(given.frame, serial_number=serial_number)
         session.confirm_homing(homed=given.homed)
-        reading = session.arm.read(given.packets)
+        if isinstance(session.arm, MicroScribe):
+            reading = session.arm.read(given.packets)
+        else:
+            step = Step("point", 0, "Touch the point that is to be read.")
+            reading = read_touch(session.arm, session, step)
     line: dict[str, Any] = {"serial_number": serial_number, "tip_mm": reading.tip_mm.tolist()}
     if frame:
         line["world_mm"] = frame.world_from_arm.apply(reading.tip_mm).tolist()
     line |= {
         "spread_mm": reading.spread_mm,
-        "axis": reading.axis.tolist(),
+        "axis": None if reading.axis is None else reading.axis.tolist(),
         "packets": reading.n,
-        "counts": list(reading.counts),
+        "counts": reading.evidence,
     }
     if given.json:
         print(json.dumps(line))
         return CODES.met
     print(f"arm {serial_number}")
-    print(
-        f"tip {mm(line['tip_mm'], 2)} in the arm's frame, spread {reading.spread_mm:.2f} mm over"
-        f" {reading.n} packets"
-    )
+    spread = f", spread {reading.spread_mm:.2f} mm over {reading.n} packets"
+    print(f"tip {mm(line['tip_mm'], 2)} in the arm's frame{spread if reading.n > 1 else ''}")
     if frame:
         print(f"    {mm(line['world_mm'], 2)} in the world (frame of {frame.made:%Y-%m-%d})")
     return CODES.met
@@ -170,6 +175,11 @@ def verify(given: argparse.Namespace) -> int:
     limits = limits_of(given.script)
     if given.length_mm is None and limits.length_mm is not None:
         print("Without --length-mm no length is measured, and the arm can't be verified whole.")
+    if given.accuracy_mm is None and points_url(given.port):
+        raise ConfigError.plain(
+            "--accuracy-mm is needed: the standard uncertainty of a point of this arm"
+        )
+    u_mm = given.accuracy_mm or Arm.model_fields["accuracy_mm"].default
     gauge = (given.length_u_mm, given.gauge)
     lengths = (given.length_mm, given.directions, *gauge, given.spheres)
     plan = Plan(given.distances, given.touches, *lengths)
@@ -183,15 +193,15 @@ def verify(given: argparse.Namespace) -> int:
             f"Largest error of the calibrated length {found.length_mm:.2f} mm, limit"
             f" {limits.length_mm:g} mm"
         )
-    stated = {"u_mm": given.accuracy_mm, "resolution_mm": ROUNDING_MM, "df": None}
-    checks = list(check_verification(stated, found))
+    arm = Arm.model_construct(url=given.port, accuracy_mm=u_mm)
+    checks = list(check_verification(stated_fact(arm), found))
     wrong = refuted(checks)
     for check in checks:
-        low, high = (given.accuracy_mm * ratio for ratio in check.ratio_interval)
+        low, high = (u_mm * ratio for ratio in check.ratio_interval)
         print(
-            f"The {check.name} show an arm of u = {given.accuracy_mm * check.ratio:.2f} mm"
+            f"The {check.name} show an arm of u = {u_mm * check.ratio:.2f} mm"
             f" ({low:.2f} to {high:.2f}, {check.df} degrees of freedom); --accuracy-mm"
-            f" {given.accuracy_mm:g} is {'too small' if check in wrong else 'not refuted'}"
+            f" {u_mm:g} is {'too small' if check in wrong else 'not refuted'}"
         )
     print(f'Written: {given.out}. Name it in the rig file: [arm] verification = "{given.out.name}"')
     faults = [*found.faults(limits), *(f"{one.name}: u is too small" for one in wrong)]

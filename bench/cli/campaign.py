@@ -185,6 +185,37 @@ def search(given: argparse.Namespace) -> int:
     return CODES.met
 
 
+def herd(given: argparse.Namespace) -> int:
+    from bench.campaign.herd import run_herd, score
+    from bench.cli.terminal import working
+
+    with working("herd", pace="visits") as shown:
+        found = run_herd(given.out, given.cows, given.visits, given.seed, given.workers, shown)
+    one = score(found, given.cows, given.visits)
+    if given.json:
+        print(json.dumps({k: v if v == v else None for k, v in asdict(one).items()}))
+        return CODES.met
+    own, last, swapped = one.within_5_mm, one.last_within_5_mm, one.swapped_within_5_mm
+    print(f"{one.visits} visits with a history; {one.unseen} unseen ends, {one.found} found.")
+    print(
+        plain_table(
+            ["by", "median (mm)", "within 5 mm"],
+            [
+                ["own history", f"{one.median_mm:.1f}", f"{own:.1%}"],
+                ["the last visit", f"{one.last_median_mm:.1f}", f"{last:.1%}"],
+                ["another cow's history", "", f"{swapped:.1%}"],
+            ],
+        )
+    )
+    print(
+        f"{one.predicted} predicted, {one.inside:.1%} of them within their 95 % region"
+        f" ({one.median_volume_ml:.1f} ml in the median); a teat invented at {one.invented_visits}"
+        " visits."
+    )
+    print(f"Written: {given.out}")
+    return CODES.met
+
+
 def keep(given: argparse.Namespace) -> int:
     from bench.campaign.failures import keep as kept
 

@@ -52,7 +52,7 @@ BAUDS = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 MODELS = ("k1", "k1 k2", "k1 k2 p1 p2", "k1 k2 p1 p2 k3")
 CAMERAS = ("left", "right", "thermal")
 SHELLS = ("bash", "zsh", "fish", "powershell")
-LANGUAGES = ("python", "javascript", "cpp")
+LANGUAGES = ("python", "javascript", "cpp", "onnx")
 
 
 def perturbation(text: str) -> Applied:
@@ -420,6 +420,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "the recording; one that is there is added to",
             default=Path("recordings/situations"),
         ),
+        option("--coco FILE", "a new file for masks and key points of these frames (JSON)", Path),
     ),
     "scene boards": (
         "draw a calibration board all over the view, for 'teatbench calibrate'",
@@ -534,6 +535,18 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
         option("--limit-mm MM", "largest error that a teat end may have (default: 5)", LENGTH),
         option("--out DIR", "the search's folder, a new one", required=True),
+        JSON,
+    ),
+    "campaign herd": (
+        "simulate cows that come several times, and score what fused makes of their history",
+        "campaign herd --cows 40 --visits 20 --seed 2 --out herds/first",
+        option("--cows N", "how many", whole(2, 10_000), 40),
+        option(
+            "--visits N", "of each cow; the first three only make her history", whole(4, 1000), 20
+        ),
+        option("--seed N", "of cows, visits and noise", whole(0), 1),
+        WORKERS,
+        option("--out DIR", "the herd's folder, a new one", Path, required=True),
         JSON,
     ),
     "campaign keep": (
@@ -653,9 +666,9 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
         option(
             "--accuracy-mm U",
-            "the arm's stated standard uncertainty, mm, to hold the touches against",
+            "the arm's stated standard uncertainty, mm, to hold the touches against"
+            " (default: a MicroScribe's, 0.23)",
             ABOVE_0,
-            0.23,
         ),
         option("--directions N", "directions to measure it in", whole(1, 7), 7),
         option("--script SCRIPT", "whose limits to hold it against (default: six-situations)"),
@@ -935,7 +948,11 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "detectors new": (
         "write a program that answers, and its file, to make your own detector from",
         "detectors new python --name mine",
-        option("language LANGUAGE", "python, javascript or cpp", choices=LANGUAGES),
+        option(
+            "language LANGUAGE",
+            "python, javascript, cpp, or onnx: a learned one, with its training",
+            choices=LANGUAGES,
+        ),
         option("--name NAME", "what it is called", default="my_detector"),
         option(
             "--out DIR",

@@ -19,7 +19,7 @@ BENCH = Path(__file__).parents[1]
 # what an argument is called -> the folder with the files that ship
 SHIPPED = {"script": "trials", "rig": "rigs", "board": "boards"}
 # as in bench.rig.loading, which is too heavy for each Tab
-NO_RIGS = ("calibration", "thesis-calibration", "lab.example")
+NO_RIGS = ("calibration", "thesis-calibration", "depth-calibration", "lab.example")
 
 
 def shell_code(given: argparse.Namespace) -> int:

@@ -8,10 +8,12 @@ import argparse
 import math
 import os
 import re
+import shlex
 import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,11 +24,18 @@ from bench.script.detectors import DECLARED, declared, make_detectors
 
 if TYPE_CHECKING:
     from bench.results.answers import Answer
-    from detector.protocol import Teat
+    from detector.protocol import Detector, Teat
     from instruments.camera.recording import TruthRow
 
-SITUATION = "ideal"  # whose first member is shown where no recording is named
-ENDING = {"python": "py", "javascript": "js", "cpp": "cpp"}
+# whose first member that the detector was not trained on is shown where no recording is named
+SITUATION = "ideal"
+# files of each language's skeleton, and what they are called behind the detector's name
+SKELETONS = {
+    "python": {"detector.py": ".py"},
+    "javascript": {"detector.js": ".js"},
+    "cpp": {"detector.cpp": ".cpp"},
+    "onnx": {f"learned{part}": part for part in (".py", "_train.py", ".find.onnx", ".place.onnx")},
+}
 COMPILED = "c++ -O2 -std=c++17 -o {name} {name}.cpp"
 FLUSH = (
     "Flush standard output after each line: flush=True in Python, std::endl in C++. If the program"
@@ -81,17 +90,18 @@ def new(given: argparse.Namespace) -> int:
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}", name):
         raise ConfigError.plain(f"--name {name}: letters, digits, - and _ only")
     skeletons = Path(detector.external.__file__).parent / "skeletons"
-    program = given.out / f"{name}.{ENDING[given.language]}"
-    file = given.out / f"{name}.toml"
-    if there := [path for path in (program, file) if path.exists()]:
+    files = {given.out / f"{name}{end}": one for one, end in SKELETONS[given.language].items()}
+    program, file = next(iter(files)), given.out / f"{name}.toml"
+    if there := [path for path in (*files, file) if path.exists()]:
         raise ConfigError.plain(f"{there[0]} is there already. Give another --name.")
     command = {
         "python": [_python(), program.name],
         "javascript": ["node", program.name],
         "cpp": [f"./{name}"],
+        "onnx": [_python("onnxruntime"), program.name, f"{name}.find.onnx", f"{name}.place.onnx"],
     }[given.language]
     table = {
-        "about": f"{name}, a {given.language} skeleton",
+        "about": f"{name}, a skeleton: {given.language}",
         "command": command,
         "start_limit_s": 30.0,
         "time_limit_s": 30.0,
@@ -100,11 +110,13 @@ def new(given: argparse.Namespace) -> int:
     if given.language == "cpp":
         heading += f"\nCompile it first: {COMPILED.format(name=name)}"
     given.out.mkdir(parents=True, exist_ok=True)
-    skeleton = skeletons / f"detector{program.suffix}"
-    write_synced(program, skeleton.read_bytes())
+    for path, skeleton in files.items():
+        write_synced(path, (skeletons / skeleton).read_bytes())
     write_synced(file, toml_text(table, heading).encode("utf-8"))
     word = name if given.out == DECLARED else file
-    print(f"written: {program}\nwritten: {file}")
+    print(*(f"written: {path}" for path in (*files, file)), sep="\n")
+    if given.language == "onnx":
+        print(f"it needs: {command[0]} -m pip install onnxruntime numpy opencv-python-headless")
     if given.language == "cpp":
         print(f"compile: cd {given.out} && {COMPILED.format(name=name)}")
     elif given.language == "javascript" and not shutil.which("node"):
@@ -113,8 +125,12 @@ def new(given: argparse.Namespace) -> int:
     return CODES.met
 
 
-def _python() -> str:
-    """A Python by a name that holds on other machines too, where this one has it."""
+def _python(library: str = "") -> str:
+    """A Python by a name that holds on other machines too, where this one has it; this very one
+    where ``library`` is in it.
+    """
+    if library and find_spec(library):
+        return sys.executable
     names = ("python", "py") if os.name == "nt" else ("python3", "python")
     return next((name for name in names if shutil.which(name)), sys.executable)
 
@@ -131,7 +147,7 @@ def try_out(given: argparse.Namespace) -> int:
             tempfile.TemporaryDirectory(prefix="teatbench-") as made,
             working("asking the detector about a frame"),
         ):
-            recording = Recording(given.recording or _drawn(Path(made)))
+            recording = Recording(given.recording or _drawn(Path(made), _unseen(detectors[0])))
             frame = recording.frames[0]
             frames, truth = recording.load(frame), recording.truth.get(frame, ())
             examiner = Examiner(read_calibration(recording.calibration_path))
@@ -141,21 +157,35 @@ def try_out(given: argparse.Namespace) -> int:
     finally:
         close_detectors(detectors)
     where = given.recording or f"the simulated situation {SITUATION}"
-    print(f"detector {answers[0].detector}, frame {frame} of {where}")
+    device = f" on {device}" if (device := getattr(detectors[0], "device", "")) else ""
+    print(f"detector {answers[0].detector}{device}, frame {frame} of {where}")
     for number, answer in enumerate(answers, 1):
         if why := _fault(answer):
             _explain(answer, number, why)
             return CODES.not_met
     _tell(answers, truth)
-    print(f"The format is right. Score it: teatbench score RECORDING --detector {given.word}")
+    word = shlex.quote(given.word)
+    print(f"The format is right. Score it: teatbench score RECORDING --detector {word}")
     return CODES.met
 
 
-def _drawn(folder: Path) -> Path:
+def _unseen(detector: Detector) -> int:
+    """The first member that it doesn't say it was trained on."""
+    from detector.protocol import Served
+
+    if isinstance(detector, Served):
+        detector.introduce()
+    member = 0
+    for first, last in sorted(getattr(detector, "trained_on", {}).get(SITUATION, ())):
+        member = last + 1 if first <= member <= last else member
+    return member
+
+
+def _drawn(folder: Path, member: int) -> Path:
     from bench.rig.loading import find_rig, load_rig
     from bench.rig.scenes import record
 
-    for _ in record(load_rig(find_rig(None)), [SITUATION], [0], folder, 1):
+    for _ in record(load_rig(find_rig(None)), [SITUATION], [member], folder, 1):
         pass
     return folder
 

@@ -14,7 +14,6 @@ from bench.cli.arguments import CODES
 from bench.cli.terminal import working
 from bench.dry_run.pose_checks import Finding, dry_run
 from bench.dry_run.rehearsal import NoTwinError, Rehearsal, rehearse
-from bench.results.answers import close_detectors
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import open_instruments
 from bench.rig.urls import PEOPLE
@@ -23,7 +22,7 @@ from bench.run.lock import RigInUseError, lock_path, locked
 from bench.run.trial import refuse_carry
 from bench.safety.latch import latch_path, read_latch
 from bench.script.calibration_age import refuse_old_calibration
-from bench.script.detectors import make_detectors
+from bench.script.detectors import introduced, make_detectors
 from bench.script.model import LoadedScript
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
@@ -126,12 +125,10 @@ def _rehearsed(
     named = (detectors,) if detectors else (script.script.detectors, script.path.parent)
     under_test = make_detectors(*named)
     try:
-        with working(REHEARSING) as shown:
+        with introduced(under_test, script.scenes), working(REHEARSING) as shown:
             return rehearse(rig, script, under_test, stage=stage, seed=seed, shown=shown), ()
     except NoTwinError as error:
         return None, (f"the script as a whole: there can be no emulated twin of this rig: {error}",)
-    finally:
-        close_detectors(under_test)
 
 
 def _needs(rig: LoadedRig, script: LoadedScript, out: Path) -> Iterator[str]:

@@ -230,8 +230,19 @@ def record(given: argparse.Namespace) -> int:
     from bench.rig.scenes import chosen
     from bench.rig.scenes import record as recorded
 
+    if given.coco:
+        refuse_existing(given.coco, replace=True, option="--coco", makes_folder=True)
+        if given.coco.exists():
+            raise ConfigError.plain(f"--coco {given.coco} is there already. Name another file.")
+        if any(one.name == "out-of-step" for one in given.perturb):
+            raise ConfigError.plain(
+                "--coco: masks are of the scene as drawn, and out-of-step moves the right picture"
+                " after that. Leave one of the two out."
+            )
     rig = load_rig(find_rig(given.rig))
-    frames = recorded(rig, given.situation, _members(given), given.out, given.seed, given.perturb)
+    frames = recorded(
+        rig, given.situation, _members(given), given.out, given.seed, given.perturb, given.coco
+    )
     return _shown(frames, given.out, len(chosen(given.situation)) * given.seeds)
 
 

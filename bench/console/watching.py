@@ -16,10 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.config import ConfigError, read_calibration
-from bench.record.reader import TrialRecord, opened, read_run
+from bench.record.reader import opened, points_mm, read_run
 from bench.record.schema import DATABASE
 from bench.report.runs import run_thumbnails
 from bench.report.trials import project_all
@@ -155,7 +154,7 @@ def trials(folder: Path) -> list[dict[str, Any]]:
     calibration = read_calibration(folder / "calibration.toml")
     found = []
     for trial in run.trials:
-        points = _points(trial)
+        points = points_mm([*trial.truth, *trial.found])
         seen = {
             camera: None if px is None else np.round(px, 1).tolist()
             for camera, px in project_all(calibration, points).items()
@@ -187,11 +186,6 @@ def trials(folder: Path) -> list[dict[str, Any]]:
             }
         )
     return found
-
-
-def _points(trial: TrialRecord) -> NDArray[np.float64]:
-    rows = [*trial.truth, *trial.found]
-    return np.array([[row["x_mm"], row["y_mm"], row["z_mm"]] for row in rows]).reshape(-1, 3)
 
 
 def frame(folder: Path, trial: str, camera: str) -> Path | None:

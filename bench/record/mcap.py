@@ -49,9 +49,9 @@ from detector.calibration.values import Calibration
 from detector.geometry import Camera
 
 NAME, CALIBRATION = "run.mcap", "calibration.toml"
-RADIOMETRIC = "thermal_radiometric"
+SIXTEEN_BITS = {"thermal_radiometric", "depth", "depth_amplitude"}
 # frame of reference by a camera's picture
-FRAMES_OF = {"left": "left", "right": "right", "thermal": "thermal", RADIOMETRIC: "thermal"}
+FRAMES_OF = {one: one.partition("_")[0] for one in ("left", "right", "thermal", *SIXTEEN_BITS)}
 NS = 1_000_000_000
 MM_PER_M = 1000.0
 NO_TURN = Quaternion(w=1.0)
@@ -120,11 +120,12 @@ def camera(at: Timestamp, frame: str, lens: Camera) -> CameraCalibration:
 
 def frames_of_reference(at: Timestamp, known: Calibration) -> FrameTransforms:
     """Where the cameras are in the world: the right one first, to which the left is tied, and the
-    thermal one to that.
+    thermal one and a depth camera to that.
     """
     motions = [("world", "right", known.world_from_right), ("right", "left", known.right_from_left)]
-    if known.thermal_from_left is not None:
-        motions.append(("left", "thermal", known.thermal_from_left.inverse()))
+    for name, pose in (("thermal", known.thermal_from_left), ("depth", known.depth_from_left)):
+        if pose is not None:
+            motions.append(("left", name, pose.inverse()))
     transforms = []
     for parent, child, motion in motions:
         x, y, z, w = (float(value) for value in Rotation.from_matrix(motion.R).as_quat())
@@ -318,7 +319,7 @@ def _image(at: Timestamp, run: Path, row: sqlite3.Row) -> Message:
         raise ConfigError.plain(
             f"{path} is not as it was written: 'teatbench store check {run}' says what else is not"
         )
-    if picture != RADIOMETRIC:
+    if picture not in SIXTEEN_BITS:
         return CompressedImage(timestamp=at, frame_id=frame, data=data, format="png")
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 2:
@@ -339,7 +340,8 @@ def _cameras(known: Calibration, time_ns: int) -> Iterator[TimedMessage]:
     """The cameras' places and lenses, before all else; a mirrored picture has no such lens."""
     yield TimedMessage(time_ns, "/tf", partial(frames_of_reference, known=known))
     thermal = None if known.thermal.mirrored else known.thermal.lens
-    for name, lens in (("left", known.left), ("right", known.right), ("thermal", thermal)):
+    lenses = {"left": known.left, "right": known.right, "thermal": thermal, "depth": known.depth}
+    for name, lens in lenses.items():
         if lens is not None:
             make = partial(camera, frame=name, lens=lens)
             yield TimedMessage(time_ns, f"/lenses/{name}", make)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,6 +106,12 @@ def _asked(address: str) -> sqlite3.Connection:
         db.close()
         raise
     return db
+
+
+def points_mm(rows: Iterable[Row]) -> NDArray[np.float64]:
+    """The places (n, 3) of rows that have ``x_mm``, ``y_mm`` and ``z_mm``."""
+    places = [(row["x_mm"], row["y_mm"], row["z_mm"]) for row in rows]
+    return np.array(places, dtype=np.float64).reshape(-1, 3)
 
 
 WALL_KEYS = ("seconds", "in_time", "success")  # parts of a score that depend on real time

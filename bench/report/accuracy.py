@@ -10,8 +10,8 @@ from math import sqrt
 
 import numpy as np
 
-from bench.record.reader import RunRecord
-from bench.report.tables import ends_mm, situations
+from bench.record.reader import RunRecord, points_mm
+from bench.report.tables import situations
 from bench.report.wording import NOT_MEASURED, number, spanned, table
 from bench.results.error_rows import ErrorRows, error_rows, run_precision, truth_gage
 from bench.results.verdicts import scored, truth_u_mm
@@ -192,7 +192,7 @@ MOST_DISTANCES = 6
 
 def limit_parts(run: RunRecord, calibration: Calibration) -> Iterator[Part]:
     """The best that any detector can reach on this calibration."""
-    ends = ends_mm(run.trials)
+    ends = points_mm(row for trial in run.trials for row in trial.truth)
     if not len(ends):
         yield Paragraph(NOT_MEASURED)
         yield Paragraph(f"What the geometry allows: {NOT_MEASURED}.")

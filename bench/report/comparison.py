@@ -351,10 +351,12 @@ def _chapters(one: Comparison, number: int, found: Sequence[Comparison]) -> Iter
     first = (_scoreboard(one), _by_situation(one, number))
     yield Section(f"comparison-{number}", f"What came out{whose}", first)
     sentence, success, distance, how, changed, runs = comparison_parts(one)
+    reasons = gate_reasons(one)
+    more = [Notes("All reasons", reasons)] if len(reasons) > MOST_REASONS else []
     for anchor, title, parts in (
         ("changed", "Scenes that changed", (changed,)),
         ("tables", "Each situation in figures", (success, distance)),
-        ("how", "Why this verdict, and how it was compared", (sentence, *_reasons(one), how, runs)),
+        ("how", "Why this verdict, and how it was compared", (sentence, *more, how, runs)),
     ):
         yield Section(f"{anchor}-{number}", f"{title}{whose}", parts, folded=True)
 
@@ -368,12 +370,6 @@ def gate_reasons(one: Comparison) -> tuple[str, ...]:
         name = called.get(head.removeprefix("in "))
         reasons.append(f"in {name}{middle}{rest}" if name else reason)
     return tuple(reasons)
-
-
-def _reasons(one: Comparison) -> Iterator[Part]:
-    reasons = gate_reasons(one)
-    if len(reasons) > MOST_REASONS:
-        yield Notes("All reasons", reasons)
 
 
 def _called(one: Comparison) -> tuple[str, str]:

@@ -248,6 +248,8 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
             f"No pose was tried; {needed} without a failure would show {100 * rate:g} % with"
             f" {sure}."
         )
+    if not any(trial.truth for trial in run.counted):
+        return f"{poses} poses have no truth: they show nothing of how well a detector finds teats."
     best = (1.0 - confidence) ** (1.0 / poses)
     message = (
         f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %, with"

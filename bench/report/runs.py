@@ -20,7 +20,7 @@ from bench.record.check import NOT_AS_WRITTEN, checked_first, shortened
 from bench.record.reader import RunRecord, TrialRecord, database_in, read_run
 from bench.record.schema import DATABASE, SCRIPT
 from bench.report.page import REPORT, stored_rules
-from bench.report.trials import grey, project_all, round_teats, worst_trials
+from bench.report.trials import frames_of, round_teats, worst_trials
 from bench.report.wording import number
 from bench.results.verdicts import judge, scored
 from bench.script.pixel_offsets import is_offset_script
@@ -206,14 +206,7 @@ def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:
     if trial is None:
         return
     calibration = read_calibration(run.folder / "calibration.toml")
-    ends = np.array([[row[f"{axis}_mm"] for axis in "xyz"] for row in trial.truth]).reshape(-1, 3)
-    paths = {row["camera"]: row["path"] for row in trial.frames}
-    for camera, points in project_all(calibration, ends).items():
-        image = grey(run.folder / paths[camera]) if camera in paths else None
-        if image is None:
-            continue
-        if camera == "thermal" and calibration.thermal.mirrored:
-            image = np.ascontiguousarray(image[:, ::-1])
+    for camera, image, points in frames_of(run, trial, calibration):
         if cut := None if camera == "thermal" else round_teats(points, *image.shape[::-1]):
             x, y, width, height = cut
             image = image[y : y + height, x : x + width]

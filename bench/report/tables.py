@@ -5,11 +5,11 @@ and what each missed or wrong teat is attributed to.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from bench.record.reader import RunRecord, TrialRecord
+from bench.record.reader import RunRecord
 from bench.record.schema import Row
 from bench.report.wording import NOT_MEASURED, limit, listed, margin, measured, table
 from bench.results.attribution import Cause, What, attributed, counted
@@ -166,12 +166,6 @@ def _narrow(rate: Rate) -> str:
     found = f"{rate.successes} of {rate.trials}"
     interval = f"({100 * span[0]:.0f} to {100 * span[1]:.0f} %)"
     return " ".join(text.replace(" ", "\u00a0") for text in (found, interval))
-
-
-def ends_mm(trials: Iterable[TrialRecord]) -> Floats:
-    """The true teat ends (n, 3) of these trials."""
-    rows = [row for trial in trials for row in trial.truth]
-    return np.array([[row[f"{axis}_mm"] for axis in "xyz"] for row in rows]).reshape(-1, 3)
 
 
 def covariance_of(row: Row) -> Floats | None:

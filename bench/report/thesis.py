@@ -16,10 +16,10 @@ import numpy as np
 from bench import __version__
 from bench.config import ConfigError, read_calibration, read_text
 from bench.files import sha256_of, write_synced
-from bench.record.reader import RunRecord
+from bench.record.reader import RunRecord, points_mm
 from bench.record.schema import SCRIPT
 from bench.record.writer import new_run_folder
-from bench.report.tables import ends_mm, situations
+from bench.report.tables import situations
 from bench.report.trials import project_all
 from bench.report.wording import NOT_MEASURED, listed, number, spanned, table
 from bench.results.error_rows import error_rows, plane_cells
@@ -415,7 +415,8 @@ def _asked(run: RunRecord, figures: Thesis) -> Iterator[Row]:
 
 def _rig(run: RunRecord, figures: Thesis, calibration: Calibration) -> Iterator[Row]:
     """Geometry, arm and bath."""
-    ends, maps, off = ends_mm(run.counted), figures.homography, figures.stand_off
+    ends = points_mm(row for trial in run.counted for row in trial.truth)
+    maps, off = figures.homography, figures.stand_off
     printed = f"at most {maps.largest_px:g} px, {maps.largest_mm:g} mm at {maps.at_mm:g} mm"
     mapped = _homographies(ends, figures, calibration)
     yield "homography from thermal to optical", maps.section, printed, "", mapped, maps.wrong

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.record.reader import RunRecord, TrialRecord
+from bench.record.reader import RunRecord, TrialRecord, points_mm
 from bench.record.schema import Row
 from bench.report.bath import capture_text, surface_at, surface_text
 from bench.report.tables import covariance_of
@@ -119,9 +119,8 @@ def looks_of(
 
 def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Look:
     """Its views cut to the teats, with truth and answers drawn in."""
-    ends = np.array([[r["x_mm"], r["y_mm"], r["z_mm"]] for r in trial.truth]).reshape(-1, 3)
     images = []
-    for camera, truth_px in project_all(calibration, ends).items():
+    for camera, truth_px in project_all(calibration, points_mm(trial.truth)).items():
         src = f"{IMAGES}/{trial.id}-{camera}.jpg"
         image = next((image for image in part.images if image.src == src), None)
         if image is None:
@@ -132,10 +131,9 @@ def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibrat
         for name, who in _places(trial).items():
             rows = [row for row in trial.found if row["detector"] == name]
             at = [json.loads(row[f"{camera}_px"]) for row in rows if row.get(f"{camera}_px")]
-            if camera == "thermal" and rows:
-                # a detector states no thermal pixels of its ends: they are where its ends are
-                points = np.array([[r["x_mm"], r["y_mm"], r["z_mm"]] for r in rows])
-                seen = project_all(calibration, points)[camera]
+            if camera in ("thermal", "depth") and rows:
+                # a detector states no pixels of its ends there: they are where its ends are
+                seen = project_all(calibration, points_mm(rows))[camera]
                 at = [] if seen is None else seen.tolist()
             shapes = tuple(
                 answer_mark(who, x, y, 5 * size) for x, y in at if np.isfinite([x, y]).all()
@@ -324,17 +322,10 @@ def pictures(
     run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path
 ) -> Iterator[ImageView]:
     """Every view of a trial; its files are written into ``folder``/images, which must be there."""
-    ends = [[r["x_mm"], r["y_mm"], r["z_mm"]] for r in trial.truth]
-    truth = project_all(calibration, np.array(ends).reshape(-1, 3))
     paths = {row["camera"]: row["path"] for row in trial.frames}
-    for camera, points in truth.items():
-        image = grey(run.folder / paths[camera]) if camera in paths else None
-        if image is None:
-            continue  # the store's check names a frame that is gone; the page does without
-        label = camera
-        if camera == "thermal" and calibration.thermal.mirrored:
-            image = np.ascontiguousarray(image[:, ::-1])  # as the detector and the overlays count
-            label = f"{camera}, left and right exchanged back"
+    for camera, image, points in frames_of(run, trial, calibration):
+        mirrored = camera == "thermal" and calibration.thermal.mirrored
+        label = f"{camera}, left and right exchanged back" if mirrored else camera
         name = f"{IMAGES}/{trial.id}-{camera}.jpg"
         _write(image, folder / name, cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
         height, width = image.shape
@@ -351,16 +342,33 @@ def pictures(
     for detection in trial.detections:
         # the detector's edge picture, where it has one, with the points that were taken from it
         path = paths.get(f"{detection['detector']}-edges")
-        image = None if path is None else grey(run.folder / path)
-        if image is None:
+        edges = None if path is None else grey(run.folder / path)
+        if edges is None:
             continue
         name = f"{IMAGES}/{trial.id}-{detection['detector']}-edges.png"
-        _write(255 - image, folder / name, cv2.IMWRITE_PNG_BILEVEL, 1)
-        height, width = image.shape
+        _write(255 - edges, folder / name, cv2.IMWRITE_PNG_BILEVEL, 1)
+        height, width = edges.shape
         label = f"{detection['detector']}: edges in the thermal frame"
         alt = f"{label}, trial {trial.id}"
         layers = stage_overlays(detection, _places(trial)[str(detection["detector"])])
         yield ImageView(label, name, width, height, alt, layers, original=f"../{path}")
+
+
+def frames_of(
+    run: RunRecord, trial: TrialRecord, calibration: Calibration
+) -> Iterator[tuple[str, NDArray[np.uint8], Points | None]]:
+    """Each camera with its frame, un-mirrored as the detector and the overlays count, and the true
+    ends (n, 2) in it. A frame that is gone is left out: the store's check names it.
+    """
+    paths = {row["camera"]: row["path"] for row in trial.frames}
+    for camera, points in project_all(calibration, points_mm(trial.truth)).items():
+        show = shown_depth if camera == "depth" else grey
+        image = show(run.folder / paths[camera]) if camera in paths else None
+        if image is None:
+            continue
+        if camera == "thermal" and calibration.thermal.mirrored:
+            image = np.ascontiguousarray(image[:, ::-1])
+        yield camera, image, points
 
 
 def round_teats(
@@ -385,12 +393,25 @@ def round_teats(
 
 
 def grey(path: Path) -> NDArray[np.uint8] | None:
-    """A frame as 8-bit grey or None; read through memory: OpenCV wants ASCII paths on Windows."""
-    if not path.is_file():
-        return None
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
+    """A frame as 8-bit grey or None."""
+    image = _read(path, cv2.IMREAD_GRAYSCALE)
     return None if image is None else np.asarray(image, dtype=np.uint8)
+
+
+def shown_depth(path: Path) -> NDArray[np.uint8] | None:
+    """A depth frame as 8-bit grey, near is bright, or None; black where nothing was measured."""
+    tenths = _read(path, cv2.IMREAD_UNCHANGED)
+    if tenths is None or tenths.dtype != np.uint16 or not tenths.any():
+        return None
+    near, far = np.percentile(tenths[tenths > 0], [0.5, 99.5])
+    level = 255.0 - 223.0 * (tenths - near) / max(1.0, float(far - near))
+    return np.where(tenths > 0, np.clip(level, 32.0, 255.0), 0.0).astype(np.uint8)
+
+
+def _read(path: Path, how: int) -> NDArray[Any] | None:
+    """The picture in a file, or None; through memory: OpenCV wants ASCII paths on Windows."""
+    data = np.frombuffer(path.read_bytes() if path.is_file() else b"", np.uint8)
+    return cv2.imdecode(data, how) if data.size else None
 
 
 def _write(image: NDArray[np.uint8], path: Path, setting: int, value: int) -> None:
@@ -401,12 +422,17 @@ def _write(image: NDArray[np.uint8], path: Path, setting: int, value: int) -> No
 
 
 def project_all(calibration: Calibration, world_mm: Points) -> dict[str, Points | None]:
-    """Pixels (n, 2) of world points (n, 3) by camera, thermal un-mirrored; None without a pose."""
+    """Pixels (n, 2) of world points (n, 3) by camera, thermal un-mirrored; None without a pose. A
+    depth camera is among them where there is one.
+    """
     left, right = calibration.project(world_mm)
     in_right = calibration.world_from_right.inverse().apply(world_mm)
     lens, pose = calibration.thermal.lens, calibration.thermal_from_right
     thermal = lens.project(pose.apply(in_right)) if lens and pose else None
-    return {"left": left, "right": right, "thermal": thermal}
+    seen = {"left": left, "right": right, "thermal": thermal}
+    if calibration.depth and (depth_from_world := calibration.depth_from_world):
+        seen["depth"] = calibration.depth.project(depth_from_world.apply(world_mm))
+    return seen
 
 
 def overlays(
@@ -504,10 +530,12 @@ def _models(
     decided = trace.get("decisions", {})
     teats = _rows(decided.get("teats"), COUNT)
     reasons = decided.get("reasons") if isinstance(decided.get("reasons"), list) else []
+    depth_from_world, world_from_right = calibration.depth_from_world, calibration.world_from_right
     lens, from_right = {
         "left": (calibration.left, calibration.right_from_left.inverse()),
         "right": (calibration.right, Motion.identity()),
         "thermal": (calibration.thermal.lens, calibration.thermal_from_right),
+        "depth": (calibration.depth, depth_from_world and depth_from_world @ world_from_right),
     }[camera]
     if not len(teats) or lens is None or from_right is None:
         return
@@ -532,7 +560,7 @@ def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:
     covariance = covariance_of(row)
     if covariance is None:
         return
-    end = np.array([row["x_mm"], row["y_mm"], row["z_mm"]])
+    end = points_mm([row])
     around = np.vstack([end, end + STEP_MM * np.eye(3), end - STEP_MM * np.eye(3)])
     seen = project_all(calibration, around)[camera]
     if seen is None or not np.isfinite(seen).all():

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.record.reader import RunRecord, TrialRecord
+from bench.record.reader import RunRecord, TrialRecord, points_mm
 from bench.report.tables import covariance_of
 from bench.report.wording import key_values, listed, number, spanned, table, xyz
 from bench.results.cameras_agree import LIMIT_PX, NAMES, answers_of, cameras_of, told_apart
@@ -161,7 +161,7 @@ def _stated(run: RunRecord) -> Iterator[Part]:
         "standard uncertainty of a position, along each axis": f"{u_mm:g} mm",
         "source": stated["source"] or "not named in the rig file ([arm] accuracy_source)",
         "degrees of freedom": f"{stated['df']:g}" if stated["df"] else "not stated: taken as exact",
-        "rounding of the counts, beside it": f"{stated['resolution_mm']:.3f} mm",
+        "rounding, beside it": f"{stated['resolution_mm']:.3f} mm",
     }
     yield key_values("The arm's uncertainty, as the rig file states it", entries)
     if not checks:
@@ -368,12 +368,7 @@ def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
 
 def _truth_error(rows: Sequence[Mapping[str, Any]]) -> str:
     """What the truth was off by, known on an emulated rig only."""
-    off_mm = np.array(
-        [
-            np.subtract([row["x_mm"], row["y_mm"], row["z_mm"]], json.loads(row["exact_mm"]))
-            for row in rows
-        ]
-    )
+    off_mm = points_mm(rows) - [json.loads(row["exact_mm"]) for row in rows]
     regions = [
         (off, covariance)
         for off, row in zip(off_mm, rows, strict=True)

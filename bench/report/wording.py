@@ -225,7 +225,7 @@ def _why_ended(run: RunRecord) -> str:
         return f"{died} {guardian_text(run.guardian)}" if run.guardian else died
     return (
         f"The run was {run.ending} after {done} of {planned} trials:"
-        f" {message[-1] if message else 'no reason was recorded'}."
+        f" {message[-1].rstrip('.') if message else 'no reason was recorded'}."
     )
 
 

@@ -6,6 +6,7 @@ what it did and never stops a run. Every detector is timed around the same `dete
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
@@ -26,6 +27,7 @@ from detector.protocol import (
     Served,
     Stage,
     Teat,
+    depth_of,
 )
 from instruments.camera.recording import TruthRow
 from instruments.clock import load_per_processor, processor_s, stopwatch_s
@@ -268,7 +270,9 @@ def close_detectors(detectors: Iterable[Detector]) -> None:
 def score_answer(
     answer: Answer, truth: Sequence[TruthRow], *, limit_mm: float, time_limit_s: float
 ) -> SceneScore:
-    """The score of one answer; no answer is no success, also where nothing was to be found."""
+    """The score of one answer; no answer is no success, also where nothing was to be found. A first
+    call (cold) is in time unless it was given up: a network may be made ready in it.
+    """
     answered = answer.outcome is Outcome.ANSWERED
     score = score_scene(
         points_of(answer.detection),
@@ -277,7 +281,7 @@ def score_answer(
         u_mm=max((row.u_mm for row in truth if row.u_mm is not None), default=0.0),
         seconds=answer.seconds,
         limit_mm=limit_mm,
-        time_limit_s=time_limit_s,
+        time_limit_s=math.inf if answer.cold else time_limit_s,
         hidden_claimed=answer.detection.hidden if answered else None,
     )
     in_time = score.in_time and answer.outcome is not Outcome.TIMEOUT
@@ -309,6 +313,7 @@ class _Shown:
     def __init__(self, frames: Frames) -> None:
         self.left, self.right = _fixed(frames.left), _fixed(frames.right)
         self.thermal, self.thermal_k = _fixed(frames.thermal), _fixed(frames.thermal_k)
+        self.depth_mm, self.amplitude = map(_fixed, depth_of(frames))
 
 
 def _fixed(picture: Any) -> Any:

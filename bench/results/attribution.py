@@ -82,7 +82,7 @@ def attributed(
             elif cause is Cause.DETECTOR and depth_mm > 0.5 * trial.scores[detector].limit_mm:
                 cause = Cause.CALIBRATION
                 why += f"; but the cameras put every end some {depth_mm:.1f} mm off in depth"
-            elif cause is Cause.DETECTOR and off and _silent(trial, detector):
+            elif cause is Cause.DETECTOR and off and not trial.scores[detector].counts.found:
                 cause, why = Cause.CALIBRATION, f"{why}; but the cameras have their {off}"
             found.append(Attributed(trial.id, detector, teat, what, cause, why))
     judged_not = (
@@ -118,11 +118,6 @@ def _wrong(trial: TrialRecord, detector: str) -> Iterator[tuple[What, str, Cause
     for teat, row in enumerate(trial.truth):
         if not row["visible"] and teat not in found:
             yield What.MISSED, names[teat], Cause.NOT_VISIBLE, "some camera can't see its end"
-
-
-def _silent(trial: TrialRecord, detector: str) -> bool:
-    """Whether the detector gave no end at all."""
-    return not trial.scores[detector].counts.found
 
 
 def _not_judged(run: RunRecord) -> Iterator[tuple[str, Cause, str]]:

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from bench.config import ConfigError
-from bench.record.reader import TrialRecord, read_run
+from bench.record.reader import TrialRecord, points_mm, read_run
 from bench.record.schema import DATABASE
 from bench.scoring.decisions import Decision, Verdict
 from bench.script.model import CamerasRequirement
@@ -285,7 +285,7 @@ def answers_of(
         if score is None or not score.match.pairs:
             continue
         rows = [trial.truth[k] for _, k in score.match.pairs]
-        true = np.array([[row[f"{axis}_mm"] for axis in "xyz"] for row in rows])
+        true = points_mm(rows)
         columns = [
             np.subtract(left[:, 0], right[:, 0])
             for left, right in map(calibration.project, (true + score.errors_mm, true))

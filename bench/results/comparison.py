@@ -32,10 +32,11 @@ from bench.scoring.comparison import Compared, Gate, ScenePair, compare
 from bench.scoring.decisions import Verdict
 from bench.scoring.scene import Pool
 from bench.script.model import Rules, Script
+from instruments.camera.recording import FILES
 
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
 # other pictures are a detector's own
-CAMERAS = frozenset({"left", "right", "thermal", "thermal_radiometric"})
+CAMERAS = frozenset(Path(name).stem for name in FILES)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,6 @@ from bench.rig.arm_files import LocationTest, Verification, from_dict
 from bench.rig.model import Arm
 from bench.scoring.stated_u import StatedCheck, refuted
 from bench.truth.arm_check import AFTER, BEFORE, CHECK_FACT, location_of
-from bench.truth.touching import ROUNDING_MM
 
 STATED_FACT = "arm uncertainty"
 VERIFICATION_FACT = "arm verification"
@@ -28,7 +27,7 @@ def stated_fact(arm: Arm) -> dict[str, Any]:
         "u_mm": arm.accuracy_mm,
         "source": arm.accuracy_source,
         "df": arm.accuracy_df,
-        "resolution_mm": ROUNDING_MM,
+        "resolution_mm": arm.rounding_mm,
     }
 
 

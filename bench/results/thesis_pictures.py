@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from bench.record.reader import TrialRecord
+from bench.record.reader import TrialRecord, points_mm
 from bench.scoring.errors import Bools, Floats
 from detector.calibration import Calibration
 
@@ -78,9 +78,7 @@ def in_pictures(
         situation = str(trial.head["situation"])
         answers = _answers(named)
         visible = [row for row in trial.truth if row["visible"]]
-        points = [[row[f"{axis}_mm"] for axis in "xyz"] for row in visible]
-        ends = np.array(points, dtype=np.float64).reshape(-1, 3)
-        off_px, on_end, off_mm, unpaired = _compared(ends, answers, calibration)
+        off_px, on_end, off_mm, unpaired = _compared(points_mm(visible), answers, calibration)
         astray[situation] = astray.get(situation, 0) + unpaired
         each = zip(visible, off_px, on_end, off_mm, strict=True)
         rows += [(situation, str(row["teat"]), *values) for row, *values in each]

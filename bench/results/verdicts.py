@@ -28,7 +28,6 @@ from bench.scoring.decisions import (
     overall,
 )
 from bench.scoring.errors import percentile
-from bench.scoring.rates import Rate
 from bench.scoring.scene import Pool, pool
 from bench.script.calibration_age import decide_calibration
 from bench.script.model import (
@@ -302,7 +301,6 @@ def _decided(
                 rate=rule.rate,
                 confidence=rule.confidence,
                 poses=scores.error_poses,
-                statistic=rule.statistic,
                 missed=scores.counts.missed,
             )
         case FalseRequirement():
@@ -334,14 +332,11 @@ def _decided(
             )
     sentence, verdict = f"{decision.sentence} {timed.starved}".strip(), decision.verdict
     if isinstance(rule, SuccessRequirement) and scores.accurate != scores.success:
-        sentence += f" Without the time limit {_share(scores.accurate)} succeeded."
+        at_all = f"{scores.accurate.successes} of {scores.accurate.trials} poses"
+        sentence += f" Without the time limit {at_all} succeeded."
     if timed.starved and verdict is Verdict.NOT_MET and not _fails_without_time(rule, scores):
         verdict = Verdict.INCONCLUSIVE
     return replace(decision, sentence=sentence, verdict=verdict)
-
-
-def _share(rate: Rate) -> str:
-    return f"{rate.successes} of {rate.trials} poses"
 
 
 def _fails_without_time(rule: DetectorRequirement, scores: Pool) -> bool:

@@ -326,6 +326,9 @@ def _cameras(cameras: Any) -> Iterator[tuple[str, str]]:
         image = getattr(frames, name)
         if image is not None:
             yield name, f"{image.shape[1]} x {image.shape[0]}, mean level {image.mean():.1f}"
+    if (depth := frames.depth_dmm) is not None:
+        measured = 100.0 * np.count_nonzero(depth) / depth.size
+        yield "depth", f"{depth.shape[1]} x {depth.shape[0]}, {measured:.0f} % of it measured"
 
 
 _READ: dict[str, Callable[[Any], Iterator[tuple[str, str]]]] = {

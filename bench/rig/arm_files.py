@@ -156,22 +156,25 @@ LEAST_SWING_DEG = 30.0  # with less, the joints hardly moved, and the test could
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocationTest:
-    """Readings of one divot: ``tips_mm``, unit ``axes`` (n, 3), n >= 2, else ValueError."""
+    """Readings of one divot: ``tips_mm``, unit ``axes`` (n, 3) of the stylus (None: not known),
+    n >= 2, else ValueError.
+    """
 
     where: str
     tips_mm: Floats
-    axes: Floats
+    axes: Floats | None
 
     def __post_init__(self) -> None:
         if (
             self.tips_mm.ndim != 2
             or self.tips_mm.shape[1:] != (3,)
-            or self.tips_mm.shape != self.axes.shape
+            or (self.axes is not None and self.tips_mm.shape != self.axes.shape)
             or len(self.tips_mm) < 2
         ):
+            axes = "no" if self.axes is None else self.axes.shape
             raise ValueError(
                 "a location test needs (n, 3) tips and axes, n at least 2; got"
-                f" {self.tips_mm.shape} and {self.axes.shape}"
+                f" {self.tips_mm.shape} and {axes}"
             )
 
     @property
@@ -204,8 +207,10 @@ class LocationTest:
         return least_sphere_mm(self.tips_mm)
 
     @property
-    def swing_deg(self) -> float:
-        """The largest angle between two stylus directions."""
+    def swing_deg(self) -> float | None:
+        """The largest angle between two stylus directions; None where they are not known."""
+        if self.axes is None:
+            return None
         return float(np.degrees(np.arccos(np.clip((self.axes @ self.axes.T).min(), -1.0, 1.0))))
 
 
@@ -306,7 +311,11 @@ def broken_by(test: LocationTest, limit_mm: float) -> list[str]:
 def gaps_of(test: LocationTest, least: int) -> list[str]:
     """Why a test at one divot shows too little, whatever its figures."""
     gaps = []
-    if test.swing_deg < LEAST_SWING_DEG:
+    if test.swing_deg is None:
+        gaps.append(
+            f"{test.where}: how far the stylus swung is not known; give i, j and k with the points"
+        )
+    elif test.swing_deg < LEAST_SWING_DEG:
         gaps.append(
             f"{test.where}: the stylus was swung by {test.swing_deg:.0f} degrees only;"
             f" {LEAST_SWING_DEG:g} are needed"
@@ -314,6 +323,18 @@ def gaps_of(test: LocationTest, least: int) -> list[str]:
     if test.n < least:
         gaps.append(f"{test.where}: {test.n} touches only; {least} are needed")
     return gaps
+
+
+def axes_of(directions: Sequence[ArrayLike | None]) -> Floats | None:
+    """Directions (n, 3); None where one of them is not known."""
+    known = [one for one in directions if one is not None]
+    return np.array(known, dtype=np.float64) if len(known) == len(directions) else None
+
+
+def swing_text(test: LocationTest) -> str:
+    if test.swing_deg is None:
+        return "how far the stylus swung is not known"
+    return f"the stylus swung by {test.swing_deg:.0f} degrees"
 
 
 def least_sphere_mm(points_mm: Floats) -> float:
@@ -378,9 +399,9 @@ class _Location(Section):
     largest_mm: NotNegative
     two_sd_mm: NotNegative
     sphere_mm: NotNegative
-    swing_deg: NotNegative
+    swing_deg: NotNegative | None = None
     tips_mm: Annotated[tuple[Three, ...], Field(min_length=2)]
-    axes: Annotated[tuple[Three, ...], Field(min_length=2)]
+    axes: Annotated[tuple[Three, ...], Field(min_length=2)] | None = None
 
 
 class _Length(Section):
@@ -438,7 +459,7 @@ def load_frame(path: Path, *, serial_number: str | None = None) -> TableFrame:
         frame = TableFrame.from_touches(file.made, file.serial_number, points)
     except FrameError as error:
         raise located(path, read_text(path), [(("points",), str(error), False)]) from error
-    _refuse_changed(path, file, _frame_table(frame))
+    refuse_changed(path, file, _frame_table(frame))
     return frame
 
 
@@ -471,13 +492,13 @@ def load_verification(path: Path) -> Verification:
     uneven = [
         (("location", i, "axes"), "must have a row for each of tips_mm", False)
         for i, test in enumerate(file.location)
-        if len(test.tips_mm) != len(test.axes)
+        if test.axes is not None and len(test.tips_mm) != len(test.axes)
     ]
     if uneven:
         raise located(path, read_text(path), uneven)
     said = file.model_dump()
     found = from_dict({**said, "locations": said["location"], "lengths": said["length"]})
-    _refuse_changed(path, file, _verification_table(found, Limits(**said["limits"])))
+    refuse_changed(path, file, _verification_table(found, Limits(**said["limits"])))
     return found
 
 
@@ -491,7 +512,8 @@ def write_file(path: Path, text: str) -> None:
         ) from error
 
 
-def _refuse_changed(path: Path, file: Section, follows: Mapping[str, Any]) -> None:
+def refuse_changed(path: Path, file: Section, follows: Mapping[str, Any]) -> None:
+    """Raises ConfigError where values of ``file`` aren't those that follow from its touches."""
     message = "doesn't follow from what was touched: the file was changed by hand. Make it anew"
     wrong = [(key, message, False) for key in _differ(file.model_dump(), follows, ())]
     if wrong:

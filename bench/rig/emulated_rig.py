@@ -72,7 +72,8 @@ class EmulatedRig:
     ) -> None:
         emulation = rig.rig.emulation
         table = tomllib.loads(read_text(rig.calibration_path))
-        renderer = make_renderer(table, seed, emulation.optical, emulation.thermal)
+        sensors = emulation.optical, emulation.thermal, emulation.depth
+        renderer = make_renderer(table, seed, *sensors)
         self.world = World(
             clock,
             seed,

@@ -110,8 +110,9 @@ NEARLY_ALL = 0.995
 # a thermal picture's grey says nothing of its light: only what is plainly nothing counts
 THERMAL_BLACK_DN = 2
 THERMAL_FULL = 0.9
-RADIOMETRIC = "thermal_ck"
+RADIOMETRIC, DEPTH = "thermal_ck", "depth_dmm"
 PARTS = {"left": "left", "right": "right", "thermal": "thermal", RADIOMETRIC: "thermal"}
+PARTS[DEPTH] = "depth"
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,10 +173,11 @@ class FrameChecks:
 
     def _sizes(self, frames: FrameSet) -> Iterator[FrameProblem]:
         for part, camera in PARTS.items() if self._calibration else ():
-            of = getattr(self._calibration, camera)
+            of, image = getattr(self._calibration, camera), getattr(frames, part)
+            if image is None or of is None:
+                continue
             size = of.sensor_size if part == RADIOMETRIC else of.image_size
-            image = getattr(frames, part)
-            if image is not None and image.shape != size[::-1]:
+            if image.shape != size[::-1]:
                 seen, wanted = ("{} x {}".format(*each) for each in (image.shape[::-1], size))
                 said = f"{seen}, the calibration is for {wanted}"
                 yield FrameProblem(FrameFault.WRONG_SIZE, camera, said)
@@ -185,7 +187,7 @@ class FrameChecks:
     ) -> Iterator[tuple[FrameFault, str]]:
         """Each fault of one picture, with what is wrong; empty where nothing is."""
         checks = self._checks
-        if part == RADIOMETRIC:
+        if part in (RADIOMETRIC, DEPTH):
             black = "" if image.any() else "every count is zero"
             white = float(np.mean(image == np.iinfo(image.dtype).max))
         else:
@@ -195,7 +197,8 @@ class FrameChecks:
             black, white = said if level <= dark else "", saturated_share(image)
         full = checks.saturated_share if part in ("left", "right") else THERMAL_FULL
         same = checks.frozen and last is not None and np.array_equal(image, last)
-        share = missing_rows(image, last if checks.frozen else None)
+        # what is too far or too dark for a depth camera may be rows at an edge
+        share = 0.0 if part == DEPTH else missing_rows(image, last if checks.frozen else None)
         yield FrameFault.BLACK, black
         said = f"{100 * white:.0f} % of it is white, limit {100 * full:.0f} %"
         yield FrameFault.SATURATED, said if white > full else ""
@@ -206,7 +209,7 @@ class FrameChecks:
 
     def _out_of_focus(self, part: str, image: NDArray[Any]) -> str:
         times = self._checks.focus_times
-        reference_px = None if part == RADIOMETRIC else getattr(self._checks.focus_px, part)
+        reference_px = getattr(self._checks.focus_px, part, None)
         if reference_px is None:
             return ""
         blur_px, limit_px = edge_blur_px(image), times * reference_px

@@ -31,7 +31,12 @@ from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
 from instruments.world.boards import Pattern
 
 RIGS = Path(__file__).parents[1] / "rigs"
-NO_RIGS = ("calibration", "thesis-calibration", "lab.example")  # what lies there and can't be run
+NO_RIGS = (
+    "calibration",
+    "thesis-calibration",
+    "depth-calibration",
+    "lab.example",
+)  # what lies there and can't be run
 T = TypeVar("T")
 TO_COPY = RIGS / "lab.example.toml"
 

@@ -39,16 +39,20 @@ from bench.rig.urls import (
 from instruments.bath.connection import parse_line
 from instruments.bath.profile import profile_names, relay_names
 from instruments.camera import emulator as camera_faults
-from instruments.camera.frame import Channel, Conversion, Flip, Radiometry, Turn
+from instruments.camera.frame import Channel, Conversion, Flip, Radiometry, Ranging, Turn
 from instruments.camera.radiometric import PROFILES, RadiometricProfile
 from instruments.camera.settings import Settings, Trigger, Value
 from instruments.microscribe import faults as arm_faults
 from instruments.operators.emulated import Mistake
+from instruments.points import points_url
+from instruments.world.depth_camera import DepthSensor
 from instruments.world.phantom import PlatePose
 from instruments.world.scene import Renderer
 from instruments.world.sensor import Focus, OpticalSensor
 from instruments.world.thermal_camera import Drift, ThermalSensor
 
+# 0.105 mm rms in space over random poses (the arm's fact sheet), along one axis
+ROUNDING_MM = 0.105 / math.sqrt(3.0)
 Baud = Literal[9600, 14400, 19200, 28800, 38400, 57600, 115200]
 
 
@@ -61,6 +65,7 @@ class Arm(Section):
     accuracy_df: Annotated[float, Field(ge=3, le=1e6)] | None = None
     packets: Annotated[int, Field(ge=2, le=1000)] = 8
     max_spread_mm: Positive = 1.0
+    resolution_mm: Positive = 0.01
     touches: Annotated[int, Field(ge=1, le=100)] = 3
     definition_mm: Positive = 0.1
     tip_radius_mm: Annotated[float, Field(ge=0, le=20)] = 0.0
@@ -70,6 +75,28 @@ class Arm(Section):
     verification: Annotated[str, AfterValidator(beside_if_named)] = ""
     check_point_mm: Point | None = None
     check_touches: Annotated[int, Field(ge=2, le=100)] = 5
+
+    @model_validator(mode="after")
+    def _stated(self) -> Arm:
+        if points_url(self.url) and not {"accuracy_mm", "accuracy_source"} <= self.model_fields_set:
+            raise ValueError(
+                "accuracy_mm and accuracy_source are needed: the standard uncertainty of a point of"
+                " this arm, and where that figure is from"
+            )
+        return self
+
+    @property
+    def rounding_mm(self) -> float:
+        """Standard uncertainty of a position's rounding along an axis: of the encoder counts, rms
+        over the reach, or of the last digit that is written.
+        """
+        return self.resolution_mm / math.sqrt(12.0) if points_url(self.url) else ROUNDING_MM
+
+    @property
+    def rounding_source(self) -> str:
+        if points_url(self.url):
+            return f"points are written to {self.resolution_mm:g} mm (rig file), over √12"
+        return "rounding of the arm's encoder counts, rms over its reach"
 
     @property
     def u_mm(self) -> float:
@@ -338,6 +365,33 @@ class ThermalTable(OneCamera):
         )
 
 
+class DepthTable(OneCamera):
+    """The depth camera: its counts are distances along its axis, as it says or as declared here."""
+
+    mm_per_count: Positive | None = None
+    mm_at_zero: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
+    no_measurement: Annotated[int, Field(ge=0, le=65535)] = 0
+
+    @model_validator(mode="after")
+    def _deep(self) -> DepthTable:
+        if self.url.startswith("opencv:"):
+            raise ValueError(
+                'a depth camera is of the kind "genicam:" or "files:"; OpenCV\'s devices deliver'
+                f" pictures, this one is {self.url}"
+            )
+        return self
+
+    @property
+    def settings(self) -> Settings:
+        return replace(super().settings, depth=True)
+
+    def conversion(self) -> Conversion:
+        """Files without a word are as in a recording: tenths of a millimetre."""
+        mm = self.mm_per_count or (0.1 if self.url.startswith("files:") else None)
+        ranging = Ranging(mm, self.mm_at_zero, self.no_measurement) if mm else None
+        return replace(super().conversion(), ranging=ranging)
+
+
 class FocusTable(Section):
     """Edge blur in px of each camera when it was in focus; `teatbench camera focus` measures it."""
 
@@ -365,6 +419,7 @@ class Cameras(Section):
     left: OneCamera | None = None
     right: OneCamera | None = None
     thermal: ThermalTable | None = None
+    depth: DepthTable | None = None
     settle_s: Annotated[float, Field(ge=0, le=600)] = 1.0
     max_skew_s: Positive = 0.05
     retries: Annotated[int, Field(ge=0, le=100)] = 3
@@ -387,6 +442,7 @@ class Cameras(Section):
     @property
     def tables(self) -> dict[str, OneCamera]:
         named = {"left": self.left, "right": self.right, "thermal": self.thermal}
+        named |= {"depth": self.depth}
         return {name: table for name, table in named.items() if table}
 
     @property
@@ -496,12 +552,35 @@ class EmulatedThermal(Section):
         return sensor if size is None else replace(sensor, width_px=size[0], height_px=size[1])
 
 
+class EmulatedDepth(Section):
+    """``[emulation.depth]``: a depth camera; it is there where the calibration has its lens."""
+
+    modulation_mhz: Annotated[float, Field(gt=0, le=1000)] | None = None
+    noise_mm: Annotated[float, Field(ge=0, le=100)] | None = None
+    offset_mm: Annotated[float, Field(ge=-1000, le=1000)] | None = None
+    cyclic_mm: Annotated[float, Field(ge=0, le=100)] | None = None
+    second_path: Annotated[float, Field(ge=0, le=10)] | None = None
+    blur_px: _Pixels | None = None
+    least_amplitude: _Share | None = None
+
+    def sensor(self) -> DepthSensor:
+        return DepthSensor(**self.model_dump(exclude_none=True))
+
+
 def make_renderer(
-    table: Mapping[str, Any], seed: int, optical: EmulatedOptical, thermal: EmulatedThermal
+    table: Mapping[str, Any],
+    seed: int,
+    optical: EmulatedOptical,
+    thermal: EmulatedThermal,
+    depth: EmulatedDepth,
 ) -> Renderer:
-    """The three cameras of a calibration ``table``. Raises ValueError for a table that is wrong."""
+    """The cameras of a calibration ``table``. Raises ValueError for a table that is wrong."""
     return Renderer.from_calibration(
-        table, seed, optical=optical.sensor(), thermal=thermal.sensor(table)
+        table,
+        seed,
+        optical=optical.sensor(),
+        thermal=thermal.sensor(table),
+        depth=depth.sensor(),
     )
 
 
@@ -639,6 +718,7 @@ class Emulation(Section):
     arm_unit: Annotated[str, AfterValidator(beside_if_named)] = ""
     optical: EmulatedOptical = EmulatedOptical()
     thermal: EmulatedThermal = EmulatedThermal()
+    depth: EmulatedDepth = EmulatedDepth()
     stage: EmulatedStage = EmulatedStage()
     faults: tuple[EmulatedFault, ...] = ()
 

@@ -229,7 +229,7 @@ def _openers(
 
     def arm() -> AnyArm:
         if points := points_url(urls["arm"]):
-            return PointArm(points, rig.path.parent, clock, r.arm.accuracy_mm)
+            return PointArm(points, rig.path.parent, clock, r.arm.accuracy_mm, r.arm.resolution_mm)
         return MicroScribe(link("arm", r.arm.baud), clock, answer_s=r.arm.answer_s)
 
     def bath() -> Bath:

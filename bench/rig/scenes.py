@@ -16,10 +16,12 @@ import numpy as np
 
 from bench.config import ConfigError, read_text
 from bench.files import write_synced
+from bench.rig.coco import CocoFile
 from bench.rig.loading import LoadedRig, drawn
 from bench.rig.model import make_renderer
 from detector.calibration import Calibration, dump_calibration
 from detector.calibration.boards import Board
+from instruments.camera.emulator import frame_set
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import RecordingError, RecordingWriter, TruthRow
 from instruments.world import boards
@@ -48,7 +50,7 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 def rig_renderer(rig: LoadedRig, seed: int) -> Renderer:
     """The cameras of a rig file as emulated; ``seed`` is theirs."""
     table, emulation = tomllib.loads(read_text(rig.calibration_path)), rig.rig.emulation
-    return make_renderer(table, seed, emulation.optical, emulation.thermal)
+    return make_renderer(table, seed, emulation.optical, emulation.thermal, emulation.depth)
 
 
 def warm(found: Situation) -> SceneState:
@@ -101,14 +103,17 @@ def record(
     folder: Path,
     seed: int,
     perturbations: Sequence[Perturbation] = (),
+    coco: Path | None = None,
 ) -> Iterator[str]:
-    """Add a frame for each family and seed to a recording; yields each frame's name. Raises
-    ConfigError for the folder, RecordingError for a frame that is there already.
+    """Add a frame for each family and seed to a recording; yields each frame's name. ``coco``: the
+    file to write with masks and key points of these frames, in the end. Raises ConfigError for the
+    folder or that file, RecordingError for a frame that is there already.
     """
     families = chosen(names)
     renderer, stated = rig_renderer(rig, seed), rig.calibration
     for one in perturbations:
         stated = one.stated(stated)
+    labels = CocoFile(coco, renderer) if coco else None
     text = read_text(rig.calibration_path)
     if stated is not rig.calibration:
         text = dump_calibration(stated, "perturbed: not what the cameras are")
@@ -122,17 +127,22 @@ def record(
                 shot = draw(renderer, name, state, [seed, member], perturbations, chance)
                 writer.add(frame, shot.frames)
                 writer.add_truth(frame, shot.truth)
+                if labels:
+                    labels.add(frame, name, member, shot.state)
                 yield frame
     except OSError as error:
         raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
+    if labels:
+        labels.write()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """A scene as the cameras see it, with its exact truth."""
+    """A scene as the cameras see it, with its exact truth; ``state``: the scene, as perturbed."""
 
     frames: FrameSet
     truth: tuple[TruthRow, ...]
+    state: SceneState
 
 
 def draw(
@@ -156,12 +166,11 @@ def draw(
         TruthRow(name, str(i), (x, y, z), bool(seen.all()), 0.0)
         for i, ((x, y, z), seen) in enumerate(ends, 1)
     )
-    return Drawn(frames, tuple(rows))
+    return Drawn(frames, tuple(rows), state)
 
 
 def _taken(renderer: Renderer, state: SceneState, rng: np.random.Generator) -> FrameSet:
-    taken = renderer.render(state, rng)
-    return FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
+    return frame_set(renderer.render(state, rng))
 
 
 def record_boards(

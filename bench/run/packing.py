@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.config import ConfigError
 from bench.files import sha256_of, write_synced
-from bench.record.reader import RunRecord, TrialRecord, read_run
+from bench.record.reader import RunRecord, read_run
 from bench.run.recordings import Recorder
 from instruments.camera.recording import Recording, RecordingError, RecordingWriter
 from reports.sanitize import csv_text
@@ -44,6 +44,10 @@ KINDS = {
     "real": "Measured with the instruments named below.",
     "recorded": "The pictures come from another recording, whose licence and card hold for them.",
 }
+DEPTH_FILES = """\
+| `frames/<frame>/depth.png` | 16-bit, tenths of a millimetre along its axis, 0: not measured |
+| `frames/<frame>/depth_amplitude.png` | 16-bit, the strength of its signal |
+"""
 CARD_TEXT = """# {title}
 
 {kind}
@@ -51,7 +55,7 @@ CARD_TEXT = """# {title}
 ## What is in it
 
 {frames} frame sets of a left, a right and a thermal camera, and the ends of {teats} teats in 3-D,
-{visible} of them seen by every camera.
+{visible} of them seen by every camera{depth}.
 
 | situation | frame sets |
 |---|---|
@@ -62,7 +66,7 @@ CARD_TEXT = """# {title}
 | `frames/<frame>/left.png`, `right.png` | the optical pair |
 | `frames/<frame>/thermal.png` | 8-bit, as the camera delivers it |
 | `frames/<frame>/thermal_radiometric.png` | 16-bit, hundredths of a kelvin |
-| `calibration.toml` | cameras, stereo, thermal and world; mm, rad, pixels |
+{depth_files}| `calibration.toml` | cameras, stereo, thermal and world; mm, rad, pixels |
 | `truth.csv` | each teat end in the world frame |
 | `budgets.csv` | what each end's uncertainty is made of |
 | `datapackage.json` | all of it for programs (Data Package) |
@@ -167,13 +171,9 @@ def _files(folder: Path) -> list[str]:
     )
 
 
-def _kept(record: RunRecord, recording: Recording) -> Iterator[TrialRecord]:
-    return (trial for trial in record.trials if trial.id in recording.truth)
-
-
 def _budgets(record: RunRecord, recording: Recording) -> Iterator[tuple[object, ...]]:
-    for trial in _kept(record, recording):
-        for row in trial.truth:
+    for trial in record.trials:
+        for row in trial.truth if trial.id in recording.truth else ():
             for part in json.loads(row["budget"])["components"] if row["budget"] else ():
                 yield trial.id, row["teat"], part["name"], part["u_mm"], part["source"]
 
@@ -205,7 +205,10 @@ def _card(
         for name in names
     ]
     cameras = (facts.get("identities") or {}).get("cameras") or {}
+    deep = any(row["camera"] == "depth" for trial in record.trials for row in trial.frames)
     return CARD_TEXT.format(
+        depth=" of these; a depth camera was there too" if deep else "",
+        depth_files=DEPTH_FILES if deep else "",
         title=title,
         kind=KINDS[str(facts.get("kind", "recorded"))],
         frames=len(recording.frames),

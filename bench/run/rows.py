@@ -23,7 +23,7 @@ from bench import __version__
 from bench.files import Picture
 from bench.record.schema import Row
 from bench.record.writer import Store
-from bench.results.answers import LEFT_OUT, Answer
+from bench.results.answers import LEFT_OUT, Answer, one_line
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, stated_fact
 from bench.rig.arm_files import as_dict
 from bench.rig.loading import LoadedRig
@@ -40,6 +40,7 @@ def frame_rows(
     """
     images: dict[str, Picture | None] = {"left": frames.left, "right": frames.right}
     images |= {"thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
+    images |= {"depth": frames.depth_dmm, "depth_amplitude": frames.amplitude}
     for answer in answers:
         images |= stage_pictures(answer)
     there = {name: image for name, image in images.items() if image is not None}
@@ -161,16 +162,18 @@ def write_facts(
 def _item(detector: Detector) -> dict[str, str]:
     parameters = json.dumps(dict(detector.parameters), sort_keys=True, default=str)
     digest = hashlib.sha256(f"{detector.name} {detector.version} {parameters}".encode()).hexdigest()
-    left_out = getattr(detector, "covariance_leaves_out", "")
-    computed_by = getattr(detector, "computed_by", "")
-    return {
+    trained_on = getattr(detector, "trained_on", {})
+    item = {
         "name": detector.name,
         "version": detector.version,
-        **({"computed by": computed_by} if computed_by else {}),
+        "computed by": getattr(detector, "computed_by", ""),
+        "device": one_line(getattr(detector, "device", "")),
+        "trained on": one_line(json.dumps(trained_on)) if trained_on else "",
         "configuration SHA-256": digest,
         "configuration": parameters,
-        **({LEFT_OUT: left_out} if left_out else {}),
+        LEFT_OUT: getattr(detector, "covariance_leaves_out", ""),
     }
+    return {key: value for key, value in item.items() if value}
 
 
 def commit(git: Path) -> str | None:

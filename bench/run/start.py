@@ -16,7 +16,7 @@ from bench.config import ConfigError, read_calibration, read_config, read_text
 from bench.record.reader import TrialRecord, read_run
 from bench.record.schema import RULES, SCRIPT
 from bench.record.writer import Store, new_run_folder
-from bench.results.answers import Examiner, close_detectors, score_answers
+from bench.results.answers import Examiner, score_answers
 from bench.results.cameras_agree import can_tell, spread, where_seen
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
@@ -39,7 +39,7 @@ from bench.script.calibration_age import (
     refuse_old_calibration,
     refuse_other_cameras,
 )
-from bench.script.detectors import make_detectors
+from bench.script.detectors import introduced, make_detectors
 from bench.script.model import CAMERAS_RULE, RECORDING_RULES, LoadedScript, Rules
 from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
@@ -91,7 +91,10 @@ def run_script(
     refuse_carry(rig, script)
     under_test = _allowed(rig, script, how.detectors)
     how = replace(how, seed=rig.rig.seed if how.seed is None else how.seed)
-    with locked(lock_path(rig), str(out.resolve()), events.warn):
+    with (
+        introduced(under_test, script.scenes),
+        locked(lock_path(rig), str(out.resolve()), events.warn),
+    ):
         recorder = Recorder(how.record, rig.calibration_path, events.warn) if how.record else None
         store = _begun(rig, script, out, under_test, how)
         with locked(run_lock(store.folder), "itself", events.warn, "run"):
@@ -122,7 +125,11 @@ def resume_run(
     under_test = _allowed(rig, script, how.detectors)
     here = str(folder.resolve())
     run_locked = locked(run_lock(folder), here, lambda _: None, "run")
-    with locked(lock_path(rig), here, events.warn), run_locked:
+    with (
+        introduced(under_test, script.scenes),
+        locked(lock_path(rig), here, events.warn),
+        run_locked,
+    ):
         left = what_is_left(folder, [trial.id for trial in script.planned])
         recorder = recorder_again(left.run, rig.calibration_path, events.warn)
         store = open_store(left, rehearsed=in_virtual_time(rig, realtime=how.realtime))
@@ -242,7 +249,6 @@ def _run(
             return store.folder, _end(store, Ending.ABORTED, INTERRUPTED)
         return store.folder, _end(store, Ending.FAULTED, str(error))
     finally:
-        close_detectors(under_test)
         store.close()
 
 
@@ -252,6 +258,13 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
     """
     check_pack(path)
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
+    with introduced(under_test, members_of(recording)):
+        return _scored(path, recording, out, progress, under_test)
+
+
+def _scored(
+    path: Path, recording: Recording, out: Path, progress: Progress, under_test: Sequence[Detector]
+) -> Path:
     calibration = read_calibration(recording.calibration_path)
     examiner = Examiner(calibration)
     rules, files = read_config(RECORDING_RULES, Rules), {RULES: read_text(RECORDING_RULES)}
@@ -300,9 +313,18 @@ def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequen
             shutil.rmtree(store.folder, ignore_errors=True)
         raise
     finally:
-        close_detectors(under_test)
         store.close()
     return store.folder
+
+
+def members_of(recording: Recording) -> dict[str, list[int]]:
+    """Family -> members, of the frames that are called as `scene record` calls them."""
+    members: dict[str, list[int]] = {}
+    for frame, rows in recording.truth.items():
+        family, _, number = frame.rpartition("-")
+        if rows[0].situation == family and number.isdecimal():
+            members.setdefault(family, []).append(int(number))
+    return members
 
 
 def _pose_names(recording: Recording) -> dict[str, str]:

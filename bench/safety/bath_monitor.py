@@ -115,12 +115,6 @@ class BathMonitor:
         if self._trip is not None:
             raise self._trip
 
-    def trip(self, trip: Exception) -> None:
-        """Go to safe for a reason that is in no reading. The first trip stays."""
-        with self._lock:
-            self._trip = self._trip or trip
-            self._make_safe()
-
     def _tick(self) -> None:
         with self._lock:
             if not self._running:

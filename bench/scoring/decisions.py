@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import gammaincinv
 
-from bench.scoring.errors import Floats, as_values, numbered, percentile, quantile_bounds
+from bench.scoring.errors import Floats, as_values, numbered, percentile
 from bench.scoring.guard_band import acceptance_limit_mm, leak, refusal_limit_mm
 from bench.scoring.rates import (
     Rate,
@@ -245,25 +245,23 @@ def decide_error(
     rate: float,
     confidence: float,
     poses: Sequence[Hashable] | None = None,
-    statistic: Literal["max", "quantile"] = "max",
     missed: int = 0,
 ) -> Decision:
-    """Is the distance (n,) below `limit_mm` in a share `rate` of poses? Each pose counts once, with
-    its worst. Decided is the largest, or the exact one-sided bounds of the quantile `rate`. u_mm is
-    that of the truth along an axis; None (not stated) accepts nothing. `missed` have no error.
+    """Is the distance (n,) below `limit_mm` in a share `rate` of poses? Decided is the largest.
+    u_mm is that of the truth along an axis; None (not stated) accepts nothing. `missed` have no
+    error.
     """
     worst = worst_per_pose(np.abs(as_values(errors_mm, "errors")), poses)
     accept = None if u_mm is None else acceptance_limit_mm(limit_mm, u_mm)
     refuse = refusal_limit_mm(limit_mm, u_mm or 0.0)
     n, least, share = len(worst), zero_failure_n(rate, confidence), exact_percent(rate)
-    what = "largest distance" if statistic == "max" else f"{share} quantile of the distance"
     accepted = "nothing" if accept is None else f"{accept:.3f} mm"
     stated = "u not stated" if u_mm is None else f"u = {u_mm:.3g} mm"
     nothing = Decision(
         name=name,
-        rule=f"{what} of the found teats: accepted up to {accepted}, refused from {refuse:.3f} mm"
-        f" (T = {limit_mm:g} mm, {stated}, 5 % false acceptance); at least {least} poses show it"
-        f" for {share} of poses with {exact_percent(confidence)} confidence"
+        rule=f"largest distance of the found teats: accepted up to {accepted}, refused from"
+        f" {refuse:.3f} mm (T = {limit_mm:g} mm, {stated}, 5 % false acceptance); at least {least}"
+        f" poses show it for {share} of poses with {exact_percent(confidence)} confidence"
         f"{', more near the acceptance limit' if u_mm else ''}",
         unit="mm",
         limit=limit_mm,
@@ -272,14 +270,9 @@ def decide_error(
     )
     if not n:
         return nothing
-    largest = float(worst.max())
-    lower, upper = (
-        (largest, largest) if statistic == "max" else quantile_bounds(worst, rate, confidence)
-    )
-    measured = largest if upper is None else upper
-    verdict = Verdict.INCONCLUSIVE
-    if lower is not None and lower >= refuse:
-        measured, verdict = lower, Verdict.NOT_MET
+    measured, verdict = float(worst.max()), Verdict.INCONCLUSIVE
+    if measured >= refuse:
+        verdict = Verdict.NOT_MET
         reason = f"at or beyond the refusal limit of {refuse:.3f} mm"
     elif u_mm is None:
         reason = (
@@ -293,8 +286,7 @@ def decide_error(
             f"above the acceptance limit of {accepted} and not shown to be beyond {limit_mm:g} mm"
         )
     else:
-        beyond = int((worst > measured).sum())
-        enough = guarded_n(beyond, rate, confidence, leak(measured, limit_mm, u_mm))
+        enough = guarded_n(0, rate, confidence, leak(measured, limit_mm, u_mm))
         verdict, claim = _claim(n, least, enough, share)
         reason = f"within the acceptance limit of {accepted}{claim}"
     # what so many poses show, whatever was asked for
@@ -314,7 +306,8 @@ def decide_error(
         margin=limit_mm - measured,
         uncertainty=band,
         verdict=verdict,
-        sentence=f"The {what} over {plural(n, 'pose')} is {measured:.2f} mm, {reason}.{without}",
+        sentence=f"The largest distance over {plural(n, 'pose')} is {measured:.2f} mm,"
+        f" {reason}.{without}",
     )
 
 

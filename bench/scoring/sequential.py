@@ -23,10 +23,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from scipy.special import expit
 
-from bench.scoring.rates import check_open, fewest
+from bench.scoring.rates import check_open
 
 BETS = expit(np.arange(-14.0, 10.0))
-MOST_SCENES = 10**12
 LEAST_LOGIT = -60.0
 
 
@@ -39,27 +38,18 @@ def confidence_sequence(failures: int, scenes: int, level: float = 0.95) -> tupl
     """
     if not 0 <= failures <= scenes:
         raise ValueError(f"rate: {failures} failures of {scenes} scenes is impossible")
-    return _interval(failures, scenes, level)
+    return bounds(1.0, 1.0, (failures, scenes - failures), level)
 
 
 def tight_enough(failures: int, scenes: int, half_width: float, level: float = 0.95) -> bool:
     """The stopping rule: half the width of the confidence sequence is at most `half_width`."""
-    _check_half_width(half_width)
+    if not 0.0 < half_width < 0.5:
+        raise ValueError(
+            f"half-width: {half_width} must lie between 0 and 0.5, both excluded; 0.01 asks for"
+            " a rate within 1 %"
+        )
     low, high = confidence_sequence(failures, scenes, level)
     return (high - low) / 2.0 <= half_width
-
-
-def expected_scenes(rate: float, half_width: float, level: float = 0.95) -> int:
-    """Scenes until `tight_enough`, where failures come at just this rate (0 to 1)."""
-    _check_half_width(half_width)
-    if not 0.0 <= rate <= 1.0:
-        raise ValueError(f"failure rate: {rate} must lie between 0 and 1")
-
-    def enough(scenes: int) -> bool:
-        low, high = _interval(rate * scenes, scenes, level)
-        return (high - low) / 2.0 <= half_width or scenes >= MOST_SCENES
-
-    return fewest(enough, 0)
 
 
 def bounds(
@@ -103,15 +93,3 @@ def _least(
     while above(low) < 0.0 and low > LEAST_LOGIT:
         high, low, step = low, low - step, 2.0 * step
     return 0.0 if low <= LEAST_LOGIT else float(expit(brentq(above, low, high, xtol=1e-9)))
-
-
-def _interval(failures: float, scenes: int, level: float) -> tuple[float, float]:
-    return bounds(1.0, 1.0, (failures, scenes - failures), level)
-
-
-def _check_half_width(half_width: float) -> None:
-    if not 0.0 < half_width < 0.5:
-        raise ValueError(
-            f"half-width: {half_width} must lie between 0 and 0.5, both excluded; 0.01 asks for"
-            " a rate within 1 %"
-        )

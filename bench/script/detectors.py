@@ -12,7 +12,8 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +24,7 @@ from pydantic import Field, StringConstraints
 from bench.config import ConfigError, Positive, Section, did_you_mean, read_config
 from detector import registry
 from detector.external import ExternalDetector, Limits
-from detector.protocol import Detector
+from detector.protocol import Detector, Served, TrainedOn
 from instruments.clock import stopwatch_s
 
 EXEC, FILE = "exec:", ".toml"
@@ -64,6 +65,51 @@ def make_detectors(
                 " own."
             )
     return made
+
+
+@contextmanager
+def introduced(
+    detectors: Sequence[Detector], scenes: Mapping[str, Collection[int]]
+) -> Iterator[None]:
+    """Start those that are programs, so that they say what they are, and close them in the end.
+
+    ``scenes``: what they are to be scored on: families and members, scripts and seeds. Raises
+    ConfigError where one says that it was trained on some of these.
+    """
+    served = [detector for detector in detectors if isinstance(detector, Served)]
+    try:
+        for detector in served:
+            detector.introduce()
+        faults = list(_trained_on(detectors, scenes))
+        if faults:
+            raise ConfigError.plain("\n".join(faults))
+        yield
+    finally:
+        for detector in served:
+            detector.close()
+
+
+def _trained_on(
+    detectors: Sequence[Detector], scenes: Mapping[str, Collection[int]]
+) -> Iterator[str]:
+    for detector in detectors:
+        trained: TrainedOn = getattr(detector, "trained_on", {})
+        for name in sorted(scenes.keys() & trained.keys()):
+            spans = trained[name]
+            seen = sorted(n for n in scenes[name] if any(low <= n <= high for low, high in spans))
+            if seen:
+                many = f"{len(seen)} of the {len(scenes[name])} asked for"
+                yield (
+                    f"detector {detector.name} says that it was trained on {name} {_listed(seen)}"
+                    f" ({many}): a score on these says nothing. Score it on others, whose members"
+                    " or seeds it has not seen."
+                )
+
+
+def _listed(numbers: Sequence[object]) -> str:
+    """At most three, and the last."""
+    few = numbers if len(numbers) < 5 else [*numbers[:3], "…", numbers[-1]]
+    return ", ".join(map(str, few))
 
 
 def check_named(names: Iterable[str]) -> None:

@@ -300,6 +300,15 @@ class LoadedScript:
         return self.path.name.removesuffix(".toml").removesuffix(".py")
 
     @property
+    def scenes(self) -> dict[str, set[int]]:
+        """Family -> members that it shows; its own name -> its seed."""
+        shown: dict[str, set[int]] = {self.name: {self.script.seed}}
+        for trial in self.planned:
+            if trial.scene:
+                shown.setdefault(trial.scene.name, set()).add(trial.scene.seed)
+        return shown
+
+    @property
     def source_files(self) -> dict[str, str]:
         return {self.path.name: read_text(self.path)} if self.path.suffix == ENDING else {}
 

@@ -144,14 +144,10 @@ class PhantomFile(Section):
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A phantom file as read. ``drawn`` where each seed gives another phantom."""
+    """A phantom file as read."""
 
     name: str
     file: PhantomFile
-
-    @property
-    def drawn(self) -> bool:
-        return self.file.envelope is not None
 
     def phantom(self, *seed: int) -> Phantom:
         """The phantom at its reference place; ``seed`` is for one that is drawn. Raises ValueError

@@ -14,11 +14,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from bench.config import ConfigError, Section, located, parse_config, read_text
 from bench.script.phantom import Layout, find_layout, load_layout
-from bench.script.planned_trials import layout_of
+from bench.script.planned_trials import LayoutName
 from detector.calibration import Calibration
 from detector.geometry import triangulate
 
@@ -55,16 +55,11 @@ class OffsetScript(Section):
     kind: Literal["offsets"]
     title: str
     about: str = ""
-    layout: str
+    layout: LayoutName
     limit_mm: Annotated[float, Field(gt=0, le=1000)]
     directions: Annotated[int, Field(ge=4, le=360)] = 72
     source: str = ""
     offsets: Annotated[tuple[Offset, ...], Field(min_length=1)]
-
-    @field_validator("layout")
-    @classmethod
-    def _layout(cls, name: str, info: ValidationInfo) -> str:
-        return layout_of(name, info)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from bench.config import Section, did_you_mean
 from bench.script.phantom import Layout, find_layout, load_layout, ordered
@@ -46,6 +46,9 @@ def layout_of(name: str, info: ValidationInfo) -> str:
         )
     load_layout(find_layout(name, (info.context or {}).get("folder")))
     return name
+
+
+LayoutName = Annotated[str, AfterValidator(layout_of)]
 
 
 class PoseTable(Section):
@@ -158,7 +161,7 @@ class Trial(Section):
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
     situation: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_]*$")]
-    layout: str = ""
+    layout: LayoutName = ""
     family: str = ""
     member: Annotated[int, Field(ge=0)] = 0
     set_up: str = ""
@@ -173,11 +176,6 @@ class Trial(Section):
     repeats: Count | None = None
     cycles: Count = 1
     published: Published | None = None
-
-    @field_validator("layout")
-    @classmethod
-    def _layout(cls, name: str, info: ValidationInfo) -> str:
-        return layout_of(name, info)
 
     @field_validator("objects")
     @classmethod

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.rig.arm_files import LocationTest
+from bench.rig.arm_files import LocationTest, axes_of, swing_text
 from bench.rig.model import Arm
-from bench.truth.touching import TipReader
+from bench.truth.touching import SPARE, TipReader
 from instruments.clock import Clock
+from instruments.errors import TouchAgainError
 from instruments.operators.operator import CheckPoint, Release, Request
 
 BEFORE, AFTER = "before", "after"
@@ -31,14 +32,21 @@ def check_arm(
     """Have the operator touch the rig's check point; gives back the fact to store. ``check`` is
     called before each touch, and may raise.
     """
-    touches = []
-    for touch in range(1, arm.check_touches + 1):
+    touches: list[dict[str, Any]] = []
+    again, refused = "", 0
+    while len(touches) < arm.check_touches:
         check()
-        ask(CheckPoint(touch, arm.check_touches))
-        seen = tip.read()
-        row = {"t_s": clock.now(), "tip_mm": seen.tip_mm.tolist(), "axis": seen.axis.tolist()}
-        spread = {"spread_mm": float(seen.spread_mm), "counts": [int(c) for c in seen.counts]}
-        touches.append(row | spread)
+        ask(CheckPoint(len(touches) + 1, arm.check_touches, again))
+        try:
+            seen, again = tip.read(), ""
+        except TouchAgainError as error:
+            again, refused = str(error), refused + 1
+            if refused > SPARE:
+                raise
+            continue
+        axis = None if seen.axis is None else seen.axis.tolist()
+        row = {"t_s": clock.now(), "tip_mm": seen.tip_mm.tolist(), "axis": axis}
+        touches.append(row | {"spread_mm": float(seen.spread_mm), "counts": seen.evidence})
     ask(Release())
     return {"check_point_mm": arm.check_point_mm, "touches": touches}
 
@@ -46,9 +54,8 @@ def check_arm(
 def location_of(fact: Mapping[str, Any], where: str) -> LocationTest:
     """The touches of a stored check, world frame."""
     touches = fact["touches"]
-    return LocationTest(
-        where, np.array([t["tip_mm"] for t in touches]), np.array([t["axis"] for t in touches])
-    )
+    axes = axes_of([t["axis"] for t in touches])
+    return LocationTest(where, np.array([t["tip_mm"] for t in touches]), axes)
 
 
 def shift_mm(fact: Mapping[str, Any]) -> float:
@@ -61,6 +68,5 @@ def check_text(fact: Mapping[str, Any], when: str) -> str:
     test = location_of(fact, when)
     return (
         f"arm check {when} the trials: {test.n} touches within {test.largest_mm:.2f} mm of their"
-        f" mean, which is {shift_mm(fact):.2f} mm from the check point; the stylus swung by"
-        f" {test.swing_deg:.0f} degrees"
+        f" mean, which is {shift_mm(fact):.2f} mm from the check point; {swing_text(test)}"
     )

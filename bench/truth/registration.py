@@ -32,7 +32,7 @@ from pydantic import AwareDatetime, Field
 from scipy.special import chdtrc
 
 from bench.config import Section, located, read_config, read_text
-from bench.rig.arm_files import FOLLOWS_MM, write_file
+from bench.rig.arm_files import NotNegative, Number, Three, refuse_changed, write_file
 from bench.toml import toml_text
 from bench.truth.uncertainty import Floats, Triple
 from detector.calibration.rigid import (
@@ -338,10 +338,7 @@ start of a run. Lengths in mm. X_world = R(om) X_stage + T, om in rad, for the e
 teat that was touched. Make it anew when stage, table frame or arm were moved. Scale and
 squareness (0 is ideal) are diagnostics: the rigid motion carries."""
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
 Above = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Three = tuple[Number, Number, Number]
 
 
 class _Stated(Section):
@@ -448,18 +445,8 @@ def load_registration(path: Path) -> Registration:
         found = _registration(file)
     except RegistrationError as error:
         raise located(path, read_text(path), [(("stations",), str(error), False)]) from error
-    written = Motion.from_vectors(file.om, file.T)
-    reach = max(float(np.abs(found.stage_mm).max()), 1.0)
-    right = {
-        "om": bool(np.abs(written.R - found.world_from_stage.R).max() * reach <= FOLLOWS_MM),
-        "T": bool(np.abs(written.T - found.world_from_stage.T).max() <= FOLLOWS_MM),
-        "u_mm": abs(file.u_mm - found.u_mm) <= FOLLOWS_MM,
-        "fre_mm": abs(file.fre_mm - found.comparison.rigid.fre_mm) <= FOLLOWS_MM,
-    }
-    message = "doesn't follow from what was touched: the file was changed by hand. Make it anew"
-    wrong = [((key,), message, False) for key, held in right.items() if not held]
-    if wrong:
-        raise located(path, read_text(path), wrong)
+    follows = as_dict(found)
+    refuse_changed(path, file, {key: follows[key] for key in ("om", "T", "u_mm", "fre_mm")})
     return found
 
 

@@ -47,8 +47,6 @@ from instruments.operators.operator import Release, Request, Touch
 from instruments.teat_end import end_under_ball_mm
 from instruments.world.phantom import called
 
-# 0.105 mm rms in space over random poses (the arm's fact sheet), along one axis
-ROUNDING_MM = 0.105 / 3**0.5
 SPARE = 4  # touches of one end beyond those that are asked for, before it is given up
 FAR = 5.0
 MEDIAN_LENGTH = 1.5382
@@ -128,7 +126,8 @@ class TipReader:
         if self._frame is None:
             return seen
         motion = self._frame.world_from_arm
-        return replace(seen, tip_mm=motion.apply(seen.tip_mm), axis=motion.R @ seen.axis)
+        axis = None if seen.axis is None else motion.R @ seen.axis
+        return replace(seen, tip_mm=motion.apply(seen.tip_mm), axis=axis)
 
     def u_registration_mm(self, point_mm: Floats) -> float | None:
         """The frame's part of the uncertainty of (3,), along an axis; None without a frame."""
@@ -207,7 +206,7 @@ class Toucher:
                 **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, seen.tip_mm), strict=True)),
                 "spread_mm": float(seen.spread_mm),
                 "packets": seen.n,
-                "counts": json.dumps([int(count) for count in seen.counts]),
+                "counts": json.dumps(seen.evidence),
                 "refused": refused,
             }
             taken.append((end, row))
@@ -245,7 +244,7 @@ def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) 
         (REGISTRATION, registration_mm, frame),
         ("definition", arm.definition_mm, apex),
         ("tip radius", tip_radius_u_mm(arm) or None, ball),
-        ("resolution", ROUNDING_MM, "rounding of the arm's encoder counts, rms over its reach"),
+        ("resolution", arm.rounding_mm, arm.rounding_source),
         ("scatter", scatter, f"standard deviation of the mean of {n} touches"),
     ]
     budget = tuple(Component(name, u, source) for name, u, source in lines if u is not None)
@@ -256,13 +255,13 @@ def reading_u_mm(arm: Arm) -> float:
     """By which two readings of one end differ along an axis: hand and rounding, not the arm's
     accuracy.
     """
-    return hypot(arm.definition_mm, ROUNDING_MM)
+    return hypot(arm.definition_mm, arm.rounding_mm)
 
 
 def end_u_mm(arm: Arm, readings: int) -> float:
     """Along an axis, of one end's mean against that of another place, before anything was read."""
     scatter = reading_u_mm(arm) / sqrt(readings)
-    return hypot(arm.u_mm, arm.definition_mm, tip_radius_u_mm(arm), ROUNDING_MM, scatter)
+    return hypot(arm.u_mm, arm.definition_mm, tip_radius_u_mm(arm), arm.rounding_mm, scatter)
 
 
 def _source_of(arm: Arm) -> str:

@@ -35,9 +35,13 @@ MEANING = {
     "stereo": "X_right = R(om) X_left + T",
     "thermal": "X_thermal = R(om) X_left + T",
     "world": "X_world = R(om) X_right + T",
+    "depth": "X_depth = R(om) X_left + T",
     "homography": "un-mirrored thermal pixel -> optical pixel, right on one plane only",
     "uncertainty": "covariance of the fitted parameters, lower triangle",
 }
+CAMERAS = ("left", "right", "thermal", "depth")
+POSES = {"stereo": "right_from_left", "thermal": "thermal_from_left", "depth": "depth_from_left"}
+POSES["world"] = "world_from_right"
 LENS_KEYS = ("fc", "cc", "alpha_c", "kc")
 THERMAL_KEYS = ("image_size", "sensor_size", "mirrored", "polarity")
 
@@ -57,7 +61,7 @@ def dump_calibration(calibration: Calibration | Part, heading: str = "") -> str:
 
 def _blocks(part: Part) -> dict[str, Mapping[str, Any]]:
     blocks: dict[str, Mapping[str, Any]] = {}
-    for name in ("left", "right", "thermal"):
+    for name in CAMERAS:
         camera: Camera | ThermalCamera | None = getattr(part, name)
         lens = camera.lens if isinstance(camera, ThermalCamera) else camera
         if camera:
@@ -65,9 +69,8 @@ def _blocks(part: Part) -> dict[str, Mapping[str, Any]]:
             block |= {key: getattr(lens, key) for key in LENS_KEYS if lens}
             form = THERMAL_KEYS[1:] if isinstance(camera, ThermalCamera) else ()
             blocks[f"cameras.{name}"] = block | {key: getattr(camera, key) for key in form}
-    poses = part.right_from_left, part.thermal_from_left, part.world_from_right
-    for name, pose in zip(("stereo", "thermal", "world"), poses, strict=True):
-        if pose:
+    for name, attribute in POSES.items():
+        if pose := getattr(part, attribute):
             blocks[name] = {"om": pose.om, "T": pose.T}
     if maps := part.homographies:
         depth = {} if maps.plane_depth_mm is None else {"plane_depth_mm": maps.plane_depth_mm}
@@ -256,15 +259,15 @@ _BLOCKS: dict[Key, dict[str, Check]] = {
         "mirrored": _of_kind(bool, "true or false"),
         "polarity": _polarity,
     },
-    ("stereo",): _POSE,
-    ("thermal",): _POSE,
-    ("world",): _POSE,
+    ("cameras", "depth"): _CAMERA,
+    **{(name,): _POSE for name in POSES},
     ("homography",): {"left": _matrix, "right": _matrix, "plane_depth_mm": _positive},
     ("uncertainty",): {"parameters": _parameters, "covariance": _triangle},
     ("record",): {"made": _day, "by": _word, "with_what": _word}
     | {"cameras": _texts, "inputs": _texts},
 }
-_OPTIONAL_BLOCKS = {("thermal",), ("homography",), ("uncertainty",), ("record",)}
+DEPTH: tuple[Key, ...] = ("cameras", "depth"), ("depth",)
+_OPTIONAL_BLOCKS: set[Key] = {*DEPTH, ("thermal",), ("homography",), ("uncertainty",), ("record",)}
 _NEVER_REQUIRED = {"alpha_c", "plane_depth_mm"}
 # keys that a block may leave out; `_thermal_faults` has the last word
 _NOT_REQUIRED = {("cameras", "thermal"): set(LENS_KEYS), ("homography",): {"left", "right"}}
@@ -314,11 +317,10 @@ def _part(found: Mapping[Key, Mapping[str, Any]]) -> Part:
     return Part(
         left=lens("left"),
         right=lens("right"),
-        right_from_left=motion("stereo"),
         thermal=ThermalCamera(**form, lens=lens("thermal")) if form else None,
-        thermal_from_left=motion("thermal"),
+        depth=lens("depth"),
         homographies=Homographies(**{"plane_depth_mm": None, **maps}) if "left" in maps else None,
-        world_from_right=motion("world"),
+        **{attribute: motion(name) for name, attribute in POSES.items()},
         covariance=found.get(("uncertainty",), {}).get("matrix"),
         record=Record(**found["record",]) if ("record",) in found else None,
     )
@@ -342,7 +344,7 @@ def _checked(path: Path, *, whole: bool) -> dict[Key, dict[str, Any]]:
     faults = _unknown((), document, sorted({key[0] for key in _BLOCKS}), "block")
     cameras = document.get("cameras")
     if isinstance(cameras, dict):
-        faults += _unknown(("cameras",), cameras, ["left", "right", "thermal"], "camera")
+        faults += _unknown(("cameras",), cameras, [*CAMERAS], "camera")
     found: dict[Key, dict[str, Any]] = {}
     for key in _BLOCKS:
         table: Any = document
@@ -357,6 +359,12 @@ def _checked(path: Path, *, whole: bool) -> dict[Key, dict[str, Any]]:
         elif whole and key not in _OPTIONAL_BLOCKS:
             faults.append(Fault(key, f"missing block [{dotted}]"))
     faults += _faults_between(found)
+    there = {key for key in DEPTH if key in found}
+    faults += [
+        Fault(key, f"missing block [{'.'.join(key)}]: a depth camera has a lens and a pose")
+        for key in DEPTH
+        if there and key not in there
+    ]
     if whole and isinstance(cameras, dict) and isinstance(cameras.get("thermal"), dict):
         faults += _thermal_faults(cameras["thermal"], document)
     if faults:

@@ -175,6 +175,8 @@ class Part:
     thermal: ThermalCamera | None = None
     thermal_from_left: Motion | None = None
     homographies: Homographies | None = None
+    depth: Camera | None = None
+    depth_from_left: Motion | None = None
     world_from_right: Motion | None = None
     covariance: ParameterCovariance | None = None
     record: Record | None = None
@@ -182,7 +184,8 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration(Pair):
-    """A calibrated rig, mm. ``thermal.lens`` and ``thermal_from_left`` are both given or both None;
+    """A calibrated rig, mm. ``thermal.lens`` and ``thermal_from_left`` are both given or both None,
+    and so are ``depth``, the depth camera's lens, and ``depth_from_left``;
     ``covariance`` is of all fitted parameters.
     """
 
@@ -191,12 +194,20 @@ class Calibration(Pair):
     homographies: Homographies
     covariance: ParameterCovariance | None = None
     record: Record | None = None
+    depth: Camera | None = None
+    depth_from_left: Motion | None = None
 
     @property
     def thermal_from_right(self) -> Motion | None:
         """Right camera -> thermal camera, None where the thermal camera has no pose."""
         pose = self.thermal_from_left
         return None if pose is None else pose @ self.right_from_left.inverse()
+
+    @property
+    def depth_from_world(self) -> Motion | None:
+        """World -> depth camera, None where there is none."""
+        pose = self.depth_from_left
+        return pose and pose @ (self.world_from_right @ self.right_from_left).inverse()
 
     @property
     def baseline_mm(self) -> float:

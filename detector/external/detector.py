@@ -19,9 +19,25 @@ import cv2
 import numpy as np
 
 from detector.calibration import Calibration, dump_calibration
-from detector.external.lines import BadAnswer, Garbled, check_ready, parse_answer, request_line
+from detector.external.lines import (
+    BadAnswer,
+    Garbled,
+    Ready,
+    check_ready,
+    parse_answer,
+    request_line,
+)
 from detector.external.process import Child, ChildFault, ChildSilent
-from detector.protocol import Detection, DetectionFailure, Frames, Image, Outcome
+from detector.protocol import (
+    Context,
+    Detection,
+    DetectionFailure,
+    Frames,
+    Image,
+    Outcome,
+    TrainedOn,
+    depth_of,
+)
 
 _GRACE_S = 2.0  # to put its things in order, once nothing more is asked
 _PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -74,14 +90,40 @@ class ExternalDetector:
         }
         self.patience_s = self._limits.start_s + self._limits.answer_s + 10.0
         self.start_up_s: float | None = None
+        self._ready = Ready()
+        self._started_s: float | None = None  # of a start that no call has had yet
+        self._not_started: DetectionFailure | None = None
         self._child: Child | None = None
         self._desk: _Desk | None = None
         self._asked = self._off = self._last_words = ""
         self._starts = self._faults_in_a_row = 0
 
+    @property
+    def trained_on(self) -> TrainedOn:
+        """As its first line says; nothing before it was started."""
+        return self._ready.trained_on
+
+    @property
+    def device(self) -> str:
+        """What computes its answers, as its first line says."""
+        return self._ready.device
+
+    def introduce(self) -> None:
+        """Start the process if none runs, so that what it says of itself is known. Where it can't
+        be started, the next `prepare` says why.
+        """
+        if self._child is None and self._not_started is None and not self._off:
+            try:
+                self._start()
+            except DetectionFailure as failure:
+                self._not_started = failure
+
     def prepare(self, frames: Frames, calibration: Calibration) -> None:
         """Start the process if none runs, and write the pictures. Raises DetectionFailure."""
         self.start_up_s, self._asked = None, ""
+        if self._not_started is not None:
+            failure, self._not_started = self._not_started, None
+            raise failure
         if self._off:
             raise DetectionFailure(self._off, Outcome.OFF)
         if self._desk is None:
@@ -89,10 +131,20 @@ class ExternalDetector:
         self._desk.lay_out(frames, calibration)
         if self._child is None:
             self._start()
+        self.start_up_s, self._started_s = self._started_s, None
         self._asked = self._desk.frame
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
         """Ask about the frames that were prepared, or prepare them. Raises DetectionFailure."""
+        return self._answer(frames, calibration, None)
+
+    def detect_with(self, frames: Frames, calibration: Calibration, context: Context) -> Detection:
+        """As `detect`; the question has the ``context``."""
+        return self._answer(frames, calibration, context)
+
+    def _answer(
+        self, frames: Frames, calibration: Calibration, context: Context | None
+    ) -> Detection:
         if not self._asked:
             self.prepare(frames, calibration)
         asked, self._asked = self._asked, ""
@@ -100,7 +152,7 @@ class ExternalDetector:
         if child is None or desk is None:
             raise DetectionFailure("it was closed")
         with self._ended_on_faults(f"gave no answer within {self._limits.answer_s:g} s"):
-            child.ask(request_line(asked, desk.pictures, desk.calibration))
+            child.ask(request_line(asked, desk.pictures, desk.calibration, context))
             line = child.line(self._limits.answer_s)
             try:
                 detection = parse_answer(line, asked, calibration)
@@ -139,10 +191,10 @@ class ExternalDetector:
                 self._child = Child(
                     self._command, self._folder, memory_mib, self._stopwatch, self._environment
                 )
-                check_ready(self._child.line(limit_s))
+                self._ready = check_ready(self._child.line(limit_s))
         except OSError as error:
             raise self._fault(f"it can't be started: {error.strerror or error}") from None
-        self.start_up_s = self._stopwatch() - start_s
+        self._started_s = self._stopwatch() - start_s
 
     @contextmanager
     def _ended_on_faults(self, late: str, when: str = "") -> Iterator[None]:
@@ -231,11 +283,19 @@ class _Desk:
 
 
 def _images(frames: Frames) -> dict[str, Image]:
-    """The pictures that there are, kelvin in hundredths."""
-    images = {"left": frames.left, "right": frames.right, "thermal": frames.thermal}
+    """The pictures that there are, kelvin in hundredths, depth in tenths of a mm, 0 unmeasured."""
+    images: dict[str, Image | None] = {
+        "left": frames.left,
+        "right": frames.right,
+        "thermal": frames.thermal,
+    }
     if frames.thermal_k is not None:
         hundredths = np.rint(np.clip(frames.thermal_k * 100.0, 0.0, 65535.0))
         images["thermal_radiometric"] = hundredths.astype(np.uint16)
+    depth_mm, images["depth_amplitude"] = depth_of(frames)
+    if depth_mm is not None:
+        tenths = np.rint(np.nan_to_num(depth_mm) * 10.0)
+        images["depth"] = np.where(tenths <= 65535.0, tenths, 0.0).astype(np.uint16)
     return {name: image for name, image in images.items() if image is not None}
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,10 @@ import numpy as np
 
 from detector.calibration import Calibration
 from detector.geometry import Array
-from detector.protocol import Detection, Teat
+from detector.protocol import Context, Detection, Detector, Teat, TrainedOn, Visit, trained_on_of
 
 READY = {"ready": True}
-PICTURES = ("left", "right", "thermal", "thermal_radiometric")
+PICTURES = ("left", "right", "thermal", "thermal_radiometric", "depth", "depth_amplitude")
 _SHOWN = 80
 
 
@@ -30,26 +31,65 @@ class BadAnswer(ValueError):  # noqa: N818 - the answer is bad
     """An answer whose values can't be right."""
 
 
-def request_line(frame: str, pictures: Mapping[str, Path], calibration: Path) -> bytes:
-    """The request: the frame's name, paths of its pictures, and the calibration."""
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """What the child's first line says beside that it is ready."""
+
+    trained_on: TrainedOn = field(default_factory=dict)
+    device: str = ""
+
+
+def ready_line(detector: Detector) -> bytes:
+    """The first line, as a detector in Python gives it."""
+    said = {name: given for name in Ready.__slots__ if (given := getattr(detector, name, None))}
+    return _line({**READY, **said})
+
+
+def request_line(
+    frame: str, pictures: Mapping[str, Path], calibration: Path, context: Context | None = None
+) -> bytes:
+    """The request: the frame's name, paths of its pictures, the calibration, and the cow's history
+    where there is one.
+    """
     paths = {name: str(pictures[name]) for name in PICTURES if name in pictures}
-    return _line({"frame": frame, **paths, "calibration": str(calibration)})
+    more = {} if context is None else {"context": asdict(context)}
+    return _line({"frame": frame, **paths, "calibration": str(calibration), **more})
+
+
+def context_in(asked: Mapping[str, Any]) -> Context | None:
+    """The history in a request, None without."""
+    if (given := asked.get("context")) is None:
+        return None
+    visits = tuple(
+        Visit(
+            one["hours_ago"],
+            one["hours_since_milking"],
+            tuple(one["teats"]),
+            np.array(one["ends_mm"], dtype=np.float64).reshape(-1, 3),
+            np.array(one["covariances_mm2"], dtype=np.float64).reshape(-1, 3, 3),
+        )
+        for one in given["visits"]
+    )
+    return Context(given["hours_since_milking"], given["days_in_milk"], visits)
 
 
 def answer_line(frame: str, detection: Detection) -> bytes:
     """An answer, as a detector in Python gives it."""
-    teats = [
-        {
-            name: None if value is None else np.asarray(value).tolist()
-            for name, value in (("world_mm", t.world_mm), ("covariance_mm2", t.covariance_mm2))
-        }
-        for t in detection.teats
-    ]
-    answer = {"frame": frame, "teats": teats}
+    teats, predicted = (
+        [
+            {
+                name: None if value is None else np.asarray(value).tolist()
+                for name, value in (("world_mm", t.world_mm), ("covariance_mm2", t.covariance_mm2))
+            }
+            for t in some
+        ]
+        for some in (detection.teats, detection.predicted)
+    )
+    answer = {"frame": frame, "teats": teats} | ({"predicted": predicted} if predicted else {})
     return _line({**answer, "hidden": detection.hidden, "reason": detection.reason})
 
 
-def check_ready(line: bytes) -> None:
+def check_ready(line: bytes) -> Ready:
     """Raises Garbled where the child's first line isn't the one that says it is ready."""
     wanted = f"its first line must be {json.dumps(READY)}"
     try:
@@ -58,6 +98,13 @@ def check_ready(line: bytes) -> None:
         raise Garbled(f"{wanted}, but {fault}") from None
     if said.get("ready") is not True:
         raise Garbled(f'{wanted}, is "{shown(line)}"')
+    device = said.get("device", "")
+    if not isinstance(device, str):
+        raise Garbled(f'"device" of its first line is {json.dumps(device)[:_SHOWN]}, not text')
+    try:
+        return Ready(trained_on_of(said.get("trained_on", {})), device)
+    except ValueError as fault:
+        raise Garbled(f"{fault}, in its first line") from None
 
 
 def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection:
@@ -80,8 +127,14 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
         )
     if reason is not None and not isinstance(reason, str):
         raise BadAnswer(f'"reason" of its answer is {json.dumps(reason)[:_SHOWN]}, not text')
-    found = tuple(_teat(number, teat, calibration) for number, teat in enumerate(teats, 1))
-    return Detection(found, hidden, reason)
+    predicted = answer.get("predicted", [])
+    if not isinstance(predicted, list):
+        raise BadAnswer('"predicted" of its answer is no list')
+    found, unseen = (
+        tuple(_teat(number, teat, calibration) for number, teat in enumerate(some, 1))
+        for some in (teats, predicted)
+    )
+    return Detection(found, hidden, reason, predicted=unseen)
 
 
 def shown(line: bytes) -> str:
@@ -143,4 +196,5 @@ def _numbers(given: Any, shape: tuple[int, ...], what: str) -> Array:
 
 
 def _line(message: Mapping[str, Any]) -> bytes:
-    return json.dumps(message, ensure_ascii=False).encode() + b"\n"
+    arrays = np.ndarray.tolist
+    return json.dumps(message, ensure_ascii=False, default=arrays).encode() + b"\n"

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import load_calibration
-from detector.external.lines import PICTURES, READY, answer_line
+from detector.external.lines import PICTURES, answer_line, context_in, ready_line
+from detector.protocol import WithContext
 from detector.registry import BrokenDetectorError, UnknownDetectorError, create
 
 
@@ -28,17 +29,23 @@ class Pictures:
     right: NDArray[Any]
     thermal: NDArray[Any] | None = None
     thermal_k: NDArray[Any] | None = None
+    depth_mm: NDArray[Any] | None = None
+    amplitude: NDArray[Any] | None = None
 
 
 def serve(name: str, questions: IO[bytes], answers: IO[bytes]) -> None:
     """Answer every line of ``questions`` on ``answers`` until they end."""
     detector = create(name)
-    answers.write(json.dumps(READY).encode() + b"\n")
+    answers.write(ready_line(detector))
     answers.flush()
     for line in questions:
         asked = json.loads(line)
         calibration = load_calibration(Path(asked["calibration"]))
-        detection = detector.detect(read_pictures(asked), calibration)
+        context, pictures = context_in(asked), read_pictures(asked)
+        if context is None or not isinstance(detector, WithContext):
+            detection = detector.detect(pictures, calibration)
+        else:
+            detection = detector.detect_with(pictures, calibration, context)
         answers.write(answer_line(asked["frame"], detection))
         answers.flush()
 
@@ -54,12 +61,14 @@ def read_pictures(asked: dict[str, str]) -> Pictures:
             if image is None:
                 raise ValueError(f"{asked[name]} is no picture")
             images[name] = image
-    kelvin = images.get("thermal_radiometric")
+    kelvin, tenths = images.get("thermal_radiometric"), images.get("depth")
     return Pictures(
         images["left"],
         images["right"],
         images.get("thermal"),
         None if kelvin is None else kelvin / 100.0,
+        None if tenths is None else np.where(tenths > 0, tenths / 10.0, np.nan),
+        images.get("depth_amplitude"),
     )
 
 

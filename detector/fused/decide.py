@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from detector.fused.edges import CLEAR
 from detector.fused.fit import Parameters
-from detector.fused.model import CZ, END, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, axes
-from detector.fused.refine import FINE_OUTLINE, Fitted, on_one_bar
+from detector.fused.model import CZ, END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, axes
+from detector.fused.refine import FINE_OUTLINE, SHAPE_ALONG_MM, Fitted, on_one_bar
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
 
@@ -33,6 +33,7 @@ ELSEWHERE = "the thermal picture shows its outline elsewhere"
 _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
 _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
+_WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
@@ -96,6 +97,32 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
         shares[END], better, other, misfit, inside, beside, largest, fitted.followed,
         fitted.shaped, thermal,
     )  # fmt: skip
+
+
+def unlike_covariances(teats: Array, evidence: Evidence, which: list[int], p: Parameters) -> Array:
+    """(n, 3, 3) mm^2 of the ends of ``which`` of teats (m, 8), right camera's frame: what a teat
+    that isn't the model's, or of which too little is seen, adds to its fit's covariance.
+    """
+    axis = axes(teats[which])
+    across = np.cross(axis, teats[which, :3])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    optical, thermal_end = evidence.end[which, :2].mean(axis=1), evidence.thermal_px[which, END]
+    partly = optical < _WHOLE_END
+    # the other side of an end that is seen in part may be a neighbour's
+    one_side = (evidence.both[which, :2].min(axis=1) <= p.least_side) | (
+        partly & (evidence.both[which, 2] <= _LEAST_OTHER_SIDE)
+    )
+    short = evidence.shaped[which] | (evidence.side[which].max(axis=1) < _WHOLE_SIDE)
+    in_part = partly & np.isnan(thermal_end)
+    unlike_mm = teats[which, RADIUS] * np.abs(teats[which, HEIGHT] - 1.0)
+    along2 = (p.end_unlike_share * unlike_mm) ** 2 + p.end_in_part_sd_mm**2 * in_part
+    along2 += (short & ~evidence.shaped[which]) * SHAPE_ALONG_MM**2
+    across2 = one_side * np.where(short, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
+    return np.asarray(
+        np.einsum("m,mi,mj->mij", along2, axis, axis)
+        + np.einsum("m,mi,mj->mij", across2, across, across)
+        + np.einsum("m,ij->mij", short * p.short_sd_mm**2, np.eye(3))
+    )
 
 
 def _share(good: NDArray[np.bool_], open_: NDArray[np.bool_]) -> Array:

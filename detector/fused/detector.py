@@ -5,7 +5,8 @@ result is kept; an unusable frame set gives no teats and a sentence.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from detector.fused.decide import (
     maybe_hidden,
     objections,
     shapes,
+    unlike_covariances,
     warmth_across,
     weigh,
 )
@@ -30,8 +32,8 @@ from detector.fused.depth_search import (
     sweep_bars,
     sweep_ends,
 )
-from detector.fused.fit import Parameters, View
-from detector.fused.model import apexes, axes
+from detector.fused.fit import Parameters, View, upright
+from detector.fused.model import COUNT, apexes, axes
 from detector.fused.refine import (
     FAR_MM,
     NEAR_MM,
@@ -64,8 +66,11 @@ from detector.fused.thermal import (
 )
 from detector.fused.witness import Agreement, agreement, calibration_covariances, disagreement
 from detector.geometry import Array, Camera, Motion
-from detector.protocol import Detection, Frames, Stage, Teat
+from detector.history import predicted
+from detector.protocol import Context, Detection, Frames, Stage, Teat
 
+_SAME_MM, _CHI2_99 = 15.0, 11.345  # two answers on one end; 99 % of three degrees of freedom
+_BESIDE_PX = np.array([-1.0, 0.0, 1.0])  # disparities about an expected end
 _ROOM_PX = 60  # about the nominations: half a teat's width, and as far down as the fit looks
 _OPTICAL_BLUR_PX, _THERMAL_BLUR_PX = 1.5, 0.8  # as much as a start may be off
 _ROOM_ABOVE_MM = 110.0  # how far above a bar's visible part its end may be
@@ -77,7 +82,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "3"  # counted up when an answer on any frame set changes
+    version: str = "4"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -108,6 +113,39 @@ class FusedDetector:
         except pictures.UnusableError as why:
             return Detection((), 0, str(why), tuple(trace))
 
+    def detect_with(self, frames: Frames, calibration: Calibration, context: Context) -> Detection:
+        """As `detect`; where the cow's history expects ends that it doesn't give, these are where
+        fits begin once more, and what is still unseen is predicted.
+        """
+        answer = self.detect(frames, calibration)
+        expected = predicted(context, answer.teats)
+        if not expected:
+            return answer
+        world = np.array([teat.world_mm for teat in expected.values()])
+        ends = calibration.world_from_right.inverse().apply(world)
+        starts = upright(ends, calibration, _BESIDE_PX, self.settings).reshape(-1, COUNT)
+        with suppress(pictures.UnusableError):
+            again = _detect(frames, calibration, self.settings, [], starts)
+            if _as_expected(again, answer, expected):
+                answer, expected = again, predicted(context, again.teats)
+        return replace(answer, predicted=tuple(expected.values()))
+
+
+def _as_expected(more: Detection, less: Detection, expected: Mapping[int, Teat]) -> bool:
+    """Whether ``more`` has all ends of ``less`` and others that lie where some are expected."""
+    old = np.array([teat.world_mm for teat in less.teats])
+    new = [t for t in more.teats if np.linalg.norm(old - t.world_mm, axis=1).min() > _SAME_MM]
+
+    def there(teat: Teat) -> bool:
+        off = [(teat.world_mm - one.world_mm, _stated(one)) for one in expected.values()]
+        return any(d @ np.linalg.solve(c + _stated(teat), d) < _CHI2_99 for d, c in off)
+
+    return bool(new) and len(more.teats) == len(old) + len(new) and all(map(there, new))
+
+
+def _stated(teat: Teat) -> Array:
+    return np.zeros((3, 3)) if teat.covariance_mm2 is None else teat.covariance_mm2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Thermal:
@@ -120,13 +158,18 @@ class _Thermal:
 
 
 def _detect(
-    frames: Frames, calibration: Calibration, p: Parameters, trace: list[Stage]
+    frames: Frames,
+    calibration: Calibration,
+    p: Parameters,
+    trace: list[Stage],
+    more: Array | None = None,
 ) -> Detection:
+    """``more`` teats (m, 8): where fits begin beside what the pictures suggest."""
     left = pictures.optical(frames.left, calibration.left.image_size, "left")
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
     thermal = thermal_picture(frames, calibration)
     teats, maps, ends = _start(thermal, left, right, calibration, p, trace)
-    judged = _fit(teats, maps, thermal, p)
+    judged = _fit(teats if more is None else np.concatenate([teats, more]), maps, thermal, p)
     # every fitted teat with evidence and objection, empty if accepted
     shown = {"teats": judged.fitted.teats}
     shown |= {name: getattr(judged.evidence, name) for name in (*Evidence.__slots__, "merit")}
@@ -309,6 +352,7 @@ def _answers(
     ends = apexes(teats)
     world = calibration.world_from_right.apply(ends)
     own = judged.covariances[accepted] + calibration_covariances(cameras, ends, calibration, p)
+    own = own + unlike_covariances(judged.fitted.teats, judged.evidence, accepted, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
     own = own + blur_covariances(edges, teats, px_a_mm, calibration.baseline_mm)
     covariances = world_covariances(own, ends, calibration)

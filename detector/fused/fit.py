@@ -11,6 +11,7 @@ from itertools import groupby
 
 import numpy as np
 
+from detector.calibration import Calibration
 from detector.fused import fast
 from detector.fused.edges import (
     LEAST_CLEAR,
@@ -114,8 +115,18 @@ class Parameters:
     end_shape_sd_mm: float = 0.07
     # how much less sure an end is along its axis, of which nothing is seen
     unseen_end_sd_mm: float = 1.2
+    # beside what a fit says of itself, by how far fits were off (path-traced frames; seed 7 from
+    # member 1000 on). Along a teat: this share of how unlike half a ball its end is,
+    end_unlike_share: float = 0.08
+    # and of an end that optical pictures see in part and the thermal one not at all;
+    end_in_part_sd_mm: float = 1.7
+    # across one with a side that an optical picture doesn't show, more where its sides are short
+    one_side_sd_mm: float = 0.15
+    short_one_side_sd_mm: float = 1.0
+    short_sd_mm: float = 0.29  # anywhere, of one with short sides
     # sd of the disparity where a calibration states no uncertainty: as the residuals of a good one
     calibration_px: float = 0.15
+    calibration_focal: float = 0.0007  # and of a focal length, as a share of it
     thermal_noise_px: float = 0.04  # of a frame's thermal outlines together, columns, sensor px
 
 
@@ -234,6 +245,22 @@ def step(teats: Array, seen: Seen, weight: Array, prior: Prior) -> Array:
     change *= 1 / np.maximum(1.0, np.abs(change / _LONGEST).max(axis=1, keepdims=True))
     moved = teats + np.nan_to_num(change)
     return np.asarray(np.minimum(np.maximum(moved, _LEAST), _MOST))
+
+
+def upright(ends_mm: Array, calibration: Calibration, beside_px: Array, p: Parameters) -> Array:
+    """Upright teats (k, d, 8) of the usual size, right camera's frame: their ends at ``ends_mm``
+    (k, 3), and by disparities ``beside_px`` (d,) in front of and behind them.
+    """
+    fb = calibration.right.fc[0] * calibration.baseline_mm
+    depth = fb / (fb / ends_mm[:, 2:3] + beside_px)
+    down = calibration.world_from_right.R.T @ np.array([0.0, 0.0, -1.0])
+    axis = down / np.linalg.norm(down)
+    teats = np.zeros((len(ends_mm), len(beside_px), COUNT))
+    ends = ends_mm[:, None] * (depth / ends_mm[:, 2:3])[..., None]
+    teats[..., :3] = ends + p.prior.radius_mm * axis
+    teats[..., LEAN_X], teats[..., LEAN_Z] = axis[0] / axis[1], axis[2] / axis[1]
+    teats[..., RADIUS], teats[..., HEIGHT] = p.prior.radius_mm, 1.0
+    return teats
 
 
 def apex_jacobian(teats: Array) -> Array:

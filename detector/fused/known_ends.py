@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.fused import pictures
 from detector.fused.detector import optical_views, thermal_picture
-from detector.fused.fit import Parameters, View, look, step, weights
-from detector.fused.model import COUNT, END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, apexes
+from detector.fused.fit import Parameters, View, look, step, upright, weights
+from detector.fused.model import COUNT, END, apexes
 from detector.fused.refine import FINE_OUTLINE, ROUGH_OUTLINE, Fitted, fine
 from detector.fused.witness import row_offsets, thermal_offsets
 from detector.geometry import Array
@@ -135,7 +135,7 @@ def _seen(
     p = Parameters()
     for _ in range(_AGAIN if shift == (0.0, 0.0, 0.0) else _AGAIN_SHIFTED):
         calibration = stated.moved("right", "cy", y)
-        starts = _starts(known, calibration, p)
+        starts = upright(known, calibration, _BESIDE_PX, p)
         views = tuple(optical_views(left, right, calibration, starts))
         fitted = _fitted(starts.reshape(-1, COUNT), views, p)
         best = _best(fitted, known)
@@ -192,20 +192,6 @@ def _thermal_near(seen: _Seen, there: Array, view: View, moved: Array) -> Array:
         if np.abs(moved).max() > THERMAL_REACH_PX:
             break
     return np.full((len(there), 2), np.nan)
-
-
-def _starts(known: Array, calibration: Calibration, p: Parameters) -> Array:
-    """Upright teats (k, d, 8), right camera's frame: ends at ``known`` and beside it in depth."""
-    fb = calibration.right.fc[0] * calibration.baseline_mm
-    depth = fb / (fb / known[:, 2:3] + _BESIDE_PX)
-    down = calibration.world_from_right.R.T @ np.array([0.0, 0.0, -1.0])
-    axis = down / np.linalg.norm(down)
-    teats = np.zeros((len(known), len(_BESIDE_PX), COUNT))
-    ends = known[:, None] * (depth / known[:, 2:3])[..., None]
-    teats[..., :3] = ends + p.prior.radius_mm * axis
-    teats[..., LEAN_X], teats[..., LEAN_Z] = axis[0] / axis[1], axis[2] / axis[1]
-    teats[..., RADIUS], teats[..., HEIGHT] = p.prior.radius_mm, 1.0
-    return teats
 
 
 def _fitted(teats: Array, views: tuple[View, ...], p: Parameters) -> Fitted:

@@ -357,7 +357,7 @@ def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
 _SUPPORT_PX = 0.3
 _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 # of a short teat's end: along its axis and anywhere
-_SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
+SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
@@ -411,7 +411,7 @@ def _shape_covariances(fitted: Fitted) -> Array:
     """What the unlikeness of a teat's end to half an ellipsoid adds, (m, 3, 3) mm^2."""
     axis = axes(fitted.teats)
     along = np.einsum("mi,mj->mij", axis, axis)
-    return np.asarray(_SHAPE_ALONG_MM**2 * along + _SHAPE_ACROSS_MM**2 * np.eye(3))
+    return np.asarray(SHAPE_ALONG_MM**2 * along + _SHAPE_ACROSS_MM**2 * np.eye(3))
 
 
 def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:

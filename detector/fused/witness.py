@@ -158,7 +158,7 @@ def _stated_px(ends_mm: Array, calibration: Calibration) -> Array:
         step = max(0.1 * sd, 1e-9)
         far, near = (seen(_moved(calibration, owner, name, s)) for s in (step, -step))
         columns.append((far - near) / (2 * step))
-    slope = np.array(columns)
+    slope = np.array(columns).reshape(-1, 3)
     return np.asarray(np.sqrt(np.einsum("ki,kl,li->i", slope, covariance.matrix, slope)))
 
 
@@ -184,9 +184,10 @@ def calibration_covariances(
 ) -> Array:
     """(m, 3, 3) mm^2 of ends (m, 3), right camera's frame, beside what the calibration states.
 
-    A disparity wrong by ``p.calibration_px``, where the calibration states nothing, and by as much
-    as the thermal picture shows beyond its noise, along the line of sight; across it half of the
-    latter, and half of what the rows are off.
+    Where the calibration states nothing, a disparity wrong by ``p.calibration_px`` and each focal
+    length by ``p.calibration_focal`` of it; and as much of disparity as the thermal picture shows
+    beyond its noise, along the line of sight; across it half of the latter, and half of what the
+    rows are off.
     """
     depth = ends_mm[:, 2]
     mm_a_px = depth / calibration.right.fc[0]
@@ -194,6 +195,15 @@ def calibration_covariances(
     disparity = np.hypot(shown, p.calibration_px if calibration.covariance is None else 0.0)
     between = 0.5 * calibration.right_from_left.T
     sight = (ends_mm - between) / depth[:, None]
-    along = sight * (mm_a_px * depth / calibration.baseline_mm * disparity)[:, None]
+    sight_a_px = sight * (mm_a_px * depth / calibration.baseline_mm)[:, None]
+    along = sight_a_px * disparity
     across = np.diag(0.25 * np.array([shown, np.nan_to_num(found.rows_px), 0.0]) ** 2)
-    return np.asarray(along[:, :, None] * along[:, None] + (mm_a_px**2)[:, None, None] * across)
+    moves = [along]
+    if calibration.covariance is None:  # pixels are off by a share of their distance from the axis
+        in_left = calibration.right_from_left.inverse().apply(ends_mm)
+        for sign, points in ((-1.0, in_left), (1.0, ends_mm)):
+            off_mm = p.calibration_focal * points * [1.0, 1.0, 0.0]
+            off_px = sign * off_mm[:, :1] / mm_a_px[:, None]
+            moves.append(0.5 * off_mm + sight_a_px * off_px)
+    total = sum(np.einsum("mi,mj->mij", move, move) for move in moves)
+    return np.asarray(total + (mm_a_px**2)[:, None, None] * across)

@@ -1,4 +1,6 @@
-"""Left, right and perhaps thermal camera as one: all begin, then each is taken and converted."""
+"""Left, right and perhaps thermal and depth camera as one: all begin, then each is taken and
+converted.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,8 @@ from instruments.camera.frame import Conversion, FrameSet, RawFrame
 from instruments.errors import InstrumentError, ProtocolError
 
 REQUIRED = ("left", "right")
-KNOWN = (*REQUIRED, "thermal")
+KNOWN = (*REQUIRED, "thermal")  # those whose pictures are for people too
+DEPTH = "depth"
 
 
 class Camera(Protocol):
@@ -36,11 +39,11 @@ class CameraSet:
     def __init__(
         self, openers: Mapping[str, Callable[[], Camera]], conversions: Mapping[str, Conversion]
     ) -> None:
-        wrong = [name for name in openers if name not in KNOWN]
+        wrong = [name for name in openers if name not in (*KNOWN, DEPTH)]
         missing = [name for name in REQUIRED if name not in openers]
         if wrong or missing:
             got = ", ".join(openers) or "none"
-            raise ValueError(f"a rig has cameras left, right and perhaps thermal, got {got}")
+            raise ValueError(f"a rig has cameras left, right, perhaps thermal and depth, got {got}")
         self._openers = dict(openers)
         self._conversions = {name: conversions.get(name, Conversion()) for name in openers}
         self._cameras: dict[str, Camera] = {}
@@ -70,6 +73,8 @@ class CameraSet:
                 conversion = self._conversions[name]
                 if name == "thermal" and conversion.radiometry is not None:
                     images["thermal_ck"] = conversion.temperatures(frame)
+                elif name == DEPTH:
+                    images["depth_dmm"], images["amplitude"] = conversion.depth(frame)
                 else:
                     images[name] = conversion.picture(frame)
         except ValueError as fault:

@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import CentiKelvin, FrameError, FrameFault, FrameSet, Grey
 from instruments.clock import Clock
-from instruments.world.scene import Renderer
+from instruments.world.scene import RenderedSet, Renderer
 from instruments.world.state import SceneState
 
 # what an emulated camera can have, and by default which one; a wrong size is a wrong rig file
@@ -207,7 +206,9 @@ class EmulatedCameras:
     @property
     def identity(self) -> Mapping[str, str]:
         """Who each camera is."""
-        cameras = self._world.renderer.cameras
+        renderer = self._world.renderer
+        deep = [renderer.depth.view.camera] if renderer.depth else []
+        cameras = [*renderer.cameras, *deep]
         return {one.name: f"emulated {one.width_px} x {one.height_px}" for one in cameras}
 
     def capture(self) -> FrameSet:
@@ -215,7 +216,7 @@ class EmulatedCameras:
         spoiling = self.faults.next()
         clock = self._world.clock
         now_s = clock.now()
-        frames, exposed_s = self._seen(), dict.fromkeys(KNOWN, now_s)
+        frames, exposed_s = self._seen(), dict.fromkeys(self.identity, now_s)
         if FrameFault.LATE in spoiling:
             camera, late_s = spoiling[FrameFault.LATE]
             clock.sleep(max(0.0, now_s + late_s - clock.now()))
@@ -239,4 +240,16 @@ class EmulatedCameras:
             self._world.scene(), self._world.frame_rng("cameras", self._taken)
         )
         self._taken += 1
-        return FrameSet(taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck)
+        return frame_set(taken)
+
+
+def frame_set(taken: RenderedSet) -> FrameSet:
+    """What was rendered, as cameras deliver it."""
+    return FrameSet(
+        taken.left,
+        taken.right,
+        taken.thermal_8bit,
+        taken.thermal_ck,
+        depth_dmm=taken.depth_dmm,
+        amplitude=taken.amplitude,
+    )

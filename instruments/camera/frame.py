@@ -1,7 +1,7 @@
 """Frames: raw, as a set of grey pictures and temperatures, the conversion, and a frame's faults.
 
 Conversion, in this order: colour to grey, mirrored back, turned, flipped, then 16 bits to 8 and
-perhaps inverted, or counts to centi-kelvin.
+perhaps inverted, or counts to centi-kelvin, or to tenths of a millimetre.
 """
 
 from __future__ import annotations
@@ -19,22 +19,27 @@ from instruments.errors import ProtocolError
 
 Grey = NDArray[np.uint8]
 CentiKelvin = NDArray[np.uint16]
+TenthsMm = NDArray[np.uint16]
 # of a frame set: name, type, and whether it may be missing
 _IMAGES = (
     ("left", np.uint8, False),
     ("right", np.uint8, False),
     ("thermal", np.uint8, True),
     ("thermal_ck", np.uint16, True),
+    ("depth_dmm", np.uint16, True),
+    ("amplitude", np.uint16, True),
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameSet:
-    """Images of the left, right and thermal camera.
+    """Images of the left, right and thermal camera, and of a depth camera where there is one.
 
     ``left``, ``right``, ``thermal`` (as delivered, or None) uint8 (h, w); ``thermal_ck`` uint16 (h,
-    w) centi-kelvin, sensor's grid, un-mirrored, or None. ``exposed_s``: time on the bench's clock
-    by camera, ``identity`` by camera; both may lack some. Raises ValueError.
+    w) centi-kelvin, sensor's grid, un-mirrored, or None. ``depth_dmm`` uint16 (h, w): tenths of a
+    mm along the depth camera's optical axis, 0 where nothing was measured; ``amplitude`` uint16 (h,
+    w): the strength of its signal, in the camera's unit; or None. ``exposed_s``: time on the
+    bench's clock by camera, ``identity`` by camera; both may lack some. Raises ValueError.
     """
 
     left: Grey
@@ -43,6 +48,8 @@ class FrameSet:
     thermal_ck: CentiKelvin | None = None
     exposed_s: Mapping[str, float] = field(default_factory=dict)
     identity: Mapping[str, str] = field(default_factory=dict)
+    depth_dmm: TenthsMm | None = None
+    amplitude: NDArray[np.uint16] | None = None
 
     def __post_init__(self) -> None:
         for name, dtype, optional in _IMAGES:
@@ -55,11 +62,22 @@ class FrameSet:
             if image.dtype != dtype or image.ndim != 2 or image.size == 0:
                 seen = f"{image.shape} of {image.dtype}"
                 raise ValueError(f"{wanted}, is {seen}; `grey8` makes 8-bit grey of raw images")
+        if self.amplitude is not None and (
+            self.depth_dmm is None or self.amplitude.shape != self.depth_dmm.shape
+        ):
+            raise ValueError("a frame set's amplitude goes with a depth picture of its size")
 
     @property
     def thermal_k(self) -> NDArray[np.float64] | None:
         """Apparent temperature in kelvin, sensor's grid, un-mirrored; None if not radiometric."""
         return None if self.thermal_ck is None else self.thermal_ck / 100.0
+
+    @property
+    def depth_mm(self) -> NDArray[np.float64] | None:
+        """Along the depth camera's optical axis, NaN where nothing was measured; None without."""
+        if self.depth_dmm is None:
+            return None
+        return np.where(self.depth_dmm > 0, self.depth_dmm / 10.0, np.nan)
 
 
 def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
@@ -81,18 +99,32 @@ def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
     return np.ascontiguousarray(image, dtype=np.uint8)
 
 
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+Pixels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Ranging:
+    """Distance along the optical axis: ``mm_at_zero`` + ``mm_per_count`` x count; ``none``: the
+    count of a pixel that measured nothing, None where there is no such count.
+    """
+
+    mm_per_count: float
+    mm_at_zero: float = 0.0
+    none: float | None = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RawFrame:
-    """``pixels`` uint8 or uint16, (h, w) or (h, w, 3) blue-green-red; ``bits`` of signal in the low
-    end of a word; ``exposed_s`` on the bench's clock.
+    """``pixels`` uint8 or uint16, (h, w) or (h, w, 3) blue-green-red, or distances as float32;
+    ``bits`` of signal in the low end of a word; ``exposed_s`` on the bench's clock. Of a depth
+    camera: what its counts are, as it says, and its ``amplitude`` (h, w).
     """
 
     pixels: Pixels
     exposed_s: float
     bits: int = 8
+    ranging: Ranging | None = None
+    amplitude: Pixels | None = None
 
 
 Channel = Literal["luma", "red", "green", "blue"]
@@ -117,7 +149,7 @@ class Conversion:
     ``grey``: a colour frame's channel, or its luma (BT.601); ``mirrored``: exchange left and right;
     ``turn_deg``: clockwise; ``white``: the count that becomes 255 (None: the format's);
     ``inverted``: black becomes white; with ``radiometry`` the frame is temperatures, without
-    ``white`` or ``inverted``.
+    ``white`` or ``inverted``; ``ranging`` of a depth camera, None for what the camera says.
     """
 
     grey: Channel = "luma"
@@ -127,6 +159,7 @@ class Conversion:
     white: int | None = None
     inverted: bool = False
     radiometry: Radiometry | None = None
+    ranging: Ranging | None = None
 
     def picture(self, raw: RawFrame) -> Grey:
         """The frame in 8-bit grey (h, w). Raises ValueError for an array that is no image."""
@@ -151,6 +184,33 @@ class Conversion:
             what = f"counts {counts.min()} to {counts.max()} would be {span}"
             raise ValueError(f"{what}: kelvin_per_count or kelvin_at_zero is wrong")
         return np.ascontiguousarray(centikelvin.astype(np.uint16))
+
+    def depth(self, raw: RawFrame) -> tuple[TenthsMm, NDArray[np.uint16] | None]:
+        """Tenths of a mm (h, w), 0 where nothing was measured or it doesn't fit 16 bits, and the
+        amplitude (h, w) or None. Raises ValueError where nothing says what a count is, of 8 bits,
+        in colour.
+        """
+        ranging = self.ranging or raw.ranging
+        if ranging is None:
+            raise ValueError(
+                "nothing says how far a count of the depth camera is: set mm_per_count in"
+                " [cameras.depth]"
+            )
+        counts = self._upright(raw.pixels)
+        if counts.ndim != 2 or counts.dtype == np.uint8:
+            seen = f"{counts.shape} of {counts.dtype}"
+            raise ValueError(
+                f"depth comes from a grey frame of 16 bits or more, this one is {seen}"
+            )
+        tenths = np.rint(10.0 * (ranging.mm_at_zero + ranging.mm_per_count * counts.astype(float)))
+        measured = (tenths >= 1.0) & (tenths <= 65535.0)  # false for what is no number
+        if ranging.none is not None:
+            measured &= counts != counts.dtype.type(ranging.none)
+        strength = None if raw.amplitude is None else self._upright(raw.amplitude)
+        return (
+            np.where(measured, tenths, 0.0).astype(np.uint16),
+            None if strength is None else strength.astype(np.uint16),
+        )
 
     def _upright(self, image: NDArray[Any]) -> NDArray[Any]:
         if image.ndim == 3 and self.grey in _BGR:

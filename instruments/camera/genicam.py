@@ -1,5 +1,6 @@
-"""A GigE Vision or USB3 Vision camera, optical or radiometric, through Aravis, which is loaded on
-demand. A buffer with missing packets or of another size is a named fault, never a picture.
+"""A GigE Vision or USB3 Vision camera, optical, radiometric or of depth, through Aravis, which is
+loaded on demand. A buffer with missing packets or of another size is a named fault, never a
+picture. Distances are as in the SFNC 2.7, 3D scan control: count x scale + offset, in a unit.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from instruments.camera.frame import FrameError, FrameFault, RawFrame
-from instruments.camera.pixel_formats import unpack
-from instruments.camera.settings import Settings, Value, apply, hold_still
+import numpy as np
+
+from instruments.camera.frame import FrameError, FrameFault, Pixels, Ranging, RawFrame
+from instruments.camera.pixel_formats import BY_CODE, unpack
+from instruments.camera.settings import Settings, Value, apply, hold_still, same
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 
@@ -36,6 +39,10 @@ BACK_S = 1.0  # a stamp may be so much older than the last one's: of another cam
 PTP = (("PtpEnable", "PtpStatus"), ("GevIEEE1588", "GevIEEE1588Status"))
 IN_STEP = ("Master", "Slave")
 PTP_S = 30.0  # the longest until a clock is master or slave; a change of master takes some seconds
+# distances that are a depth along the axis, and what they may be in; DisparityC and others aren't
+DEPTHS, SYSTEM = ("CalibratedC", "RectifiedC"), "Cartesian"
+MM = {"Millimeter": 1.0, "Inch": 25.4}
+RANGES = ("Coord3D_C16", "Coord3D_C32f")
 KEPT_S = 600.0  # frames older than this say no more than their drift
 
 
@@ -118,6 +125,27 @@ def feature_names(device: Any) -> list[str]:
     return sorted(names)
 
 
+def _of_parts(buffer: Any) -> tuple[tuple[Pixels, int], Pixels | None]:
+    """Distances with their bits, and the first other grey part of their size, of a payload of
+    several parts. Raises ValueError.
+    """
+    found: dict[str, tuple[Pixels, int]] = {}
+    for part in range(buffer.get_n_parts()):
+        code = buffer.get_part_pixel_format(part)
+        if code in BY_CODE:
+            size = buffer.get_part_width(part), buffer.get_part_height(part)
+            padding = int(buffer.get_part_padding(part).x_padding)
+            one = unpack(buffer.get_part_data(part), code, *size, padding)
+            found.setdefault(BY_CODE[code].name, one)
+    ranges = [name for name in RANGES if name in found]
+    if not ranges:
+        sent = ", ".join(found) or "nothing that is unpacked here"
+        raise ValueError(f"no part is a distance ({', '.join(RANGES)}): it sent {sent}")
+    whole = found.pop(ranges[0])
+    grey = [one for one, _ in found.values() if one.shape == whole[0].shape]
+    return whole, next((one for one in grey if one.dtype != np.float32), None)
+
+
 class GenicamCamera:
     """``device``: name as Aravis lists it, serial number or IP address; "" for the only one.
     ``identity`` has settings tried in vain too. ``in_step``: of all cameras of the rig with PTP.
@@ -158,6 +186,7 @@ class GenicamCamera:
         self._lost_control = False
         try:
             notes = self._apply_settings()
+            self._ranging = self._scan3d() if self._settings.depth else None
             c, (width, height) = self._camera, _size(self._camera)
             who = f"{c.get_vendor_name()} {c.get_model_name()} {c.get_device_serial_number()}"
             size = f"({width} x {height}, {c.get_pixel_format_as_string()})"
@@ -203,6 +232,35 @@ class GenicamCamera:
         held = hold_still(who, self._settings, automatic)
         notes = (*held, *apply(who, self._settings, ways, failures))
         return (*notes, self._ptp()) if self._settings.ptp else notes
+
+    def _scan3d(self) -> Ranging | None:
+        """What the camera says of its distances; None where it says nothing. Raises DeviceError for
+        one that sends none along its axis.
+        """
+        device = self._camera.get_device()
+
+        def said(name: str, usual: str = "") -> str:
+            offered = device.get_feature(name) is not None and device.is_feature_available(name)
+            return str(_by_name(self._who, device, name)[1]()) if offered else usual
+
+        if said("Scan3dCoordinateSelector"):
+            _by_name(self._who, device, "Scan3dCoordinateSelector")[0]("CoordinateC")
+        wanted = {
+            "Scan3dOutputMode": DEPTHS,
+            "Scan3dCoordinateSystem": (SYSTEM,),
+            "Scan3dDistanceUnit": tuple(MM),
+        }
+        for name, words in wanted.items():
+            if (word := said(name, words[0])) not in words:
+                what = f"sends no depth along its axis: {name} is {word}"
+                hint = f'Set it in the rig file: features = {{ {name} = "{words[0]}" }}.'
+                raise DeviceError(self._who, what, asked=name, hint=hint)
+        if not (scale := said("Scan3dCoordinateScale")):
+            return None
+        mm = MM[said("Scan3dDistanceUnit", "Millimeter")]
+        flagged = same(True, said("Scan3dInvalidDataFlag"))
+        none = float(said("Scan3dInvalidDataValue", "0")) if flagged else None
+        return Ranging(mm * float(scale), mm * float(said("Scan3dCoordinateOffset", "0")), none)
 
     def _ptp(self) -> str:
         """Have PTP set its clock, and wait until it does. Raises DeviceError."""
@@ -283,9 +341,9 @@ class GenicamCamera:
             seconds = self._patience_s
             raise self._fault(FrameFault.DROPPED, "no frame came", hint, seconds=seconds)
         try:
-            pixels, bits = self._pixels(buffer)
+            (pixels, bits), amplitude = self._pixels(buffer)
             exposed_s = self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s)
-            return RawFrame(pixels, exposed_s, bits)
+            return RawFrame(pixels, exposed_s, bits, self._ranging, amplitude)
         finally:
             self._stream.push_buffer(buffer)
 
@@ -340,24 +398,30 @@ class GenicamCamera:
     ) -> FrameError:
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
-    def _pixels(self, buffer: Any) -> Any:
-        """Pixels and their bits. Raises FrameError for a damaged buffer, else ProtocolError."""
+    def _pixels(self, buffer: Any) -> tuple[tuple[Pixels, int], Pixels | None]:
+        """Pixels with their bits, and a depth camera's amplitude. Raises FrameError for a damaged
+        buffer, else ProtocolError.
+        """
         status = buffer.get_status().value_nick.upper().replace("-", "_")
         if status != "SUCCESS":
             hint = "Raise the socket's buffer and the packet size, or lower the frame rate."
             what = f"a frame's buffer came with status {status}"
             raise self._fault(DAMAGED.get(status, FrameFault.DROPPED), what, hint)
         kind = buffer.get_payload_type().value_nick
-        if kind not in ("image", "extended-chunk-data", "chunk-data"):
+        images = ("image", "extended-chunk-data", "chunk-data")
+        if kind not in (*images, *(("multipart",) if self._settings.depth else ())):
             raise ProtocolError(self._who, f"sent {kind}, not an image", asked="a frame")
         try:
-            return unpack(
+            if kind == "multipart":
+                return _of_parts(buffer)
+            whole = unpack(
                 buffer.get_data(),
                 buffer.get_image_pixel_format(),
                 buffer.get_image_width(),
                 buffer.get_image_height(),
                 int(buffer.get_image_padding().x_padding),
             )
+            return whole, None
         except ValueError as fault:
             hint = "Set another pixel_format in the rig file."
             raise ProtocolError(self._who, str(fault), asked="a frame", hint=hint) from fault

@@ -45,6 +45,10 @@ def _words16(data: Bytes, count: int) -> NDArray[np.uint16]:
     return np.frombuffer(data.tobytes(), dtype="<u2", count=count).astype(np.uint16)
 
 
+def _floats32(data: Bytes, count: int) -> NDArray[np.float32]:
+    return np.frombuffer(data.tobytes(), dtype="<f4", count=count).astype(np.float32)
+
+
 def _bit_stream(bits: int) -> Decoder:
     """The "p" formats: pixel i starts at bit i x ``bits``, least significant first."""
 
@@ -85,6 +89,10 @@ FORMATS: tuple[PixelFormat, ...] = (
     PixelFormat("Mono12Packed", 0x010C0006, 12, 12, _packed(12)),
     PixelFormat("Mono10p", 0x010A0046, 10, 10, _bit_stream(10)),
     PixelFormat("Mono12p", 0x010C0047, 12, 12, _bit_stream(12)),
+    PixelFormat("Coord3D_C16", 0x011000B8, 16, 16, _words16),
+    PixelFormat("Coord3D_C32f", 0x012000BF, 32, 32, _floats32),
+    PixelFormat("Confidence8", 0x010800C6, 8, 8, _bytes8),
+    PixelFormat("Confidence16", 0x011000C7, 16, 16, _words16),
     PixelFormat("RGB8", 0x02180014, 24, 8, _bytes8, 3, cv2.COLOR_RGB2BGR),
     PixelFormat("BGR8", 0x02180015, 24, 8, _bytes8, 3),
     # OpenCV names a mosaic by its second row's second and third pixel, the PFNC by its first two

@@ -23,8 +23,13 @@ from instruments.errors import DeviceError
 
 PNG = b"\x89PNG\r\n\x1a\n"
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
-FIELDS = ("left", "right", "thermal", "thermal_ck")
-FILES = ("left.png", "right.png", "thermal.png", "thermal_radiometric.png")
+# of a frame set, and its files: the last three have 16 bits
+FIELDS = ("left", "right", "thermal", "thermal_ck", "depth_dmm", "amplitude")
+FILES = (
+    "left.png", "right.png", "thermal.png", "thermal_radiometric.png", "depth.png",
+    "depth_amplitude.png",
+)  # fmt: skip
+UNITS = dict(zip(FILES[3:], ("centi-kelvin", "tenths of a millimetre", "counts"), strict=True))
 COLUMNS = ("frame", "situation", "teat", "x_mm", "y_mm", "z_mm", "visible")
 OPTIONAL = ("u_mm",)
 # a teat is some 20 mm thick: two ends nearer than this are one end, measured twice
@@ -65,15 +70,21 @@ class Recording:
         self.truth: dict[str, tuple[TruthRow, ...]] = self._truth()
 
     def load(self, frame_id: str) -> FrameSet:
-        """The images of a frame. The thermal ones may be absent. Raises RecordingError."""
+        """The images of a frame. Those of thermal and depth camera may be absent. Raises
+        RecordingError.
+        """
         folder = self.path / "frames" / frame_id
         if frame_id not in self.frames:
             first = f"the first of {len(self.frames)} is {self.frames[0]!r}"
             raise RecordingError(f"{folder}: there is no frame {frame_id!r}; {first}")
-        left, right, eight, radiometric = (folder / name for name in FILES)
-        thermal = read_grey(eight) if eight.exists() else None
-        kelvin = _centikelvin(radiometric) if radiometric.exists() else None
-        return FrameSet(read_grey(left), read_grey(right), thermal, kelvin)
+        left, right, thermal, *others = (folder / name for name in FILES)
+        eight = read_grey(thermal) if thermal.exists() else None
+        kelvin, depth, strength = (_counts(one) if one.exists() else None for one in others)
+        pair = read_grey(left), read_grey(right)
+        try:
+            return FrameSet(*pair, eight, kelvin, depth_dmm=depth, amplitude=strength)
+        except ValueError as fault:
+            raise RecordingError(f"{folder}: {fault}") from fault
 
     def _truth(self) -> dict[str, tuple[TruthRow, ...]]:
         path = self.path / "truth.csv"
@@ -187,11 +198,11 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
         raise RecordingError(f"{path}: {fault}") from fault
 
 
-def _centikelvin(path: Path) -> NDArray[np.uint16]:
+def _counts(path: Path) -> NDArray[np.uint16]:
     image = _image(path)
     if image.dtype != np.uint16 or image.ndim != 2:
         what = f"is {image.dtype} with {image.ndim} dimensions"
-        raise RecordingError(f"{path}: must be 16-bit grey in centi-kelvin, {what}")
+        raise RecordingError(f"{path}: must be 16-bit grey in {UNITS[path.name]}, {what}")
     return image
 
 

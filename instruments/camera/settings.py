@@ -24,7 +24,8 @@ class Settings:
     hardware trigger. ``tries``: names that may fail, "all" for every one. ``auto``: automatic
     functions are left as they are, else switched off. ``counts``: 16-bit counts are needed as the
     sensor gives them. ``ptp``: its clock is set by PTP, and the bench waits for that. ``shutter``:
-    GenICam command before each capture, which takes ``shutter_s``.
+    GenICam command before each capture, which takes ``shutter_s``. ``depth``: it sends
+    distances.
     """
 
     resolution: tuple[int, int] | None = None
@@ -41,6 +42,7 @@ class Settings:
     ptp: bool = False
     shutter: str = ""
     shutter_s: float = 1.0
+    depth: bool = False
 
 
 def apply(

@@ -52,15 +52,21 @@ class Debouncer:
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
     """One position in the arm's frame: median ``tip_mm`` (3,), ``spread_mm`` (largest distance of a
-    packet's tip from it), unit median ``axis`` (3,) from the tip up the stylus, ``n`` packets,
-    ``counts`` of the last one.
+    packet's tip from it), unit median ``axis`` (3,) from the tip up the stylus (None: not known),
+    ``n`` packets, ``counts`` of the last one; ``written``: what another program or a person wrote.
     """
 
     tip_mm: npt.NDArray[np.float64]
     spread_mm: float
-    axis: npt.NDArray[np.float64]
+    axis: npt.NDArray[np.float64] | None
     n: int
-    counts: tuple[int, ...]
+    counts: tuple[int, ...] = ()
+    written: str = ""
+
+    @property
+    def evidence(self) -> str | list[int]:
+        """What the record keeps of it: the counts, or what was written."""
+        return self.written or [int(count) for count in self.counts]
 
 
 @dataclass(frozen=True, slots=True)

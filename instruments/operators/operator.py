@@ -49,11 +49,12 @@ class Homing:
 @dataclass(frozen=True, slots=True)
 class CheckPoint:
     """The tip is to be held in the check point's divot, for the ``touch``-th time (from 1) of
-    ``of``, with the stylus leaning another way each time.
+    ``of``, with the stylus leaning another way each time; ``again`` says why it is repeated.
     """
 
     touch: int
     of: int
+    again: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +138,9 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Coordinates:
-    """x, y and z of a point are to be typed, as ``text`` says: the `Answer`'s ``point``."""
+    """x, y and z of a point are to be typed, as ``text`` says, with i, j and k of a stylus where
+    they are known: the `Answer`'s ``point``, and its ``written``.
+    """
 
     text: str
 
@@ -173,7 +176,7 @@ class Answer:
     """
 
     visible: tuple[bool, ...] = ()
-    point: tuple[float, float, float] | None = None
+    point: tuple[str, ...] | None = None
 
 
 DONE = Answer()
@@ -294,17 +297,19 @@ class Prompt:
         )
 
 
-def point_in(answer: str) -> tuple[float, float, float]:
-    """The three numbers in an answer to `Coordinates`. Raises NotUnderstoodError."""
+def point_in(answer: str) -> tuple[str, ...]:
+    """The three numbers, or six, in an answer to `Coordinates`, as typed but with a decimal point.
+    Raises NotUnderstoodError.
+    """
+    cells = tuple(answer.replace(";", " ").replace(",", ".").split())
     try:
-        x, y, z = (float(one.replace(",", ".")) for one in answer.replace(";", " ").split())
-        if not math.isfinite(x + y + z):
+        if len(cells) not in (3, 6) or not math.isfinite(sum(map(float, cells))):
             raise ValueError
     except ValueError:
-        example = '"-110.2 284.2 134.2"'
+        example = '"-110.20 284.20 134.20"'
         text = f"Not understood: {answer.strip()!r}. Three numbers are wanted: {example}."
         raise NotUnderstoodError(text) from None
-    return x, y, z
+    return cells
 
 
 def understood(answer: str, prompt: Prompt) -> frozenset[int]:

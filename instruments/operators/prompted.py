@@ -30,9 +30,12 @@ LEANS = (
 
 
 class PromptedOperator(ABC):
-    """``hands``, if given, do what each "go on" agreed to: emulated ones."""
+    """``hands``, if given, do what each "go on" agreed to: emulated ones. ``before_touch`` is
+    called before each prompt for a touch.
+    """
 
     hands: op.Operator | None = None
+    before_touch: Callable[[], None] = staticmethod(op.no_check)
     _trial: op.NextTrial | None = None
     _stands: tuple[op.Arrangement, frozenset[int]] | None = None
 
@@ -77,9 +80,11 @@ class PromptedOperator(ABC):
         return hidden
 
     def _asked(self, request: op.Awaited, check: Callable[[], None]) -> str:
-        if isinstance(request, op.Touch | op.BoardTouch) and request.again:
+        if isinstance(request, op.CheckPoint | op.Touch | op.BoardTouch) and request.again:
             self.say(request.again)
         prompt = self.prompt(request)
+        if prompt.pedal:
+            self.before_touch()
         try:
             words = self.answer(prompt, check)
             op.understood(words, prompt)
@@ -94,7 +99,7 @@ class PromptedOperator(ABC):
         match request:
             case op.Homing(instruction):
                 return op.Prompt("homing", instruction)
-            case op.CheckPoint(touch, of):
+            case op.CheckPoint(touch, of, _):
                 text = "Arm check: put the tip into the divot of the check point, the stylus"
                 text += f" {LEANS[(touch - 1) % len(LEANS)]}, and hold it still."
                 return op.Prompt("check point", text, progress=f"touch {touch} of {of}", pedal=True)

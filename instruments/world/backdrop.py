@@ -26,7 +26,7 @@ TEXEL_MM = 2.0
 # rows and columns between pixels at which the light of a plane is worked out: the table lies
 # nearly along the rays, so that a few rows are half a metre
 COARSE_PX = (2, 32)
-LASTING_KEPT = 12  # places in pictures of patches that stay: three by camera
+LASTING_KEPT = 16  # places in pictures of patches that stay: three by camera, and some
 KEPT = 2  # drawn backdrops: those of a rig's two cameras, for a rig that is opened again
 FAR_MM = 2400.0  # the room's walls
 
@@ -152,7 +152,7 @@ def draw(
     """
     room = backdrop.room_albedo * lighting.ambient * lighting.brightness
     image = np.full((camera.height_px, camera.width_px), room, dtype=np.float32)
-    for patch, seen in _patches_seen(backdrop, camera):
+    for patch, seen in patches_seen(backdrop, camera):
         light = seen.light(lighting, patch.albedo)
         shade = seen.texture(patch) if patch.texture > 0.0 else None
         part = image[seen.rows, seen.columns]
@@ -185,7 +185,7 @@ def _depths(places: tuple[Place, ...], camera: CameraModel) -> tuple[Image, tupl
     return depth, (float(depth.min()), float(depth.max()))
 
 
-def _patches_seen(backdrop: Backdrop, camera: CameraModel) -> Iterator[tuple[Patch, _Seen]]:
+def patches_seen(backdrop: Backdrop, camera: CameraModel) -> Iterator[tuple[Patch, _Seen]]:
     """Far to near, those that the camera sees."""
     for patch in patches(backdrop):
         if seen := (_seen if patch.lasts else _look)(patch.place, camera):
@@ -196,7 +196,7 @@ def warmer(backdrop: Backdrop, camera: CameraModel) -> Image:
     """How much warmer than the room the backdrop is at each pixel, K, (height, width)."""
     warmth = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
     off = tuple(poster for poster in backdrop.posters if not _within(poster, backdrop))
-    for patch, seen in _patches_seen(replace(backdrop, posters=off), camera):
+    for patch, seen in patches_seen(replace(backdrop, posters=off), camera):
         part = warmth[seen.rows, seen.columns]
         part += seen.share * (np.float32(patch.warmer_k) - part)
     return warmth

@@ -25,8 +25,8 @@ from instruments.world.solids import Ints, Solids
 class Layer:
     """One object in one camera, hidden or not: each pixel (n,) that it covers, once.
 
-    ``share`` of the pixel, ``depth_mm``, ``value``: light or emissivity. ``along``, for heat: from
-    0 to 1 between the object's two temperatures.
+    ``share`` of the pixel, ``depth_mm``, ``value``: light, emissivity or phasor. ``along``, for
+    heat: from 0 to 1 between the object's two temperatures.
     """
 
     row: Ints

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,16 +47,12 @@ class Surfaces:
     depth_mm: Floats
     normals: Floats  # (3, n), unit
 
-    def by_thing(
-        self, count: int, value: NDArray[np.float32] | Floats, along: Floats | None = None
-    ) -> list[Layer]:
+    def by_thing(self, count: int, value: NDArray[Any], along: Floats | None = None) -> list[Layer]:
         """A layer for each of ``count`` things, from a value for each pair."""
         ends = np.searchsorted(self.owner, np.arange(count + 1))
         return [self._layer(slice(*part), value, along) for part in pairwise(ends)]
 
-    def _layer(
-        self, part: slice, value: NDArray[np.float32] | Floats, along: Floats | None
-    ) -> Layer:
+    def _layer(self, part: slice, value: NDArray[Any], along: Floats | None) -> Layer:
         at = self.cover
         solid, row, column, share = at.solid[part], at.row[part], at.column[part], at.share[part]
         several = len(solid) > 0 and solid[0] != solid[-1]  # else no two meet in a pixel

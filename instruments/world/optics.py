@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 ROWS_AT_ONCE = 32  # a block of rows whose iteration stays in the processor's cache
 NEWTON_STEPS = 12  # five are enough for any lens seen; the last ones only prove it
-RAYS_KEPT = 3  # cameras: those of a rig, which commands and tests open again and again
+RAYS_KEPT = 4  # cameras: those of a rig, which commands and tests open again and again
 CONVERGED = 1e-13  # of the normalised image plane: below 1e-9 px for any focal length in use
 
 
@@ -167,13 +167,9 @@ def cameras_from_calibration(
     X_right = R X_left + T, X_thermal = R X_left + T (un-mirrored), X_world = R X_right + T. Raises
     ValueError with the key at fault.
     """
-    right_from_left, thermal_from_left, world_from_right = (
-        (rotation_from_vector(_numbers(table, (block, "om"), 3)), _numbers(table, (block, "T"), 3))
-        for block in ("stereo", "thermal", "world")
-    )
-    right = _inverse(world_from_right)
-    left = _after(_inverse(right_from_left), right)
-    thermal = _after(thermal_from_left, left)
+    right = _inverse(_motion(table, "world"))
+    left = _after(_inverse(_motion(table, "stereo")), right)
+    thermal = _after(_motion(table, "thermal"), left)
     return (
         _camera(table, "left", left),
         _camera(table, "right", right),
@@ -181,7 +177,20 @@ def cameras_from_calibration(
     )
 
 
+def depth_from_calibration(table: Mapping[str, Any]) -> CameraModel | None:
+    """The depth camera, None where there is none: X_depth = R X_left + T. Raises ValueError."""
+    if "depth" not in table and "depth" not in table.get("cameras", {}):
+        return None
+    left = _after(_inverse(_motion(table, "stereo")), _inverse(_motion(table, "world")))
+    return _camera(table, "depth", _after(_motion(table, "depth"), left))
+
+
 Motion = tuple[Floats, Floats]
+
+
+def _motion(table: Mapping[str, Any], block: str) -> Motion:
+    om, t_mm = (_numbers(table, (block, key), 3) for key in ("om", "T"))
+    return rotation_from_vector(om), t_mm
 
 
 def _inverse(motion: Motion) -> Motion:
@@ -203,7 +212,8 @@ def _camera(table: Mapping[str, Any], name: str, camera_from_world: Motion) -> C
     fc = _numbers(table, (*at, "fc"), 2)
     if not np.all(fc > 0.0):
         raise ValueError(f"calibration: cameras.{name}.fc must be above zero, is {fc.tolist()}")
-    alpha_c = float(_numbers(table, (*at, "alpha_c"), 1)[0])
+    skewed = name != "depth" or "alpha_c" in table["cameras"][name]
+    alpha_c = float(_numbers(table, (*at, "alpha_c"), 1)[0]) if skewed else 0.0
     cc, kc = _numbers(table, (*at, "cc"), 2), _numbers(table, (*at, "kc"), 5)
     return CameraModel(name, width, height, fc, cc, alpha_c, kc, *camera_from_world)
 

@@ -1,5 +1,5 @@
-"""The renderer: one `SceneState` in, one frame set of three cameras out; and contact sheets
-(docs/scene.md).
+"""The renderer: one `SceneState` in, one frame set of three cameras and perhaps a depth camera out;
+and contact sheets (docs/scene.md).
 
 Analytic: coverage is an exact area, depth and normal roots of a quadratic, so nothing is sampled.
 Same state and generator, same bytes. A contact sheet has a row a state: left, right, close-up,
@@ -21,8 +21,14 @@ from numpy.typing import NDArray
 
 from instruments.world.backdrop import ShadowMap, shadow_map
 from instruments.world.boards import Board
+from instruments.world.depth_camera import DepthCamera, DepthSensor
 from instruments.world.optical_camera import OpticalCamera
-from instruments.world.optics import CameraModel, Floats, cameras_from_calibration
+from instruments.world.optics import (
+    CameraModel,
+    Floats,
+    cameras_from_calibration,
+    depth_from_calibration,
+)
 from instruments.world.phantom import Phantom, TeatShape, square_to
 from instruments.world.sensor import OpticalSensor
 from instruments.world.solids import Bools, meet
@@ -34,16 +40,22 @@ LEAST_SEEN = 0.5  # of a rounded end's near side
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSet:
-    """``left``, ``right``, ``thermal_8bit`` uint8; ``thermal_ck`` uint16, un-mirrored."""
+    """``left``, ``right``, ``thermal_8bit`` uint8; ``thermal_ck`` uint16, un-mirrored;
+    ``depth_dmm`` tenths of a mm and ``amplitude`` counts, uint16, None without a depth camera.
+    """
 
     left: NDArray[np.uint8]
     right: NDArray[np.uint8]
     thermal_8bit: NDArray[np.uint8]
     thermal_ck: NDArray[np.uint16]
+    depth_dmm: NDArray[np.uint16] | None = None
+    amplitude: NDArray[np.uint16] | None = None
 
 
 class Renderer:
-    """Three cameras (left, right, thermal) before one scene; ``camera_seed``: fixed patterns."""
+    """Three cameras (left, right, thermal) before one scene; ``camera_seed``: fixed patterns;
+    ``depth``: a depth camera, which counts nowhere but in its own pictures.
+    """
 
     def __init__(
         self,
@@ -51,6 +63,7 @@ class Renderer:
         camera_seed: int,
         optical: OpticalSensor | None = None,
         thermal: ThermalSensor | None = None,
+        depth: DepthCamera | None = None,
     ) -> None:
         seeds = np.random.SeedSequence(camera_seed).spawn(3)
         sensor = optical or OpticalSensor()
@@ -58,6 +71,7 @@ class Renderer:
         self.left = OpticalCamera(cameras[0], sensor, seeds[0])
         self.right = OpticalCamera(cameras[1], sensor, seeds[1])
         self.thermal = ThermalCamera(cameras[2], thermal or ThermalSensor(), seeds[2])
+        self.depth = depth
         self._shadows: tuple[object, ShadowMap | None] = (None, None)
 
     @classmethod
@@ -68,13 +82,16 @@ class Renderer:
         *,
         optical: OpticalSensor | None = None,
         thermal: ThermalSensor | None = None,
+        depth: DepthSensor | None = None,
     ) -> Renderer:
         """From a parsed calibration; so is a missing ``thermal`` sensor. Raises ValueError."""
+        model = depth_from_calibration(table)
         return cls(
             cameras_from_calibration(table),
             camera_seed,
             optical,
             thermal or ThermalSensor.from_calibration(table),
+            None if model is None else DepthCamera(model, depth or DepthSensor()),
         )
 
     def render(self, view: SceneState, rng: np.random.Generator) -> RenderedSet:
@@ -82,7 +99,10 @@ class Renderer:
         shadows = self.shadows(view)
         left = self.left.expose(view, shadows, rng).astype(np.uint8, copy=False)
         right = self.right.expose(view, shadows, rng).astype(np.uint8, copy=False)
-        return RenderedSet(left, right, *self.thermal.expose(view, rng))
+        thermal = self.thermal.expose(view, rng)
+        # last, so that the others' noise is the same with and without it
+        depth = self.depth.expose(view, rng) if self.depth else ()
+        return RenderedSet(left, right, *thermal, *depth)
 
     def shadows(self, state: SceneState) -> ShadowMap | None:
         """The shadows on the table; kept while nothing moves."""

@@ -43,7 +43,6 @@ def bath_curve(
     band_k: float,
     captures_s: ArrayLike,
     stable_spans_s: Sequence[tuple[float, float]] = (),
-    teat_temps_c: ArrayLike | None = None,
     *,
     name: str = "bath-curve",
 ) -> str:
@@ -51,23 +50,16 @@ def bath_curve(
     the band (+- band_k), below.
 
     `captures_s` (m,): when frames were taken, ticks between the panels. `stable_spans_s`: (start,
-    end) of the times the gate called stable. `teat_temps_c` (n,) or (n, k): teats' temperatures at
-    the same times, thin lines in the upper panel.
+    end) of the times the gate called stable.
     """
     times, temps = together("bath_curve", times_s=times_s, temps_c=temps_c)
     captures = finite("bath_curve", "captures_s", captures_s).ravel()
     taken = captures.size
-    teats = None if teat_temps_c is None else finite("bath_curve", "teat_temps_c", teat_temps_c)
-    if teats is not None and len(teats) != times.size:
-        raise ValueError(
-            f"bath_curve: teat_temps_c has {len(teats)} rows for {times.size} times; give one row a"
-            " time"
-        )
     inches = (WIDE_INCHES, 4.4)
     if not times.size:
         return not_measured(name, inches, "the bath gave no reading")
     shown = envelope(temps)
-    minutes, temps, teats = times[shown] / 60, temps[shown], None if teats is None else teats[shown]
+    minutes, temps = times[shown] / 60, temps[shown]
     captures = captures[telling(captures, _MOST_CAPTURES)]
     single = "o" if minutes.size == 1 else ""
 
@@ -77,8 +69,6 @@ def bath_curve(
             for start, end in stable_spans_s:
                 panel.axvspan(start / 60, end / 60, color=COLOURS["span"], linewidth=0)
         whole.axhline(setpoint_c, color=COLOURS["good"], linewidth=1, linestyle="--")
-        if teats is not None:
-            whole.plot(minutes, teats, color=COLOURS["theirs"], linewidth=0.9)
         whole.plot(minutes, temps, color=COLOURS["ours"], marker=single)
         whole.set(ylabel="temperature (°C)")
         whole.margins(x=0.01, y=0.12)
@@ -92,11 +82,13 @@ def bath_curve(
         (drawn,) = close.plot(captures / 60, np.full(captures.size, 1.0), **ticks)
         drawn.set(transform=close.get_xaxis_transform(), clip_on=False)
         close.set_xlabel("time (min)")
-        entries: list[LegendEntry] = [("bath", "ours", "-")]
-        if teats is not None:
-            entries.append(("teats", "theirs", "-"))
-        entries.append((f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--"))
-        legend(figure, [*entries, ("stable", "span", "patch"), (f"capture ({taken})", "ink", "v")])
+        entries: list[LegendEntry] = [
+            ("bath", "ours", "-"),
+            (f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--"),
+            ("stable", "span", "patch"),
+            (f"capture ({taken})", "ink", "v"),
+        ]
+        legend(figure, entries)
 
     return draw(name, inches, plot)
 

@@ -230,7 +230,8 @@ def test_names_that_are_not_there_list_what_is(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r'no trial script "nosuch"\. Shipped: '):
         find_script("nosuch")
     with pytest.raises(
-        ConfigError, match=r'no rig "nosuch"\. Shipped: emulated, emulated-browser; or'
+        ConfigError,
+        match=r'no rig "nosuch"\. Shipped: emulated, emulated-browser, emulated-depth; or',
     ):
         find_rig("nosuch")
     with pytest.raises(ConfigError, match="can't be read"):

@@ -20,7 +20,11 @@ from tests.conftest import ROOT
 
 Start = Callable[..., ExternalDetector]
 PICTURES = Pictures(
-    np.full((8, 9), 7, np.uint8), np.zeros((8, 9), np.uint8), None, np.full((3, 4), 305.15)
+    np.full((8, 9), 7, np.uint8),
+    np.zeros((8, 9), np.uint8),
+    None,
+    np.full((3, 4), 305.15),
+    np.array([[np.nan, 1076.3]]),
 )
 
 HEAD = """\

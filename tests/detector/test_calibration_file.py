@@ -15,7 +15,7 @@ from detector.calibration import (
     dump_calibration,
     load_calibration,
 )
-from detector.geometry import apply_homography
+from detector.geometry import Motion, apply_homography
 
 Edit = Callable[[str], str]
 Load = Callable[[Edit], Calibration]
@@ -52,6 +52,22 @@ def test_dump_and_load_are_inverse(rig: Calibration, tmp_path: Path) -> None:
     assert np.allclose(again.thermal_from_left.R, rig.thermal_from_left.R, atol=1e-9)
     assert np.allclose(again.homographies.left, rig.homographies.left, rtol=1e-9)
     assert path.read_text(encoding="utf-8").startswith("# two\n# lines\n")
+
+
+def test_a_depth_camera_has_a_lens_and_a_place_that_come_back(
+    rig: Calibration, load: Load, tmp_path: Path
+) -> None:
+    assert (rig.depth, rig.depth_from_world) == (None, None)
+    there = load(lambda text: text + "".join(DEPTH))
+    (tmp_path / "again.toml").write_text(dump_calibration(there), encoding="utf-8")
+    again = load_calibration(tmp_path / "again.toml")
+    assert again.depth == there.depth is not None
+    assert again.depth_from_world is not None
+    # 1 m before the depth camera, by hand: X_left = R^T (X_depth - T)
+    left_from_depth = Motion.from_vectors([0.0, -0.05, 0.0], [0.0, 0.0, 0.0])
+    in_left = left_from_depth.apply(np.array([40.0, -25.0, 999.0]))
+    world_mm = again.world_from_right.apply(again.right_from_left.apply(in_left))
+    assert again.depth_from_world.apply(world_mm) == pytest.approx([0.0, 0.0, 1000.0], abs=1e-5)
 
 
 def test_an_absent_homography_is_derived(rig: Calibration, load: Load) -> None:
@@ -99,6 +115,14 @@ def instead_of(start: str, line: str) -> Edit:
 STEREO_T, STEREO_OM = "T = [-100.317, 0.242, -0.401]", "om = [-0.0011, -0.0008, 0.0085]\n"
 MIRRORING, FLAT = "left = [[1, 0, 0], [0, -1, 0], [0, 0, 1]]", "left = [[1, 0, 0], [0, 1, 0]]"
 LENS, HUGE = "fc = [1291.0", "fc = [1" + "0" * 400
+LENS_OF_DEPTH = """
+[cameras.depth]
+image_size = [320, 240]
+fc = [410.0, 411.0]
+cc = [159.5, 119.5]
+kc = [0.01, 0.0, 0.0, 0.0, 0.0]
+"""
+DEPTH = LENS_OF_DEPTH, "\n[depth]\nom = [0.0, 0.05, 0.0]\nT = [-40.0, 25.0, 1.0]\n"
 CASES: list[tuple[Edit, str, str]] = [
     (put(LENS, "fc = [-1291.0"), "cameras.left.fc", "above zero"),
     (put(LENS + ", ", "fc = ["), "cameras.left.fc", "must have 2 numbers"),
@@ -122,6 +146,8 @@ CASES: list[tuple[Edit, str, str]] = [
     (instead_of("left = [[", FLAT), "homography.left", "three rows"),
     (instead_of("plane_depth", "plane_depth_mm = -3"), "homography.plane_depth_mm", "above zero"),
     (lambda t: "stereo = 3\n" + block_removed(t, "stereo"), "stereo", "must be a block"),
+    (lambda t: t + DEPTH[0], "depth", "missing block [depth]: a depth camera has a lens"),
+    (lambda t: t + DEPTH[1], "cameras.depth", "missing block [cameras.depth]"),
     (lambda t: "cameras = 3\n" + t[t.index("[stereo]") :], "cameras.left", "missing block"),
 ]
 

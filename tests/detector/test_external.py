@@ -34,12 +34,27 @@ def test_it_answers_and_its_start_stands_apart(start: Start, rig: Calibration) -
     assert detector.start_up_s is None, "it runs already"
 
 
+def test_it_says_what_it_is_before_the_first_call(start: Start, rig: Calibration) -> None:
+    """Its start-up stays apart from the first call, and is told with it."""
+    ready = 'say({"ready": True, "device": "CUDA:0", "trained_on": {"ideal": [[0, 9]]}})'
+    detector = start(answering(NO_TEATS, ready))
+    assert (detector.device, detector.trained_on) == ("", {})
+    detector.introduce()
+    assert (detector.device, detector.trained_on) == ("CUDA:0", {"ideal": ((0, 9),)})
+    detector.prepare(PICTURES, rig)
+    assert detector.start_up_s is not None
+    broken = start(answering(NO_TEATS, "sys.exit(3)"))
+    for _ in range(2):  # started once: the fault is the first call's, and counts once
+        broken.introduce()
+    assert "exit code 3 before it was ready" in str(failure(broken, rig))
+
+
 def test_it_gets_pictures_and_calibration(start: Start, rig: Calibration, tmp_path: Path) -> None:
     kept = tmp_path / "seen"
     kept.mkdir()
     copies = f"[shutil.copy(p, {str(kept)!r}) for k, p in asked.items() if k != 'frame']"
     ask(start(answering(f"import shutil\n{copies}\n{NO_TEATS}")), rig)
-    names = ("left", "right", "thermal_radiometric")
+    names = ("depth", "left", "right", "thermal_radiometric")
     assert sorted(path.name for path in kept.iterdir()) == [
         *(f"1-{name}.png" for name in names), "calibration.toml"
     ]  # fmt: skip
@@ -48,6 +63,7 @@ def test_it_gets_pictures_and_calibration(start: Start, rig: Calibration, tmp_pa
     kelvin = np.asarray(seen["thermal_radiometric"])
     assert kelvin.dtype == np.uint16
     assert (kelvin == 30515).all()
+    assert np.asarray(seen["depth"]).tolist() == [[0, 10763]]
 
 
 @pytest.mark.parametrize(

@@ -17,11 +17,12 @@ from detector.external.lines import (
     Garbled,
     answer_line,
     check_ready,
+    context_in,
     parse_answer,
     request_line,
     shown,
 )
-from detector.protocol import Detection, Teat
+from detector.protocol import Context, Detection, Teat, Visit
 
 
 def line(**answer: Any) -> bytes:
@@ -34,6 +35,28 @@ def test_a_question_names_the_pictures_that_there_are() -> None:
     paths = {"left": "l.png", "right": "r.png", "calibration": str(calibration)}
     assert asked == {"frame": "7", **paths}
     assert request_line("7", {}, Path("x")).count(b"\n") == 1
+
+
+def test_a_history_goes_with_the_question_and_predictions_come_apart(rig: Calibration) -> None:
+    visit = Visit(
+        30.5, 8.0, (1, 3), np.array([[1.0, 2, 3], [4, 5, 6]]), np.tile(np.eye(3), (2, 1, 1))
+    )
+    context = Context(9.25, 41.0, (visit,))
+    asked = json.loads(request_line("7", {}, Path("x"), context))
+    again = context_in(asked)
+    assert again is not None
+    assert (again.hours_since_milking, again.days_in_milk) == (9.25, 41.0)
+    (one,) = again.visits
+    assert (one.hours_ago, one.hours_since_milking, one.teats) == (30.5, 8.0, (1, 3))
+    assert one.ends_mm.tolist() == visit.ends_mm.tolist()
+    assert one.covariances_mm2.shape == (2, 3, 3)
+    assert context_in(json.loads(request_line("7", {}, Path("x")))) is None
+    said = Detection((Teat(np.ones(3)),), predicted=(Teat(np.zeros(3), np.eye(3)),))
+    found = parse_answer(answer_line("7", said), "7", rig)
+    assert [teat.world_mm.tolist() for teat in found.teats] == [[1.0, 1.0, 1.0]]
+    assert [teat.world_mm.tolist() for teat in found.predicted] == [[0.0, 0.0, 0.0]]
+    with pytest.raises(BadAnswer, match='"predicted" of its answer is no list'):
+        parse_answer(line(predicted=3), "7", rig)
 
 
 def test_world_points_are_taken_as_they_are(rig: Calibration) -> None:
@@ -115,6 +138,19 @@ def test_the_first_line_says_ready() -> None:
     for wrong in (b'{"ready": 1}', b"ready", b'{"frame": "1"}', b"null"):
         with pytest.raises(Garbled, match=note):
             check_ready(wrong)
+
+
+def test_the_first_line_says_device_and_training() -> None:
+    said = check_ready(
+        b'{"ready": true, "device": "cpu", "trained_on": {"ideal": [[0, 19], 30], "mine": []}}'
+    )
+    assert said.device == "cpu"
+    assert said.trained_on == {"ideal": ((0, 19), (30, 30)), "mine": ()}
+    for wrong in ("[]", '{"ideal": 3}', '{"ideal": [[2, 1]]}', '{"ideal": [true]}', '{"a": ["x"]}'):
+        with pytest.raises(Garbled, match='"trained_on" must be like'):
+            check_ready(b'{"ready": true, "trained_on": %s}' % wrong.encode())
+    with pytest.raises(Garbled, match='"device" of its first line is 3, not text'):
+        check_ready(b'{"ready": true, "device": 3}')
 
 
 def test_what_serve_says_is_what_the_bench_gets(rig: Calibration) -> None:

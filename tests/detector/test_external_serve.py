@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.external import ExternalDetector
 from detector.external.serve import Pictures, read_pictures, serve
-from detector.protocol import DetectionFailure
+from detector.protocol import DetectionFailure, depth_of
 from detector.registry import create
 from tests.conftest import ROOT
 from tests.detector.children import installed
@@ -92,17 +92,26 @@ def test_serving_without_a_detector_is_a_sentence(words: list[str], note: str) -
     assert "Traceback" not in done.stderr
 
 
-def test_kelvin_come_as_hundredths(tmp_path: Path) -> None:
+def test_kelvin_come_as_hundredths_and_depth_as_tenths(tmp_path: Path) -> None:
     for name, picture in (
         ("left", np.zeros((2, 2), np.uint8)),
         ("thermal_radiometric", np.full((2, 2), 30515, np.uint16)),
     ):
         cv2.imwrite(str(tmp_path / f"{name}.png"), picture)
+    for name in ("depth", "depth_amplitude"):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.array([[0, 10763]], np.uint16))
     left, kelvin = str(tmp_path / "left.png"), str(tmp_path / "thermal_radiometric.png")
     found = read_pictures({"left": left, "right": left, "thermal_radiometric": kelvin})
     assert found.thermal is None
     assert found.thermal_k is not None
     assert found.thermal_k.tolist() == [[305.15, 305.15]] * 2
+    assert depth_of(found) == (None, None)
+    deep = {name: str(tmp_path / f"{name}.png") for name in ("depth", "depth_amplitude")}
+    depth_mm, amplitude = map(
+        np.asarray, depth_of(read_pictures({"left": left, "right": left} | deep))
+    )
+    assert np.array_equal(depth_mm, [[np.nan, 1076.3]], equal_nan=True)
+    assert amplitude.tolist() == [[0, 10763]]
     (tmp_path / "left.png").write_bytes(b"no picture")
     with pytest.raises(ValueError, match="is no picture"):
         read_pictures({"left": str(tmp_path / "left.png")})

@@ -13,9 +13,11 @@ import pytest
 
 from detector.calibration import Calibration
 from detector.external.serve import Pictures
+from detector.protocol import Context
 from detector.registry import (
     GROUP,
     BrokenDetectorError,
+    Plugged,
     UnknownDetectorError,
     available,
     broken,
@@ -29,8 +31,12 @@ from detector.protocol import Detection
 class Plain:
     def detect(self, frames, calibration):
         return Detection((), 4, "plain")
+class Remembers(Plain):
+    def detect_with(self, frames, calibration, context):
+        return Detection((), 0, f"{context.hours_since_milking} h")
 class Told(Plain):
     name, version, parameters = "whatever", "7", {"gain": 2}
+    device, trained_on = "CUDA:0", {"ideal": [[0, 9]]}
 ready = Told()
 def made():
     return Told()
@@ -49,6 +55,8 @@ class Speechless(Plain):
 class Odd(Plain):
     version = "1\\n2 \\ud800"
     parameters = {1: 2, "a": {3: 4, "b": numpy.eye(2)}, "c": {5}}
+class Dreams(Plain):
+    trained_on = ["ideal"]
 class Round(Plain):
     parameters = {}
 Round.parameters["me"] = Round.parameters
@@ -60,7 +68,7 @@ def plugs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, EntryPoi
     (tmp_path / "udders.py").write_text(PACKAGE, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "udders", raising=False)
-    values = "Plain Told ready made fails number Leaves Panics Speechless Odd Round nothing"
+    values = "Plain Remembers Told ready made fails number Leaves Panics Speechless Odd Dreams Round nothing"
     return {value: EntryPoint(value.lower(), f"udders:{value}", GROUP) for value in values.split()}
 
 
@@ -91,7 +99,19 @@ def test_what_packages_bring(plugs: dict[str, EntryPoint], rig: Calibration, how
     detector = create(how.lower(), plugs.values())
     assert (detector.name, detector.version) == (how.lower(), "7")
     assert dict(detector.parameters) == {"gain": 2}
+    assert isinstance(detector, Plugged)
+    assert (detector.device, detector.trained_on) == ("CUDA:0", {"ideal": ((0, 9),)})
     assert detector.detect(Pictures(None, None), rig).reason == "plain"  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("how", "says"), [("Plain", "plain"), ("Remembers", "7.5 h")])
+def test_a_history_reaches_the_object_that_can_use_it(
+    plugs: dict[str, EntryPoint], rig: Calibration, how: str, says: str
+) -> None:
+    detector = create(how.lower(), plugs.values())
+    assert isinstance(detector, Plugged)
+    pictures = Pictures(None, None)  # type: ignore[arg-type]
+    assert detector.detect_with(pictures, rig, Context(7.5)).reason == says
 
 
 def test_what_it_does_not_say_of_itself_is_filled_in(plugs: dict[str, EntryPoint]) -> None:
@@ -115,6 +135,7 @@ def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) ->
         ("Leaves", "SystemExit: bye"),
         ("Panics", "PanicException: index out of bounds"),
         ("Speechless", "Speechless"),
+        ("Dreams", 'ValueError: "trained_on" must be like'),
         ("Round", "ValueError: Circular reference"),
         ("nothing", "AttributeError"),
     ],

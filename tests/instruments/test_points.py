@@ -13,19 +13,20 @@ from bench.rig.urls import arm_url
 from bench.truth.touching import NoTruthError, TipReader, Toucher
 from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError, LinkError, ProtocolError, TouchAgainError
-from instruments.operators.operator import Release, Request, Touch
-from instruments.operators.prompted import ScriptedAnswer, ScriptedAnswers
+from instruments.operators.operator import CheckPoint, Prompt, Release, Request, Touch
+from instruments.operators.prompted import PromptedOperator, ScriptedAnswer, ScriptedAnswers
 from instruments.points import PointArm, points_url
 from tests.bench.truth.touches import ENDS_MM, arm_settings, table_5_1
 
 U_MM = 0.05
+RESOLUTION_MM = 1.0  # most rows here are short
 
 
 def arm_of(folder: Path, query: str = "", text: str = "x_mm,y_mm,z_mm\n") -> PointArm:
     (folder / "points.csv").write_bytes(text.encode())
     url = points_url(f"points:points.csv{query}")
     assert url is not None
-    return PointArm(url, folder, VirtualClock(), U_MM)
+    return PointArm(url, folder, VirtualClock(), U_MM, RESOLUTION_MM)
 
 
 def add(folder: Path, text: str) -> None:
@@ -60,18 +61,23 @@ def test_each_point_is_taken_once_and_those_from_before_never(tmp_path: Path) ->
     add(tmp_path, "1,2,3,0,0,2\n4,5")  # the second is still being written
     first = arm.read()
     assert first.tip_mm.tolist() == [1.0, 2.0, 3.0]
+    assert first.written == "1,2,3,0,0,2"
+    assert first.axis is not None
     assert first.axis.tolist() == [0.0, 0.0, 1.0]
     with pytest.raises(TouchAgainError, match=r"no new point came in .*points.csv within 10 s"):
         arm.read()
     add(tmp_path, ",6,3,4,0\n")
     second = arm.read()
     assert second.tip_mm.tolist() == [4.0, 5.0, 6.0]
+    assert second.axis is not None
     assert second.axis.tolist() == pytest.approx([0.6, 0.8, 0.0])
 
 
 @pytest.mark.parametrize(
     ("rows", "why"),
     [
+        ("0,0,0,\n", "the row before is there once more, to the last digit"),
+        ("10e1,20e1,30e1,\n", "is written to 10 mm, the rig file states 1 mm.*resolution_mm"),
         ("1,2,3,\n4,5,6,\n", "2 points came in .* where one was asked for"),
         ("1,2,,\n", "this row isn't a point: '1,2,,'"),
         ("1,2,nan,\n", "this row isn't a point"),
@@ -81,13 +87,37 @@ def test_each_point_is_taken_once_and_those_from_before_never(tmp_path: Path) ->
     ],
 )
 def test_what_cannot_be_used_costs_the_touch_alone(tmp_path: Path, rows: str, why: str) -> None:
-    arm = arm_of(tmp_path, text="x_mm,y_mm,z_mm,u_mm\n")
+    arm = arm_of(tmp_path, text="x_mm,y_mm,z_mm,u_mm\n0,0,0,\n")
     arm.sign_on()
     add(tmp_path, rows)
     with pytest.raises(TouchAgainError, match=why):
         arm.read()
     add(tmp_path, "7,8,9,0.05\n")
     assert arm.read().tip_mm.tolist() == [7.0, 8.0, 9.0]
+
+
+def test_a_point_from_before_its_prompt_is_of_no_touch(tmp_path: Path) -> None:
+    arm = arm_of(tmp_path, "?wait_s=0")
+    arm.sign_on()
+    written = [("1,2,3\n", ""), ("", "4,5,6\n"), ("", "7,8,9\n")]  # before each prompt, and after
+
+    class Person(PromptedOperator):
+        def answer(self, prompt: Prompt, check: Callable[[], None]) -> str:
+            add(tmp_path, written.pop(0)[1])
+            return ""
+
+        def say(self, text: str) -> None:
+            raise AssertionError(text)
+
+    person = Person()
+    arm.asked_of(person)
+    add(tmp_path, written[0][0])
+    person.ask(CheckPoint(1, 2))
+    with pytest.raises(TouchAgainError, match=r"no new point.*; 1 came before it was asked for"):
+        arm.read()
+    for place in ([4.0, 5.0, 6.0], [7.0, 8.0, 9.0]):
+        person.ask(CheckPoint(1, 2))
+        assert arm.read().tip_mm.tolist() == place
 
 
 def test_a_file_that_is_gone_unclear_or_written_anew_is_refused(tmp_path: Path) -> None:
@@ -137,7 +167,7 @@ class Hand:
     def ask(self, request: Request) -> None:
         if isinstance(request, Touch):
             x, y, z = ENDS_MM[request.teat - 1]
-            usual = f"{x:.3f},{y:.3f},{z:.3f}\n"
+            usual = f"{x:.3f},{y:.3f},{z + 0.001 * len(self.asked):.3f}\n"
             self.write(self.rows.get(len(self.asked), usual))
             self.asked.append(request.again)
         else:
@@ -153,7 +183,7 @@ def test_the_truth_comes_from_points_and_a_missing_one_is_asked_for_again(tmp_pa
         hand.ask, TipReader(arm, settings, None), settings, clock, lambda: None, readings=3
     )
     points, rows = toucher.touch_all(table_5_1())
-    assert np.array([point.point_mm for point in points]) == pytest.approx(ENDS_MM, abs=1e-3)
+    assert np.array([point.point_mm for point in points]) == pytest.approx(ENDS_MM, abs=0.03)
     assert len(rows) == 3 * len(ENDS_MM)
     again = [text for text in hand.asked if text]
     assert len(again) == 2
@@ -170,18 +200,21 @@ def test_the_truth_comes_from_points_and_a_missing_one_is_asked_for_again(tmp_pa
     ("url", "answer", "mm"),
     [
         ("typed:", "-110.2 284.2 134.2", [-110.2, 284.2, 134.2]),
-        ("typed:?unit=inch&serial=7001", "1,0; 2,0; 3,5", [25.4, 50.8, 88.9]),
+        ("typed:?unit=inch&serial=7001", "1,000; 2,000; 3,500", [25.4, 50.8, 88.9]),
+        ("typed:", "1.5 2.5 3.5 0.6 0.8 0", [1.5, 2.5, 3.5]),
     ],
 )
 def test_typed_points(tmp_path: Path, url: str, answer: str, mm: list[float]) -> None:
     told = points_url(url)
     assert told is not None
-    arm = PointArm(told, tmp_path, VirtualClock(), U_MM)
+    arm = PointArm(told, tmp_path, VirtualClock(), U_MM, RESOLUTION_MM)
     assert arm.sign_on().serial_number == ("7001" if "7001" in url else "not stated")
     with pytest.raises(InstrumentError, match="nobody is there to type"):
         arm.read()
     arm.asked_of(ScriptedAnswers([ScriptedAnswer("coordinates", answer)], {}, "answers.toml"))
-    assert arm.read().tip_mm == pytest.approx(mm)
+    reading = arm.read()
+    assert reading.tip_mm == pytest.approx(mm)
+    assert (reading.axis is None) == (len(answer.split()) == 3)
 
 
 @pytest.mark.parametrize("answer", ["1 2", "1 2 3 4", "one 2 3", "1 2 inf", ""])

@@ -227,7 +227,7 @@ def bath_section() -> Section:
     times = np.arange(0.0, 3600.0, 10.0)
     temps = 33.0 - 13.0 * np.exp(-times / 350.0) + 0.02 * np.sin(times / 70.0)
     captures = np.arange(2400.0, 3500.0, 60.0)
-    svg = figures.bath_curve(times, temps, 33.0, 0.1, captures, [(2300.0, 3600.0)], temps - 0.4)
+    svg = figures.bath_curve(times, temps, 33.0, 0.1, captures, [(2300.0, 3600.0)])
     alt = "Bath reaches 33 °C and stays there"
     return Section("bath", "Bath", (Figure(svg, "Bath, captures marked.", alt, wide=True),))
 

@@ -35,8 +35,8 @@ def texts_of(svg: str) -> list[str]:
 def _bath(n: int) -> str:
     times = np.linspace(0, 3600, n)
     spans = [(600.0, 1200.0)] if n else []
-    temps, teats = 33 - np.exp(-times / 300), np.zeros((n, 2))
-    return figures.bath_curve(times, temps, 33.0, 0.1, times[: n // 2], spans, teats)
+    temps = 33 - np.exp(-times / 300)
+    return figures.bath_curve(times, temps, 33.0, 0.1, times[: n // 2], spans)
 
 
 def _scatter(n: int) -> str:
@@ -263,9 +263,6 @@ REFUSED: dict[str, Callable[[], str]] = {
     ),
     "found_bars: 1 situations, 2 found": lambda: figures.found_bars(["a"], [1, 2], [4], [3]),
     "per_axis_errors: 1 situations for 0 arrays": lambda: figures.per_axis_errors(["a"], [], 5.0),
-    "bath_curve: teat_temps_c has 1 rows for 2 times": lambda: figures.bath_curve(
-        [0, 1], [20, 21], 33, 0.1, [], teat_temps_c=[20]
-    ),
     "figure name: 'Two Words'": lambda: figures.latency_strip([1.0], [1.0], name="Two Words"),
     "7 groups; at most 6 can be told apart": lambda: figures.error_regions(
         [_group(str(k), 1) for k in range(7)], VIEWS, 5.0

@@ -30,6 +30,7 @@ def test_whole_words_are_explained_once_and_the_rest_is_escaped() -> None:
     assert [link.text for link in links] == ["Poses", "rms", "rms error"]
     assert "&lt;<a" in said
     assert Explained(())("a & b") == "a &amp; b"
+    assert Explained((RMS,), names=("rms",))("rms") == "rms", "a detector may be called so"
 
 
 def test_the_docs_have_the_same_terms() -> None:

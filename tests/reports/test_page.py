@@ -9,7 +9,7 @@ import re
 import pytest
 
 from reports import figures
-from reports.frames import Circle, ImageView, Overlay, Polyline
+from reports.frames import Circle, ImageView, Overlay, Polyline, layers
 from reports.page import (
     Banner,
     Cell,
@@ -126,7 +126,6 @@ def test_shapes_have_finite_coordinates_and_layers_one_name() -> None:
         ImageView("v", "a.png", 4, 4, "", (Overlay("truth", name, ()),))
         for name in ("truth", "touch")
     )
-    page = Page("p", "", BANNER, (), (TrialPart("trial-001", "h", "", images=views),))
     said = "layer 'truth' is called 'touch' here and 'truth' elsewhere"
     with pytest.raises(PageError, match=said):
-        page.layers()
+        layers(views)

@@ -204,7 +204,7 @@ def test_a_half_beside_nothing_gets_the_row() -> None:
 
 def test_a_drawing_made_for_half_a_page_is_not_blown_up() -> None:
     assert classes(half("a"), wide("b"), half("c")) == [ALONE, ALONE, ALONE]
-    bath = figures.bath_curve([0.0, 1.0], [33.0, 33.0], 33.0, 0.1, [], [], None)
+    bath = figures.bath_curve([0.0, 1.0], [33.0, 33.0], 33.0, 0.1, [], [])
     assert classes(Figure(bath, "bath", "bath", wide=True)) == ["wide"]
 
 

@@ -166,7 +166,7 @@ def test_what_is_asked_for_is_what_was_planned() -> None:
         "length a",
         "length b",
     ] * 3
-    assert all(test.swing_deg > 30.0 for test in found.locations)
+    assert all((test.swing_deg or 0.0) > 30.0 for test in found.locations)
     assert found.length_mm is not None
     assert found.length_mm < 0.7
     directions = np.array([(t.b_mm - t.a_mm) / t.measured_mm for t in found.lengths])

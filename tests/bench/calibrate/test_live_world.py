@@ -136,4 +136,9 @@ def test_the_ball_rests_on_the_side_from_which_the_stylus_comes(side: float) -> 
     flat = np.array([[x, y, 0.0] for x in (0.0, 50.0, 100.0) for y in (0.0, 40.0, 80.0)])
     axis = np.array([0.3, 0.1, side])
     centres = list(flat + np.array([0.0, 0.0, 2.0 * side]))
-    np.testing.assert_allclose(under_ball(centres, [axis] * len(centres), 2.0), flat, atol=1e-9)
+    axes = np.tile(axis, (len(centres), 1))
+    np.testing.assert_allclose(under_ball(centres, axes, 2.0), flat, atol=1e-9)
+    with pytest.raises(
+        DeviceError, match=r"points without the stylus's direction.*Give i, j and k"
+    ):
+        under_ball(centres, None, 2.0)

@@ -124,11 +124,22 @@ def test_all_steps_make_one_calibration(lab: Path, in_lab: Said) -> None:
     who = "A. Tester"
     in_lab(0, "calibrate world points.csv --cameras cameras.toml --out world.toml --by {}", who)
     in_lab(0, f"{FROM_PAIRS} --mirrored --out thermal.toml")
-    parts = "cameras.toml world.toml thermal.toml"
+    lens = "[cameras.depth]\nimage_size = [320, 240]\nfc = [420, 420]\ncc = [159.5, 119.5]\n"
+    lens += "kc = [0, 0, 0, 0, 0]\n"
+    (lab / "depth.toml").write_text(lens, encoding="utf-8")
+    parts = "cameras.toml world.toml thermal.toml depth.toml"
+    half = in_lab(2, f"calibrate merge {parts} --out calibration.toml").err
+    assert "missing block [depth]: a depth camera has a lens and a pose" in half
+    pose = "[depth]\nom = [0, 0, 0]\nT = [-50, 40, 0]\n"
+    (lab / "depth.toml").write_text(lens + pose, encoding="utf-8")
     in_lab(0, f"calibrate merge {parts} --out calibration.toml --by {{}}", who)
     found = load_calibration(lab / "calibration.toml")
     assert np.abs(found.world_from_right.T - WORLD_FROM_RIGHT.T).max() < 3.0
     assert found.thermal.mirrored
+    assert found.depth is not None
+    assert found.depth.image_size == (320, 240)
+    assert found.depth_from_left is not None
+    assert found.depth_from_left.T.tolist() == [-50.0, 40.0, 0.0]
     assert found.covariance is not None
     assert found.covariance.sd("world", "T3") is not None
     sd = np.sqrt(np.linalg.eigvalsh(found.covariance_of(TOUCHED[:1], 0.05)[0]))

@@ -12,7 +12,7 @@ import pytest
 from bench.campaign.chunk import Bench, Scene, run_chunk
 from bench.campaign.perturbations import KINDS, Applied
 from bench.campaign.plan import open_plan
-from bench.rig.loading import find_rig, load_rig
+from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.rig.scenes import warm
 from instruments.camera.frame import FrameSet
 from instruments.world.situations import situation
@@ -167,6 +167,9 @@ def test_a_plan_s_perturbations_are_in_its_rows_and_its_identity(tmp_path: Path)
     off = small_plan(tmp_path, perturbations=[{"name": "noise", "amount": 8.0}])
     (job, same), (other_job, other) = open_plan(plain), open_plan(off)
     assert same["plan"] != other["plan"]
+    assert job.exact  # it draws by the calibration that detectors get
+    elsewhere = (RIGS / "thesis-calibration.toml").as_posix()
+    assert not open_plan(small_plan(tmp_path, calibration=elsewhere))[0].exact
     scene, rows = Scene("ideal", 0), []
     for one in (job, other_job, other_job):
         bench: Bench = one.bench(one.renderer(), one.make_detectors())

@@ -151,7 +151,7 @@ ALL_OF_THEM = " ".join(f"--detector {name}" for name in available([]))
         ("--detector thesys", "thesys"),
         ("--rig no-such-rig", "no-such-rig"),
         ("--seeds 0", "'0' is not a whole number of 1 or more"),
-        (ALL_OF_THEM, "a figure shows 4 detectors at most, 5 are asked for: thesis, fused,"),
+        (ALL_OF_THEM, "a figure shows 4 detectors at most, 6 are asked for: thesis, fused,"),
     ],
 )
 def test_wrong_use_is_explained(arguments: str, why: str, tmp_path: Path, said: Said) -> None:

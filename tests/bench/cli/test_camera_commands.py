@@ -37,7 +37,7 @@ def streams() -> Iterator[list[str]]:
 def test_list_of_a_rig(said: Said) -> None:
     assert said(0, "camera list emulated").out == "all  emulator:\n"
     lines = said(0, "camera list lab.example").out.splitlines()
-    assert [line.split("  ")[0] for line in lines] == ["left", "right", "thermal"]
+    assert [line.split("  ")[0] for line in lines] == ["left", "right", "thermal", "depth"]
     assert lines[2].startswith("thermal  genicam:192.168.1.23 ")
     assert "kelvin_per_count=0.04" in lines[2]
 

@@ -176,7 +176,7 @@ def test_a_closed_pipe_is_no_fault(tmp_path: Path) -> None:
 
 def test_rigs_lists_what_can_be_run_and_says_what_to_copy(said: Said) -> None:
     *runs, copy = said(0, "rigs").out.splitlines()
-    assert runs == ["emulated", "emulated-browser"]
+    assert runs == ["emulated", "emulated-browser", "emulated-depth"]
     assert copy.startswith("for a real rig: copy ")
     assert Path(copy.removeprefix("for a real rig: copy ").partition(",")[0]).is_file()
 

@@ -82,9 +82,9 @@ def test_each_fault_is_explained(
     program: str, why: str, what_to_do: str, tmp_path: Path, said: Said
 ) -> None:
     (tmp_path / "mine.py").write_text(program, encoding="utf-8")
-    limits = "start_limit_s = 5\ntime_limit_s = 5\n"
+    limits = {"was not ready": "start_limit_s = 1\n", "gave no answer": "time_limit_s = 1\n"}
     command = f"command = {json.dumps([sys.executable, 'mine.py'])}\n"
-    (tmp_path / "mine.toml").write_text(command + limits, encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(command + limits.get(why, ""), encoding="utf-8")
     seen = said(
         1, "detectors try {} {}", tmp_path / "mine.toml", write_recording(tmp_path / "five")
     ).err

@@ -208,6 +208,7 @@ WITHOUT_A_LINK = {
     "campaign compare",
     "campaign show",
     "campaign search",
+    "campaign herd",
     "campaign keep",
     "console",
     "trials show",

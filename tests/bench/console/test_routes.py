@@ -131,7 +131,7 @@ def test_a_path_for_a_name_reaches_nothing(
     status, _, _ = call(console, method, path.replace(run, name), headers, words)
     assert status in (404, 405, 307)
     for place in ("/api/start", "/api/dry-run"):
-        if name not in ("emulated", "emulated-browser"):
+        if name not in ("emulated", "emulated-browser", "emulated-depth"):
             assert call(console, "POST", place, headers, words)[0] == 422
     status, _, _ = call(console, "GET", f"/report/{TICKET}/{name}", GOOD, b"")
     assert status in (404, 405, 307)

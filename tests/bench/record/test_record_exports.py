@@ -59,6 +59,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
     made = trial(store, 1)
     left = np.full((6, 8), 1, np.uint8)
     pictures: dict[str, Picture] = {"left": left, "thermal_radiometric": RADIOMETRIC}
+    pictures |= {"depth": RADIOMETRIC}
     frames = store.frames("001-x-1", pictures, {"left": 1.0})
     times: dict[str, Any] = {"started_s": 0.75, "captured_s": 1.0, "ended_s": 2.0}
     times |= {"stage_mm": "[100.0, 0.0, -5.0]", "bath_c": 33.0, "bath_state": "stable"}
@@ -121,7 +122,7 @@ def test_mcap_has_everything_on_the_benchs_time_line(run: RunRecord, log: Messag
     at = {topic: [round(ns / 1e9 - start, 6) for _, ns, _ in rows] for topic, rows in log.items()}
     first = {topic: [0.5] for topic in ("/tf", "/lenses/left", "/lenses/right")}
     captured = """/bath /trial /stage /truth /detections/thesis /answers/thesis /cameras/left
-        /cameras/thermal_radiometric"""
+        /cameras/thermal_radiometric /cameras/depth"""
     there = first | {topic: [1.0] for topic in captured.split()}
     assert at == there | {"/events": [0.5, 3.0], "/arm": [1.25]}
     for rows in log.values():
@@ -138,10 +139,15 @@ def test_mcap_frames_are_the_files_byte_for_byte(run: RunRecord, log: Messages) 
     assert content["data"] == (run.folder / path).read_bytes()
 
 
-def test_mcap_radiometric_frames_are_pixels_so_that_a_viewer_can_spread_them(log: Messages) -> None:
-    ((schema, _, content),) = log["/cameras/thermal_radiometric"]
+@pytest.mark.parametrize(
+    ("camera", "frame"), [("thermal_radiometric", "thermal"), ("depth", "depth")]
+)
+def test_mcap_16_bit_frames_are_pixels_so_that_a_viewer_can_spread_them(
+    log: Messages, camera: str, frame: str
+) -> None:
+    ((schema, _, content),) = log[f"/cameras/{camera}"]
     assert schema == "foxglove.RawImage"
-    assert (content["encoding"], content["frame_id"]) == ("mono16", "thermal")
+    assert (content["encoding"], content["frame_id"]) == ("mono16", frame)
     assert (content["width"], content["height"], content["step"]) == (4, 3, 8)
     assert np.array_equal(np.frombuffer(content["data"], "<u2").reshape(3, 4), RADIOMETRIC)
 

@@ -12,12 +12,11 @@ from scipy.stats import chi2, f
 from bench.results.stated_arm import STATED_FACT, stated_fact, too_small
 from bench.results.verdicts import decide_arm
 from bench.rig.arm_files import LengthTest, LocationTest, Verification, as_dict
-from bench.rig.model import Arm
+from bench.rig.model import ROUNDING_MM, Arm
 from bench.scoring.decisions import Verdict
 from bench.scoring.guard_band import acceptance_limit_mm, leak
 from bench.scoring.stated_u import StatedCheck
 from bench.script.model import ArmRequirement, find_script, load_script
-from bench.truth.touching import ROUNDING_MM
 from tests.bench.calibrate.test_arm_verification import CROSS, SWUNG
 
 RULE = ArmRequirement(

@@ -67,6 +67,14 @@ def test_a_good_answer_is_scored_and_stored(calibration: Calibration) -> None:
     assert (answer.start_up_s, answer.stderr) == (None, "")
     score = score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0)
     assert score.success
+    slow = replace(answer, seconds=9.0)
+    first = replace(slow, cold=True)  # in which a network may be made ready
+    given_up = replace(first, outcome=Outcome.TIMEOUT)
+    in_time = [
+        score_answer(one, TRUTH, limit_mm=5.0, time_limit_s=2.0).in_time
+        for one in (slow, first, given_up)
+    ]
+    assert in_time == [False, True, False]
     assert sorted(score.radial_mm) == [1.0, 2.0]
     row = TrialRecord({"id": "t"}, scores={"scripted": score}).score_rows[0]
     assert "seconds" not in json.loads(str(row["score"]))
@@ -238,6 +246,9 @@ class Remote:
         self.done.append(what)
         if what in self.fails:
             raise self.fails[what]
+
+    def introduce(self) -> None:
+        self._do("introduce")
 
     def prepare(self, frames: Frames, calibration: Calibration) -> None:
         self._do("prepare")

@@ -28,6 +28,7 @@ from tests.bench.commands import Said, teatbench, words
 from tests.bench.small_recording import ENDS_MM, write_recording
 from tests.bench.small_run import written_anew
 from tests.conftest import ROOT
+from tests.plain_text import plain_text
 
 pytestmark = pytest.mark.slow
 
@@ -148,6 +149,9 @@ def test_without_truth_there_is_no_table(recording: Path, tmp_path: Path, said: 
     (bare / "truth.csv").unlink()
     note = said(4, SCORE, bare, tmp_path / "runs").out
     assert "There is no truth, so nothing was scored." in note
+    page = plain_text(next((tmp_path / "runs").glob("*/report/index.html")))
+    assert "poses have no truth: they show nothing of how well a detector finds teats." in page
+    assert "success rate of" not in page
 
 
 def test_detect_tells_outcomes_and_first_calls(recording: Path, tmp_path: Path, said: Said) -> None:

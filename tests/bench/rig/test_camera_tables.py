@@ -21,7 +21,7 @@ from bench.rig.model import Checks, OneCamera, camera_url
 from bench.rig.opening import conversion_of, open_instruments
 from instruments.camera.cameras import CameraSet
 from instruments.camera.emulator import EmulatedCameras
-from instruments.camera.frame import Conversion, Radiometry
+from instruments.camera.frame import Conversion, Radiometry, Ranging
 from instruments.camera.genicam import GenicamCamera
 from instruments.camera.settings import Settings
 from instruments.camera.stream import StreamServer
@@ -279,6 +279,11 @@ url = "files:right"
 [cameras.thermal]
 url = "files:thermal.tiff"
 radiometric = { profile = "lepton" }
+
+[cameras.depth]
+url = "files:thermal.tiff"
+mm_per_count = 0.2
+no_measurement = 30007
 """
 
 
@@ -298,7 +303,22 @@ def test_files_of_16_bits_go_end_to_end_into_a_recording(tmp_path: Path) -> None
     for number, asked in enumerate(counts):
         path = out / "frames" / f"{number:04d}" / "thermal_radiometric.png"
         assert np.array_equal(np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)), asked)
+        depth = np.asarray(cv2.imread(str(path.with_name("depth.png")), cv2.IMREAD_UNCHANGED))
+        assert np.array_equal(depth, np.where(asked == 30007, 0, 2 * asked))
     assert teatbench("camera grab {} --out {} --count 3", rig, tmp_path / "more") == 3, "used up"
+
+
+def test_a_depth_camera_says_its_counts_itself_or_the_rig_file_does(tmp_path: Path) -> None:
+    def table(keys: str) -> OneCamera:
+        rig = rig_of(tmp_path, f"{TABLES}\n[cameras.depth]\n{keys}\n")
+        return rig.rig.cameras.tables["depth"]
+
+    camera = table('url = "genicam:TOF"')
+    assert (camera.settings.depth, conversion_of(camera, None)) == (True, Conversion())
+    declared = table('url = "genicam:TOF"\nmm_per_count = 0.25\nmm_at_zero = 50.0\nturn_deg = 180')
+    expected = Conversion(turn_deg=180, ranging=Ranging(0.25, 50.0, 0))
+    assert conversion_of(declared, None) == expected
+    assert table('url = "files:deep"').conversion().ranging == Ranging(0.1)
 
 
 THERMAL_GIGE = '\n[cameras.thermal]\nurl = "genicam:FLIR"\n'
@@ -324,6 +344,7 @@ def test_a_radiometric_profile_sets_the_camera_and_keys_of_the_rig_go_first(tmp_
         (THERMAL + "radiometric = {}\n", "either profile or kelvin_per_count"),
         (THERMAL + 'shutter = "NUCAction"\n', 'shutter is for cameras of the kind "genicam:"'),
         (THERMAL_GIGE + "shutter = true\n", "needs a radiometric profile that knows the command"),
+        ('\n[cameras.depth]\nurl = "opencv:3"\n', 'a depth camera is of the kind "genicam:"'),
     ],
 )
 def test_faults_of_thermal_keys(tmp_path: Path, thermal: str, message: str) -> None:

@@ -152,3 +152,29 @@ def test_looks_can_be_left_out() -> None:
     for fault in (FrameFault.FROZEN, FrameFault.SWAPPED, FrameFault.OUT_OF_FOCUS):
         cameras.faults.inject(fault, times=1)
         assert looks.notice(cameras.capture()) == []
+
+
+def test_a_depth_pictures_faults_are_noticed_and_rows_without_measurement_are_none() -> None:
+    deep = load_rig(find_rig("emulated-depth"))
+    frames = EmulatedCameras(GalleryWorld()).capture()
+    tenths = np.full((240, 320), 10_763, np.uint16)
+    tenths[:80] = 0  # the room behind is too dark
+    cases = {
+        None: tenths,
+        FrameFault.WRONG_SIZE: tenths[::2],
+        FrameFault.BLACK: np.zeros_like(tenths),
+        FrameFault.FROZEN: tenths,
+    }
+    for fault, depth in cases.items():
+        looks = FrameChecks(Checks(swapped=False), 0.05, deep.calibration)
+        if fault is FrameFault.FROZEN:
+            assert looks.notice(replace(gallery_set(), depth_dmm=tenths)) == []
+        found = looks.notice(replace(frames, depth_dmm=depth))
+        assert [(one.camera, one.fault) for one in found] == ([("depth", fault)] if fault else [])
+
+
+def gallery_set() -> FrameSet:
+    """Another frame set of the same scene."""
+    cameras = EmulatedCameras(GalleryWorld())
+    cameras.capture()
+    return cameras.capture()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bench.scoring.rates import Rate
-from bench.scoring.sequential import confidence_sequence, expected_scenes, tight_enough
+from bench.scoring.sequential import confidence_sequence, tight_enough
 
 CAMPAIGNS, CHUNK, LOOKS = 1000, 40, 50
 
@@ -56,11 +56,18 @@ def test_it_is_as_much_wider_than_an_interval_for_one_look_as_it_says(
     assert least <= (high - low) / (one[1] - one[0]) <= most
 
 
-def test_a_campaign_stops_where_it_was_expected_to() -> None:
-    n = expected_scenes(0.02, 0.01)
-    assert tight_enough(round(0.02 * n) - 1, n, 0.01)
-    assert not tight_enough(round(0.02 * n) + 1, n, 0.01)
-    assert n < expected_scenes(0.3, 0.01) < expected_scenes(0.3, 0.005)
+@pytest.mark.parametrize(("share", "half_width"), [(0.02, 0.01), (0.3, 0.01), (0.3, 0.005)])
+def test_a_campaign_stops_once_half_its_interval_is_as_small_as_asked(
+    share: float, half_width: float
+) -> None:
+    wide = [1000 * 2**k for k in range(10)]
+    stops = [tight_enough(round(share * n), n, half_width) for n in wide]
+    assert stops == sorted(stops)
+    assert stops[0] is False
+    assert stops[-1] is True
+    for n, stop in zip(wide, stops, strict=True):
+        low, high = confidence_sequence(round(share * n), n)
+        assert stop == (high - low <= 2.0 * half_width)
 
 
 def test_no_scene_says_nothing_and_impossible_counts_are_refused() -> None:
@@ -69,5 +76,3 @@ def test_no_scene_says_nothing_and_impossible_counts_are_refused() -> None:
         confidence_sequence(3, 2)
     with pytest.raises(ValueError, match="half-width: 0"):
         tight_enough(0, 10, 0.0)
-    with pytest.raises(ValueError, match=r"failure rate: 1\.5"):
-        expected_scenes(1.5, 0.01)

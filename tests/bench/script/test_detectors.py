@@ -11,12 +11,15 @@ import pytest
 
 from bench.cli.main import main
 from bench.config import ConfigError
+from bench.record.reader import read_run
 from bench.rig.loading import find_rig, load_rig
 from bench.script.detectors import check_named, declared, make_detectors, taken_apart
 from bench.script.model import TRIALS, load_script
 from detector.external import ExternalDetector
 from detector.external.process import ENVIRONMENT, MARK
-from tests.detector.children import answering, ask
+from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.commands import Said
+from tests.detector.children import NO_TEATS, answering, ask
 
 COMMAND = f"command = [{json.dumps(sys.executable)}, 'x.py']\n"
 
@@ -54,6 +57,40 @@ def test_commands_are_taken_apart_as_each_system_writes_them() -> None:
         r"C:\Program Files\x.exe",
         r"C:\my\det.py",
     ]
+
+
+@pytest.mark.slow
+def test_it_is_not_scored_on_what_it_was_trained_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
+) -> None:
+    """Refused by name before anything is run or written; the record names its device."""
+    monkeypatch.chdir(tmp_path)
+    trained = {"ideal": [[0, 3]], "overlapping": [9], "six-situations": [1]}
+    ready = f'say({{"ready": True, "device": "CUDA:0 some board", "trained_on": {trained}}})'
+    Path("learned.py").write_text(answering(NO_TEATS, ready), encoding="utf-8")
+    learned = ["--detector", f'exec:"{sys.executable}" learned.py']
+    rig = write_small_rig(tmp_path)
+    for first, family in ((3, "ideal"), (4, "dim_light")):
+        record = f"scene record --situation {family} --seeds 2 --first {first} --out {family}"
+        said(0, f"{record} --rig {{}}", rig)
+    refused = said(2, "score ideal {} --out runs", learned).err
+    assert "detector exec-learned says that it was trained on ideal 3 (1 of the 2 asked" in refused
+    plan = "campaign run --scenes 20 --workers 1 --out campaign --rig {} {} --family"
+    assert "on ideal 2, 3 (2 of the 20" in said(2, f"{plan} ideal --first 2", rig, learned).err
+    assert "on overlapping 9 (" in said(2, f"{plan} overlapping", rig, learned).err
+    study = "scene sensitivity --quantity contrast --seeds 5 --out study --rig {} {}"
+    assert "on ideal 0, 1, 2, 3 (4 of the 5" in said(2, study, rig, learned).err
+    for how in ("", "--dry-run"):
+        refused = said(2, f"run six-situations --rig {{}} {how} {{}}", rig, learned).err
+        assert "trained on six-situations 1 (1 of the 1" in refused
+    assert not Path("runs").exists()
+    assert not [*Path("campaign").rglob("*.toml"), *Path("study").rglob("*.toml")]
+    said(1, "score dim_light {} --out runs", learned)
+    (folder,) = Path("runs").iterdir()
+    item = read_run(folder).facts["items"]["exec-learned"]
+    assert item["device"] == "CUDA:0 some board"
+    assert json.loads(item["trained on"])["overlapping"] == [[9, 9]]
+    assert "CUDA:0 some board" in (folder / "report" / "index.html").read_text(encoding="utf-8")
 
 
 def test_its_version_follows_its_files(tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import scipy
 
+from bench.rig.model import ROUNDING_MM
 from bench.truth.carrying import Reference, carried, fixed_key, moved, reference_from_dict
-from bench.truth.touching import ROUNDING_MM, end_u_mm, reading_u_mm, tip_radius_u_mm, touched
+from bench.truth.touching import end_u_mm, reading_u_mm, tip_radius_u_mm, touched
 from bench.truth.uncertainty import CARRY, CHI2_95, Component, How, TruthPoint, triple
 from instruments.teat_end import DEFINITION, apex_mm, ball_centre_mm, end_under_ball_mm
 from instruments.world.phantom import PlatePose

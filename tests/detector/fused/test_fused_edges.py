@@ -18,7 +18,11 @@ from detector.fused.edges import (
 from detector.fused.refine import OPTICAL_FINE
 
 Lines = NDArray[np.float32]
-RNG = np.random.default_rng(3)
+
+
+def chance() -> np.random.Generator:
+    """The same for each test, whichever ran before."""
+    return np.random.default_rng(3)
 
 
 def steps(
@@ -30,7 +34,7 @@ def steps(
     x = OPTICAL_FINE.offsets[None, :, None] - places[:, None, None] - spread
     sharp = np.where(x < 0, inner + limb * np.sqrt(np.clip(-x, 0, None) / 4.0), outer)
     blurred = sharp @ (weight / weight.sum())
-    return np.asarray(blurred + RNG.normal(0, noise, blurred.shape), dtype=np.float32)[None]
+    return np.asarray(blurred + chance().normal(0, noise, blurred.shape), dtype=np.float32)[None]
 
 
 @pytest.mark.parametrize(("inner", "outer"), [(30, 190), (190, 30), (60, 90)])
@@ -68,7 +72,7 @@ def test_the_claimed_spread_is_honest() -> None:
 
 def test_noise_alone_is_seldom_an_edge() -> None:
     found = find_edges(
-        RNG.normal(100, 3, (1, 600, len(OPTICAL_FINE.offsets))).astype(np.float32),
+        chance().normal(100, 3, (1, 600, len(OPTICAL_FINE.offsets))).astype(np.float32),
         OPTICAL_FINE,
         3.0,
     )

@@ -111,6 +111,12 @@ def every_end_and_none_else(members: list[Seen]) -> None:
         assert counts.matched == counts.visible, one.family
 
 
+@pytest.mark.parametrize(("family", "member"), [("cow_teats", 1047), ("overlapping", 1032)])
+def test_a_teat_that_shows_one_side_states_how_little_that_tells(family: str, member: int) -> None:
+    (one,) = seen((family,), (member,))
+    assert max(normalised(one)) < scipy.stats.chi2.ppf(1 - 1e-4, 3)
+
+
 def test_normalised_squared_errors_are_within_the_bounds_of_chi_square(members: list[Seen]) -> None:
     """Bar-Shalom, Li, Kirubarajan, "Estimation with applications", section 5.4.2."""
     sums = np.concatenate([normalised(one) for one in members])

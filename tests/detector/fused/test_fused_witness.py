@@ -37,6 +37,8 @@ def test_cameras_that_disagree_are_a_reason(
     assert found.reason is not None
     assert found.reason.startswith("cameras disagree by ")
     assert says in found.reason
+    exact = replace(rig, covariance=ParameterCovariance((), np.zeros((0, 0))))
+    assert says in str(FusedDetector().detect(frames, Applied.parse(change).stated(exact)).reason)
 
 
 def test_a_calibration_that_states_so_much_may_be_off_by_it(

@@ -55,7 +55,7 @@ class Gallery:
     """
 
     def __init__(self) -> None:
-        self.cameras = renderer().cameras
+        self.cameras, self.depth = renderer().cameras, None
         self._shown = 0
 
     def render(self, _state: SceneState, _rng: np.random.Generator) -> RenderedSet:

@@ -219,7 +219,7 @@ def test_a_radiometric_camera_gives_temperatures_and_no_picture() -> None:
 def test_what_is_declared_wrongly_is_said() -> None:
     with pytest.raises(ProtocolError, match="kelvin_per_count or kelvin_at_zero is wrong"):
         radiometric(60000).capture()
-    with pytest.raises(ValueError, match="left, right and perhaps thermal, got left"):
+    with pytest.raises(ValueError, match="left, right, perhaps thermal and depth, got left"):
         CameraSet(of(left=Still()), {})
 
 

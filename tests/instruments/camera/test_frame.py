@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from instruments.camera.frame import Channel, Conversion, FrameSet, Radiometry, RawFrame, grey8
+from instruments.camera.frame import (
+    Channel,
+    Conversion,
+    FrameSet,
+    Radiometry,
+    Ranging,
+    RawFrame,
+    grey8,
+)
 
 GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
@@ -20,6 +28,9 @@ def test_a_frame_set_holds_its_images_and_kelvin_where_it_is_radiometric() -> No
     assert frames.thermal_k is not None
     assert frames.thermal_k == pytest.approx(np.full((2, 3), 305.15))
     assert FrameSet(GREY, GREY).thermal_k is None
+    assert FrameSet(GREY, GREY).depth_mm is None
+    deep = FrameSet(GREY, GREY, depth_dmm=np.array([[0, 10763]], np.uint16)).depth_mm
+    assert np.array_equal(np.asarray(deep), [[np.nan, 1076.3]], equal_nan=True)
 
 
 @pytest.mark.parametrize(
@@ -33,6 +44,8 @@ def test_a_frame_set_holds_its_images_and_kelvin_where_it_is_radiometric() -> No
         ({"right": [[1, 2]]}, r"right must be .* is a list"),
         ({"thermal": np.zeros((0, 4), np.uint8)}, r"thermal must be"),
         ({"thermal_ck": GREY}, r"thermal_ck must be .* of uint16"),
+        ({"depth_dmm": GREY}, r"depth_dmm must be .* of uint16"),
+        ({"amplitude": GREY.astype(np.uint16)}, "goes with a depth picture of its size"),
     ],
 )
 def test_anything_else_is_refused(kwargs: dict[str, Any], message: str) -> None:
@@ -144,3 +157,37 @@ def test_temperatures_that_cannot_be_are_refused() -> None:
         Conversion(radiometry=Radiometry(0.04)).temperatures(
             RawFrame(np.zeros((2, 2, 3), np.uint16), 0.0, 16)
         )
+
+
+COUNTS = np.array([[0, 4305, 65535]], np.uint16)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "ranging", "tenths"),
+    [
+        (COUNTS, Ranging(0.25), [[0, 10762, 0]]),  # 16.4 m don't fit
+        (COUNTS, Ranging(0.1, none=65535.0), [[0, 4305, 0]]),
+        (COUNTS, Ranging(0.25, 100.0, None), [[1000, 11762, 0]]),
+        # a scale below zero turns the axis round
+        (COUNTS, Ranging(-0.02, 1310.72), [[0, 12246, 0]]),
+        (np.array([[1076.25, np.nan, -1.0]], np.float32), Ranging(1.0, none=-1.0), [[10762, 0, 0]]),
+    ],
+)
+def test_counts_of_a_depth_camera_become_tenths_of_a_millimetre(
+    pixels: Any, ranging: Ranging, tenths: list[list[int]]
+) -> None:
+    found, strength = Conversion().depth(RawFrame(pixels, 0.0, ranging=ranging))
+    assert (found.tolist(), strength) == (tenths, None)
+    # declared in the rig file, and turned with its amplitude
+    raw = RawFrame(pixels, 0.0, ranging=Ranging(7.0), amplitude=np.array([[1, 2, 3]], np.uint8))
+    found, strength = Conversion(turn_deg=180, ranging=ranging).depth(raw)
+    assert found.tolist() == [tenths[0][::-1]]
+    assert strength is not None
+    assert strength.tolist() == [[3, 2, 1]]
+
+
+def test_what_is_no_depth_is_said() -> None:
+    with pytest.raises(ValueError, match=r"nothing says how far a count .* set mm_per_count"):
+        Conversion().depth(RawFrame(COUNTS, 0.0))
+    with pytest.raises(ValueError, match=r"16 bits or more, this one is \(3, 4\) of uint8"):
+        Conversion(ranging=Ranging(0.1)).depth(RawFrame(GREY, 0.0))

@@ -10,12 +10,22 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from instruments.camera.frame import Conversion, FrameError, FrameFault, Radiometry, RawFrame
-from instruments.camera.genicam import AUTOMATIC, PTP, DeviceTime, GenicamCamera, load_aravis
+from instruments.camera.genicam import (
+    AUTOMATIC,
+    PTP,
+    DeviceTime,
+    GenicamCamera,
+    _of_parts,
+    load_aravis,
+)
+from instruments.camera.pixel_formats import FORMATS
 from instruments.camera.radiometric import PROFILES
 from instruments.camera.settings import Settings, Trigger
 from instruments.clock import RealClock
@@ -282,6 +292,7 @@ def described(
 @pytest.fixture
 def plain(aravis: Any, tmp_path: Path) -> Iterator[str]:
     """The description of the camera in this process, which is put back at the end."""
+    aravis.enable_interface("Fake")
     text = str(aravis.Camera.new(IN_PROCESS).get_device().get_genicam_xml()[0])
     yield text
     (tmp_path / "plain.xml").write_text(text, encoding="utf-8")
@@ -342,6 +353,99 @@ def test_temperatures_and_shutter_of_a_flir(
         pytest.raises(LinkError, match=r"did not close its shutter.*Correct shutter"),
     ):
         camera.prepare()
+
+
+NUMBER_XML = '<Float Name="{0}" NameSpace="Standard"><Value>{1}</Value></Float>'
+WORD_XML = """<Enumeration Name="{0}" NameSpace="Standard">
+  <EnumEntry Name="{1}" NameSpace="Standard"><Value>1</Value></EnumEntry><Value>1</Value>
+</Enumeration>"""
+FLAG_XML = '<Boolean Name="{0}"><Value>{1}</Value></Boolean>'
+SCAN3D = {
+    "Scan3dCoordinateSelector": (WORD_XML, "CoordinateC"),
+    "Scan3dOutputMode": (WORD_XML, "CalibratedC"),
+    "Scan3dDistanceUnit": (WORD_XML, "Inch"),
+    "Scan3dCoordinateScale": (NUMBER_XML, 0.01),
+    "Scan3dCoordinateOffset": (NUMBER_XML, 2.0),
+    "Scan3dInvalidDataFlag": (FLAG_XML, 1),
+    "Scan3dInvalidDataValue": (NUMBER_XML, 7.0),
+}
+
+
+def scans(aravis: Any, plain: str, path: Path, **changed: str) -> None:
+    """The camera in this process says that it sends Coord3D_C16, from now on; its payload bears the
+    code of Mono16, the same bytes, for it fills no other of 16 bits.
+    """
+    told = "".join(xml.format(name, changed.get(name, v)) for name, (xml, v) in SCAN3D.items())
+    text = plain.replace('Name="Mono16"', 'Name="Coord3D_C16"')
+    path.write_text(text.replace("<StringReg", f"{told}<StringReg", 1), encoding="utf-8")
+    aravis.set_fake_camera_genicam_filename(str(path))
+
+
+def test_a_depth_camera_says_what_its_counts_are(
+    aravis: Any, plain: str, clock: RealClock, tmp_path: Path
+) -> None:
+    scans(aravis, plain, tmp_path / "deep.xml")
+    asked: dict[str, Any] = {"pixel_format": "Coord3D_C16", "resolution": (64, 48), "depth": True}
+    with opened(IN_PROCESS, clock, **asked) as camera:
+        assert "(64 x 48, Coord3D_C16)" in camera.identity
+        frame = whole(camera)
+    assert (frame.pixels.shape, frame.bits) == ((48, 64), 16)
+    ranging = frame.ranging
+    assert ranging is not None
+    said = ranging.mm_per_count, ranging.mm_at_zero, ranging.none
+    assert said == pytest.approx((0.254, 50.8, 7.0))
+    tenths, _ = Conversion().depth(frame)
+    expected = np.rint(508.0 + 2.54 * frame.pixels)
+    kept = (frame.pixels != 7) & (expected <= 65535)
+    assert np.array_equal(tenths, np.where(kept, expected, 0))
+    for name, word in (
+        ("Scan3dOutputMode", "DisparityC"),
+        ("Scan3dCoordinateSystem", "Spherical"),
+        ("Scan3dDistanceUnit", "Pixel"),
+    ):
+        scans(aravis, plain, tmp_path / f"{word}.xml", **{name: word})
+        if name not in SCAN3D:
+            extra = (tmp_path / f"{word}.xml").read_text(encoding="utf-8")
+            extra = extra.replace("<StringReg", f"{WORD_XML.format(name, word)}<StringReg", 1)
+            (tmp_path / f"{word}.xml").write_text(extra, encoding="utf-8")
+            aravis.set_fake_camera_genicam_filename(str(tmp_path / f"{word}.xml"))
+        with pytest.raises(DeviceError, match=f"no depth along its axis: {name} is {word}"):
+            opened(IN_PROCESS, clock, **asked)
+    # one that says nothing leaves it to the rig file
+    aravis.set_fake_camera_genicam_filename(str(tmp_path / "plain.xml"))
+    (tmp_path / "plain.xml").write_text(plain, encoding="utf-8")
+    with opened(IN_PROCESS, clock, depth=True) as camera:
+        assert whole(camera).ranging is None
+
+
+class Parts:
+    """A payload of several parts as the library hands it over; no camera was there to send one."""
+
+    def __init__(self, *parts: tuple[str, Any]) -> None:
+        self.sent = [(next(f.code for f in FORMATS if f.name == name), a) for name, a in parts]
+
+    def __getattr__(self, name: str) -> Any:
+        which = name.removeprefix("get_part_")
+        return lambda part=0: {
+            "get_n_parts": len(self.sent),
+            "pixel_format": self.sent[part][0],
+            "width": self.sent[part][1].shape[1],
+            "height": self.sent[part][1].shape[0],
+            "padding": SimpleNamespace(x_padding=0),
+            "data": self.sent[part][1].tobytes(),
+        }[which]
+
+
+def test_of_several_parts_distances_and_amplitude_are_taken() -> None:
+    deep = np.arange(6, dtype=np.float32).reshape(2, 3)
+    small, strength = np.zeros((1, 2), np.uint8), np.full((2, 3), 9, np.uint16)
+    sent = ("Mono8", small), ("Coord3D_C32f", deep), ("Mono16", strength), ("Confidence8", small)
+    (pixels, bits), amplitude = _of_parts(Parts(*sent))
+    assert (pixels.tolist(), bits) == (deep.tolist(), 32)
+    assert np.array_equal(np.asarray(amplitude), strength)
+    assert _of_parts(Parts(*sent[:2]))[1] is None
+    with pytest.raises(ValueError, match=r"no part is a distance .*: it sent Mono8, Mono16"):
+        _of_parts(Parts(sent[0], sent[2]))
 
 
 @pytest.mark.parametrize("enable", ["PtpEnable", "GevIEEE1588"])

@@ -40,13 +40,16 @@ CODES = {known.name: known.code for known in FORMATS}
         # PFNC: P0[7:0] | P1[3:0] P0[11:8] | P1[11:4]
         ("Mono12p", "BC FA DE", [0xABC, 0xDEF]),
         ("Mono12p", "23 61 45", [0x123, 0x456]),
+        ("Coord3D_C16", "34 12 FF FF", [0x1234, 0xFFFF]),
+        # IEEE 754, little-endian: 1076.25 is 0x44868800
+        ("Coord3D_C32f", "00 88 86 44 00 00 80 BF", [1076.25, -1.0]),
     ],
 )
 def test_golden_bytes(name: str, data: str, pixels: list[int]) -> None:
     image, bits = unpack(bytes.fromhex(data), CODES[name], len(pixels), 1)
     assert image.tolist() == [pixels]
     assert bits == BY_CODE[CODES[name]].bits
-    assert image.dtype == (np.uint8 if bits == 8 else np.uint16)
+    assert image.dtype == {8: np.uint8, 32: np.float32}.get(bits, np.uint16)
 
 
 def packed(name: str, values: list[int]) -> bytes:
@@ -127,7 +130,8 @@ def test_codes_are_those_of_aravis() -> None:
     names = """Mono8=MONO_8 Mono10=MONO_10 Mono12=MONO_12 Mono14=MONO_14 Mono16=MONO_16
         Mono10Packed=MONO_10_PACKED Mono12Packed=MONO_12_PACKED Mono10p=MONO_10_P Mono12p=MONO_12_P
         RGB8=RGB_8_PACKED BGR8=BGR_8_PACKED BayerGR8=BAYER_GR_8 BayerRG8=BAYER_RG_8
-        BayerGB8=BAYER_GB_8 BayerBG8=BAYER_BG_8"""
+        BayerGB8=BAYER_GB_8 BayerBG8=BAYER_BG_8 Coord3D_C16=COORD3D_C_16
+        Coord3D_C32f=COORD3D_C_32F Confidence8=CONFIDENCE_8 Confidence16=CONFIDENCE_16"""
     theirs = dict(name.split("=") for name in names.split())
     known = {
         name: getattr(aravis, f"PIXEL_FORMAT_{word}")

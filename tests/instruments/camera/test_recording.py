@@ -10,6 +10,7 @@ import pytest
 
 from instruments.camera.frame import FrameSet
 from instruments.camera.recording import (
+    FIELDS,
     Recording,
     RecordingCameras,
     RecordingError,
@@ -36,6 +37,8 @@ def frame_set(seed: int, *, thermal: bool = True) -> FrameSet:
         right,
         rng.integers(0, 256, (12, 16), dtype=np.uint8),
         rng.integers(28000, 31000, (3, 4), dtype=np.uint16),
+        depth_dmm=rng.integers(0, 65536, (6, 8), dtype=np.uint16),
+        amplitude=rng.integers(0, 65536, (6, 8), dtype=np.uint16),
     )
 
 
@@ -57,7 +60,7 @@ def test_what_is_written_is_read_back(folder: Path) -> None:
     assert recording.calibration_path.read_text(encoding="utf-8") == "# none\n"
     for seed, name in enumerate(recording.frames):
         written, read = frame_set(seed, thermal=seed == 0), recording.load(name)
-        for field in ("left", "right", "thermal", "thermal_ck"):
+        for field in FIELDS:
             one, two = getattr(written, field), getattr(read, field)
             assert (one is None and two is None) or np.array_equal(one, two)
 
@@ -129,6 +132,11 @@ def test_damaged_images_are_named(folder: Path) -> None:
     (folder / "frames/0000/right.png").replace(folder / "frames/0001/left.png")
     with pytest.raises(RecordingError, match=r"thermal_radiometric\.png: must be 16-bit grey"):
         Recording(folder).load("0001")
+    (folder / "frames/0000/right.png").write_bytes((folder / "frames/0001/left.png").read_bytes())
+    (folder / "frames/0000/left.png").write_bytes((folder / "frames/0001/left.png").read_bytes())
+    (folder / "frames/0000/depth.png").unlink()
+    with pytest.raises(RecordingError, match=r"0000: a frame set's amplitude goes with a depth"):
+        Recording(folder).load("0000")
     with pytest.raises(RecordingError, match=r"no frame '7'"):
         Recording(folder).load("7")
 

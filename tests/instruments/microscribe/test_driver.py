@@ -35,6 +35,7 @@ def test_at_rest_the_recorded_counts_and_the_position_of_the_sheet(rig: Rig) -> 
     reading = driver.read()
     assert np.hypot(*reading.tip_mm[:2]) == pytest.approx(np.hypot(73.6746, 14.0353), abs=1e-3)
     assert reading.tip_mm[2] == pytest.approx(212.2005, abs=1e-3)
+    assert reading.axis is not None
     assert reading.axis[2] == pytest.approx(0.99996, abs=1e-5)
     assert (reading.n, reading.counts[3]) == (8, 4098)
     assert reading.spread_mm < 1e-9
@@ -51,6 +52,7 @@ def test_a_touch_is_right_within_the_stated_accuracy_and_repeatable(
         reading = driver.read(32)
         assert np.linalg.norm(reading.tip_mm - POINT) < 0.8
         assert 0.0 < reading.spread_mm < 0.6
+        assert reading.axis is not None
         np.testing.assert_allclose(reading.axis, UP, atol=0.01)
         seen.append((reading.tip_mm.tobytes(), rig.clock.now()))
     assert seen[0] == seen[1]
@@ -132,6 +134,8 @@ def test_one_wrong_packet_among_eight_does_not_move_a_reading(rig: Rig) -> None:
     reading = driver.read()
     assert 0.1 < reading.spread_mm < 1.0
     np.testing.assert_allclose(reading.tip_mm, right.tip_mm, atol=1e-9)
+    assert reading.axis is not None
+    assert right.axis is not None
     np.testing.assert_allclose(reading.axis, right.axis, atol=1e-9)
 
 
