@@ -92,11 +92,11 @@ def no_leaked_threads() -> Iterator[None]:
 @pytest.fixture(scope="module", autouse=True)
 def caches_end_with_their_module() -> Iterator[None]:
     """What tests draw once and keep (`functools.cache`) is some 100 MB a renderer: a worker would
-    hold that of every module.
+    hold that of every module; and as much of what the renderer keeps of its last rigs.
     """
     yield
     for name, module in list(sys.modules.items()):
-        if name.startswith("tests."):
+        if name.startswith(("tests.", "instruments.world.")):
             for thing in list(vars(module).values()):
                 if isinstance(thing, _lru_cache_wrapper):
                     thing.cache_clear()
