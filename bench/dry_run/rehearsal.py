@@ -118,7 +118,9 @@ class Rehearsal:
 
 
 class PicturelessStore(Store):
-    """A record that keeps no pictures."""
+    """A record that keeps no pictures: stand-ins show no ends."""
+
+    keeps_pictures = False
 
     def frames(
         self,

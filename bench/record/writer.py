@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from bench import __version__
 from bench.config import ConfigError
@@ -54,6 +54,8 @@ class Store:
     clears away frames of trials that never finished. Raises ConfigError where the tables are of
     another bench.
     """
+
+    keeps_pictures: ClassVar[bool] = True
 
     def __init__(
         self,

@@ -295,7 +295,8 @@ class TrialRun:
         ctx.wait(self._rig.cameras.settle_s)
         frames = self._capture_settled(trial.id)
         captured_s = ctx.clock.now()
-        ctx.live.frames(frames)
+        if ctx.store.keeps_pictures:
+            ctx.live.frames(frames)
         bath, bath_state = ctx.watch.last, ctx.watch.state
         ctx.events.state("taking the truth")
         truth = self._truth.of_trial(there)
@@ -419,7 +420,8 @@ class TrialRun:
         script, store, trial_id = self._ctx.script.script, self._ctx.store, str(head["id"])
         exact = self._exact_ends() if self._exact_ends else None
         ends = [None] * len(rows) if exact is None else list(exact)
-        seen = {} if self.rehearsing else where_seen(frames, self._ctx.rig.calibration, rows)
+        looked = store.keeps_pictures and not self.rehearsing
+        seen = where_seen(frames, self._ctx.rig.calibration, rows) if looked else {}
         truth_rows = [
             truth_row(trial_id, row, end, point, seen.get(row.teat))
             for row, end, point in zip(rows, ends, truth.points, strict=True)
