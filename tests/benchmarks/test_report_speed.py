@@ -68,6 +68,8 @@ def test_report_of_1000_trials(benchmark: BenchmarkFixture, run: RunRecord) -> N
         loaded_ms = page.evaluate(
             "() => performance.getEntriesByType('navigation')[0].loadEventEnd"
         )
-        figure(benchmark, "its page loads in, s", loaded_ms / 1000, "at most 1")
-        page.locator("#trial-500 a").click()
+        figure(benchmark, "its page loads in, s", loaded_ms / 1000, "at most 0.3")
+        trial = page.locator("#trial-500 a").get_attribute("href")  # in a folded table
+        assert trial is not None
+        seen.open(path.parent / trial)
         assert set(seen.image_widths().values()) == {640, 1360}
