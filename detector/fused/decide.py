@@ -34,6 +34,7 @@ _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
 _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
 _WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
+_SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
@@ -279,7 +280,11 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
 
 def _one_sees_a_side(evidence: Evidence, i: int) -> bool:
     """Whether the pictures disagree on sides and warmth hardly shows an end: two things as one."""
-    return bool(np.ptp(evidence.both[i, :2]) > 0.5 and evidence.end[i, 2] < 0.7)
+    return bool(
+        np.ptp(evidence.both[i, :2]) > 0.5
+        and evidence.end[i, 2] < 0.7
+        and evidence.end[i, :2].min() < _WHOLE_END
+    )
 
 
 def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
@@ -293,10 +298,14 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     between_two = evidence.followed[i] and not warm and evidence.end[i, :2].mean() < _LEAST_BETWEEN
     if end < (_LEAST_FOLLOWED if followed else p.least_end) or alone or between_two:
         return "its end isn't seen"
-    one_sided = evidence.both[i, :2].max() < p.least_side
+    sure = evidence.misfit_px[i] < _SURE_MISFIT_PX and evidence.sd_mm[i] < _SURE_MM
+    whole_side = evidence.side[i].min() > _WHOLE_SIDE
+    one_sided = evidence.both[i, :2].max() < p.least_side and not (sure and whole_side)
     good = evidence.misfit_px[i] < p.good_misfit_px
     warm_end = np.isfinite(evidence.thermal_px[i, END]) or (
-        good and end > p.least_end_alone and evidence.end[i, 2] >= 0.4
+        good
+        and end > p.least_end_alone
+        and (evidence.end[i, 2] >= 0.4 or (end > _WHOLE_END and evidence.both[i, 2] > 0.8))
     )
     if one_sided and (end < p.least_end_one_sided * (1.0 if good else 1.4) or not warm_end):
         return "only a side of it and too little of its end are seen"
