@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from detector.fused.edges import CLEAR
 from detector.fused.fit import Parameters
-from detector.fused.model import CZ, END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, axes
+from detector.fused.model import CZ, END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, apexes, axes
 from detector.fused.refine import FINE_OUTLINE, SHAPE_ALONG_MM, Fitted, on_one_bar
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
@@ -32,6 +33,7 @@ OUTLINE = "its outline isn't that of a teat"
 ELSEWHERE = "the thermal picture shows its outline elsewhere"
 _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
+_FAR = "it is too far from the other ends to be of their udder"
 _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
 _WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
 _SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
@@ -192,7 +194,18 @@ def objections(
             reasons[i] = _WORSE
         else:
             kept.append(i)
+    for i in _of_another(apexes(teats[kept]), evidence.merit[kept], p.udder_mm):
+        reasons[kept[i]] = _FAR
     return reasons
+
+
+def _of_another(ends_mm: Array, merit: Array, udder_mm: float) -> list[int]:
+    """Which of ends (n, 3) are in another group than most; a gap of ``udder_mm`` parts groups."""
+    far = np.linalg.norm(ends_mm[:, None] - ends_mm, axis=2) > udder_mm
+    _, group = connected_components(~far, directed=False)
+    weight = [(np.sum(group == g), merit[group == g].sum()) for g in group]
+    best = max(weight, default=None)
+    return [i for i, each in enumerate(weight) if each != best]
 
 
 def _own_warmth(evidence: Evidence, i: int, surroundings: float, reference: float) -> bool:
