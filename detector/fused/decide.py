@@ -36,6 +36,7 @@ _WORSE = "a better one is in the same place"
 _FAR = "it is too far from the other ends to be of their udder"
 _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
 _WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
+_CLEAR_END, _CLEAR_SIDES = 0.85, 0.75  # of an outline that nothing but a teat has
 _SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
@@ -181,7 +182,12 @@ def objections(
     """Why teats (m, 8) are rejected, or None. ``surroundings``: the level without warmth."""
     reasons: list[str | None] = [_objection(teats[i], evidence, i, p) for i in range(len(teats))]
     clean = [i for i, reason in enumerate(reasons) if reason is None]
-    least = np.nanmin(evidence.warmth, axis=1, initial=np.inf) if len(teats) else np.zeros(0)
+    # a straw may hide the warmth of one line
+    whole = (evidence.end[:, :2].min(axis=1) > _CLEAR_END) & (
+        evidence.both[:, :2].min(axis=1) > _CLEAR_SIDES
+    )
+    whole &= evidence.misfit_px < p.good_misfit_px
+    least = np.sort(evidence.warmth, axis=1)[np.arange(len(teats)), whole.astype(int)]
     if clean:
         reference = max(float(np.median(evidence.warmth[i])) for i in clean)
         for i in clean:

@@ -90,7 +90,7 @@ class Parameters:
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
     least_end: float = 0.4  # of the rounded end's; where the thermal picture doesn't show it,
     least_end_alone: float = 0.75  # where both sides were followed up to it,
-    least_end_followed: float = 0.57  # and where only one side is seen,
+    least_end_followed: float = 0.54  # and where only one side is seen,
     least_end_one_sided: float = 0.45
     # of one that is less sure than this; least_end_alone where it is warm all round
     least_end_unsure: float = 0.87
