@@ -90,7 +90,7 @@ class Parameters:
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
     least_end: float = 0.4  # of the rounded end's; where the thermal picture doesn't show it,
     least_end_alone: float = 0.75  # where both sides were followed up to it,
-    least_end_followed: float = 0.54  # and where only one side is seen,
+    least_end_followed: float = 0.57  # and where only one side is seen,
     least_end_one_sided: float = 0.45
     # of one that is less sure than this; least_end_alone where it is warm all round
     least_end_unsure: float = 0.87
@@ -125,8 +125,9 @@ class Parameters:
     one_side_sd_mm: float = 0.15
     short_one_side_sd_mm: float = 1.0
     short_sd_mm: float = 0.29  # anywhere, of one with short sides
-    # sd of the disparity where a calibration states no uncertainty: as the residuals of a good one
-    calibration_px: float = 0.15
+    # sd of the disparity where a calibration states no uncertainty: what a frame's thermal outlines
+    # leave unknown on the thesis's rig
+    calibration_px: float = 0.25
     calibration_focal: float = 0.0007  # and of a focal length, as a share of it
     thermal_noise_px: float = 0.04  # of a frame's thermal outlines together, columns, sensor px
 
