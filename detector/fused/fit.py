@@ -78,8 +78,8 @@ class Parameters:
     greatest_radius_mm: float = 15.0
     greatest_lean: float = 0.5  # slope, some 27 degrees: teats lean by less than 20 either way
     prior: Prior = field(default_factory=Prior)
-    most_nominations: int = 14
-    most_bars: int = 5
+    most_nominations: int = 20
+    most_bars: int = 8
     starts_per_nomination: int = 3
     most_starts: int = 26
     most_fits: int = 12
