@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from detector.fused.edges import CLEAR
 from detector.fused.fit import Parameters
-from detector.fused.model import CZ, END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, axes
+from detector.fused.model import CZ, END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, apexes, axes
 from detector.fused.refine import FINE_OUTLINE, SHAPE_ALONG_MM, Fitted, on_one_bar
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
@@ -32,8 +33,11 @@ OUTLINE = "its outline isn't that of a teat"
 ELSEWHERE = "the thermal picture shows its outline elsewhere"
 _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
+_FAR = "it is too far from the other ends to be of their udder"
 _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
 _WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
+_CLEAR_END, _CLEAR_SIDES = 0.85, 0.75  # of an outline that nothing but a teat has
+_SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
@@ -178,7 +182,12 @@ def objections(
     """Why teats (m, 8) are rejected, or None. ``surroundings``: the level without warmth."""
     reasons: list[str | None] = [_objection(teats[i], evidence, i, p) for i in range(len(teats))]
     clean = [i for i, reason in enumerate(reasons) if reason is None]
-    least = np.nanmin(evidence.warmth, axis=1, initial=np.inf) if len(teats) else np.zeros(0)
+    # a straw may hide the warmth of one line
+    whole = (evidence.end[:, :2].min(axis=1) > _CLEAR_END) & (
+        evidence.both[:, :2].min(axis=1) > _CLEAR_SIDES
+    )
+    whole &= evidence.misfit_px < p.good_misfit_px
+    least = np.sort(evidence.warmth, axis=1)[np.arange(len(teats)), whole.astype(int)]
     if clean:
         reference = max(float(np.median(evidence.warmth[i])) for i in clean)
         for i in clean:
@@ -191,7 +200,18 @@ def objections(
             reasons[i] = _WORSE
         else:
             kept.append(i)
+    for i in _of_another(apexes(teats[kept]), evidence.merit[kept], p.udder_mm):
+        reasons[kept[i]] = _FAR
     return reasons
+
+
+def _of_another(ends_mm: Array, merit: Array, udder_mm: float) -> list[int]:
+    """Which of ends (n, 3) are in another group than most; a gap of ``udder_mm`` parts groups."""
+    far = np.linalg.norm(ends_mm[:, None] - ends_mm, axis=2) > udder_mm
+    _, group = connected_components(~far, directed=False)
+    weight = [(np.sum(group == g), merit[group == g].sum()) for g in group]
+    best = max(weight, default=None)
+    return [i for i, each in enumerate(weight) if each != best]
 
 
 def _own_warmth(evidence: Evidence, i: int, surroundings: float, reference: float) -> bool:
@@ -279,7 +299,11 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
 
 def _one_sees_a_side(evidence: Evidence, i: int) -> bool:
     """Whether the pictures disagree on sides and warmth hardly shows an end: two things as one."""
-    return bool(np.ptp(evidence.both[i, :2]) > 0.5 and evidence.end[i, 2] < 0.7)
+    return bool(
+        np.ptp(evidence.both[i, :2]) > 0.5
+        and evidence.end[i, 2] < 0.7
+        and evidence.end[i, :2].min() < _WHOLE_END
+    )
 
 
 def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
@@ -293,10 +317,14 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     between_two = evidence.followed[i] and not warm and evidence.end[i, :2].mean() < _LEAST_BETWEEN
     if end < (_LEAST_FOLLOWED if followed else p.least_end) or alone or between_two:
         return "its end isn't seen"
-    one_sided = evidence.both[i, :2].max() < p.least_side
+    sure = evidence.misfit_px[i] < _SURE_MISFIT_PX and evidence.sd_mm[i] < _SURE_MM
+    whole_side = evidence.side[i].min() > _WHOLE_SIDE
+    one_sided = evidence.both[i, :2].max() < p.least_side and not (sure and whole_side)
     good = evidence.misfit_px[i] < p.good_misfit_px
     warm_end = np.isfinite(evidence.thermal_px[i, END]) or (
-        good and end > p.least_end_alone and evidence.end[i, 2] >= 0.4
+        good
+        and end > p.least_end_alone
+        and (evidence.end[i, 2] >= 0.4 or (end > _WHOLE_END and evidence.both[i, 2] > 0.8))
     )
     if one_sided and (end < p.least_end_one_sided * (1.0 if good else 1.4) or not warm_end):
         return "only a side of it and too little of its end are seen"

@@ -78,8 +78,8 @@ class Parameters:
     greatest_radius_mm: float = 15.0
     greatest_lean: float = 0.5  # slope, some 27 degrees: teats lean by less than 20 either way
     prior: Prior = field(default_factory=Prior)
-    most_nominations: int = 14
-    most_bars: int = 5
+    most_nominations: int = 20
+    most_bars: int = 8
     starts_per_nomination: int = 3
     most_starts: int = 26
     most_fits: int = 12
@@ -101,6 +101,7 @@ class Parameters:
     greatest_sd_mm: float = 5.5  # of an end, along the axis where it is the least sure
     # of the way from the surroundings' temperature to the warmest teat's
     least_warmth: float = 0.78
+    udder_mm: float = 250.0  # no end is farther from the nearest other of its udder
     # two teats' axes are never closer than this share of the sum of their radii
     overlap: float = 0.85
     # what a short stretch of an outline has in common (paint, shadow, sampling) at the least,
@@ -124,8 +125,9 @@ class Parameters:
     one_side_sd_mm: float = 0.15
     short_one_side_sd_mm: float = 1.0
     short_sd_mm: float = 0.29  # anywhere, of one with short sides
-    # sd of the disparity where a calibration states no uncertainty: as the residuals of a good one
-    calibration_px: float = 0.15
+    # sd of the disparity where a calibration states no uncertainty: what a frame's thermal outlines
+    # leave unknown on the thesis's rig
+    calibration_px: float = 0.25
     calibration_focal: float = 0.0007  # and of a focal length, as a share of it
     thermal_noise_px: float = 0.04  # of a frame's thermal outlines together, columns, sensor px
 

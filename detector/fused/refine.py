@@ -208,7 +208,7 @@ def on_one_bar(teats: Array) -> NDArray[np.bool_]:
 
 
 _END_OUTLINE = Outline(np.array([1.0]), (np.arange(18) + 0.5) / 18)
-NEAR_MM, FAR_MM = np.arange(-14.0, 15.0), np.arange(15.0, 27.0)  # towards the end
+NEAR_MM, FAR_MM = np.arange(-14.0, 15.0), np.arange(15.0, 49.0)  # towards the end
 _CLOSE_PX = 0.6
 # of the best place's share of an end, and of the whole end: so much must be seen where an end may
 # be

@@ -23,6 +23,7 @@ _LEVEL_PX, _SLOPE_PX = 4.0, 3.0  # levels are beyond, the greatest slope within
 _OUTER, _INNER = np.flatnonzero(_X_PX >= _LEVEL_PX), np.flatnonzero(_X_PX <= -_LEVEL_PX)
 _MIDDLE = np.flatnonzero(np.abs(_X_PX[1:-1]) <= _SLOPE_PX)
 _LEAST_LINES = 4
+_KNOWN = 0.25  # of a frame's teats and pictures, or nothing is known
 # contrast, in noises and as a share of the profile's range: or it is paint, texture or a limb
 _CLEAR_STEP, _MONOTONOUS = 15.0, 0.7
 _SHARP_PX, _MOST_PX = 2.0, 4.2  # wider edges widen covariances; beyond that there are no ends
@@ -35,7 +36,7 @@ _CLIPPED_LEVEL = 0.996  # of the greatest intensity
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sharpness:
-    """Widths px of sides and ends, medians of a frame, 0 if unknown; shares (m, 2) of each teat's
+    """Widths px of sides and ends, lower quartiles of a frame, 0 if unknown; shares (m, 2) of each teat's
     lines (sides, end) that are clipped, inside or outside.
     """
 
@@ -70,10 +71,7 @@ def sharpness(fitted: Fitted, views: tuple[View, View]) -> Sharpness:
                     if white[i, which].any():
                         shares = [white[i, which][:, beyond].mean() for beyond in (inner, outer)]
                         clipped[i, number, k] = max(shares)
-    side, end = (
-        float(np.median(w[np.isfinite(w)])) if np.isfinite(w).any() else 0.0
-        for w in (widths[..., 0], widths[..., 1])
-    )
+    side, end = (_lower_quartile(widths[..., part]) for part in range(2))
     return Sharpness(side, end, clipped.max(axis=1))
 
 
@@ -85,6 +83,14 @@ def _width(profile: NDArray[np.float32], noise: float) -> float:
     width = contrast / max(float(slope[_MIDDLE].max()), 1e-6)
     step = contrast > max(_CLEAR_STEP * noise, _MONOTONOUS * float(np.ptp(profile)))
     return width if step and width > 1.0 else np.nan
+
+
+def _lower_quartile(widths_px: Array) -> float:
+    """Of a part's widths (m, 2), NaN where unknown: blur widens all of them, a shaded end its own.
+    0 where hardly one is known.
+    """
+    known = widths_px[np.isfinite(widths_px)]
+    return float(np.percentile(known, 25)) if len(known) >= _KNOWN * widths_px.size else 0.0
 
 
 def too_blurred(found: Sharpness) -> str | None:
