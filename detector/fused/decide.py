@@ -14,7 +14,18 @@ from scipy.sparse.csgraph import connected_components
 
 from detector.fused.edges import CLEAR
 from detector.fused.fit import Parameters
-from detector.fused.model import CZ, END, HEIGHT, LEAN_X, LEAN_Z, RADIUS, SIDE_A, SIDE_B, apexes, axes
+from detector.fused.model import (
+    CZ,
+    END,
+    HEIGHT,
+    LEAN_X,
+    LEAN_Z,
+    RADIUS,
+    SIDE_A,
+    SIDE_B,
+    apexes,
+    axes,
+)
 from detector.fused.refine import FINE_OUTLINE, SHAPE_ALONG_MM, Fitted, on_one_bar
 from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
