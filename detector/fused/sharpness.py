@@ -36,8 +36,8 @@ _CLIPPED_LEVEL = 0.996  # of the greatest intensity
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sharpness:
-    """Widths px of sides and ends, lower quartiles of a frame, 0 if unknown; shares (m, 2) of each teat's
-    lines (sides, end) that are clipped, inside or outside.
+    """Widths px of sides and ends, lower quartiles of a frame, 0 if unknown; shares (m, 2) of each
+    teat's lines (sides, end) that are clipped, inside or outside.
     """
 
     side_px: float
