@@ -23,6 +23,7 @@ from detector.fused.model import (
     RADIUS,
     SIDE_A,
     SIDE_B,
+    TAPER,
     apexes,
     axes,
 )
@@ -32,7 +33,7 @@ from detector.geometry import Array, Camera, Motion
 
 _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
 _LEAST_FOLLOWED = 0.3  # of an end in one picture, where both sides were followed up to it
-_LEAST_BETWEEN = 0.65  # of the end, where no side is warm
+_LEAST_BETWEEN, _LEAST_COLD = 0.65, 0.6  # of the end, where no side is warm; where one isn't
 # merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two
 # pictures, twice
 _FARTHEST = 0.9
@@ -47,14 +48,16 @@ _WORSE = "a better one is in the same place"
 _FAR = "it is too far from the other ends to be of their udder"
 _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
 _WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
-_CLEAR_END, _CLEAR_SIDES = 0.85, 0.75  # of an outline that nothing but a teat has
+_CLEAR_END, _CLEAR_SIDES = 0.65, 0.75  # of an outline that nothing but a teat has
 _SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
 # unlike its surroundings it must be, as a share of the warmest teat's
 _OWN_OUTLINE, _OWN_WARMTH = (0.6, 0.5, 0.35), 0.2
+_EVEN = 0.06  # of a teat's warmth: how unlike the lines of one without a thermal side may be
 _GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats
+_BARREL_MM, _NARROWEST_MM = 20.0, 5.5  # how far below its end a teat is judged; an end's radius
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 
@@ -203,7 +206,11 @@ def objections(
         reference = max(float(np.median(evidence.warmth[i])) for i in clean)
         for i in clean:
             as_warm = least[i] - surroundings >= p.least_warmth * (reference - surroundings)
-            if not as_warm and not _own_warmth(evidence, i, surroundings, reference):
+            no_side = evidence.side[i, 2] < p.least_side
+            uneven = np.ptp(evidence.warmth[i]) > _EVEN * abs(reference - surroundings)
+            if (no_side and uneven) or not (
+                as_warm or _own_warmth(evidence, i, surroundings, reference)
+            ):
                 reasons[i] = "it isn't warm all over"
     kept: list[int] = []
     for i in sorted((i for i in clean if reasons[i] is None), key=lambda i: -evidence.merit[i]):
@@ -212,7 +219,8 @@ def objections(
         else:
             kept.append(i)
     for i in _of_another(apexes(teats[kept]), evidence.merit[kept], p.udder_mm):
-        reasons[kept[i]] = _FAR
+        if evidence.end[kept[i]].min() < _WHOLE_END or evidence.shaped[kept[i]]:
+            reasons[kept[i]] = _FAR
     return reasons
 
 
@@ -295,7 +303,9 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
         return "a side of it is seen in one picture only"
     if evidence.misfit_px[i] > p.greatest_misfit_px:
         return OUTLINE
-    if not p.least_radius_mm < teat[RADIUS] < p.greatest_radius_mm:
+    # a funnel's end is narrower than its barrel, a bottle's wider
+    barrel_mm = teat[RADIUS] + _BARREL_MM * teat[TAPER]
+    if not (p.least_radius_mm < barrel_mm < p.greatest_radius_mm and teat[RADIUS] > _NARROWEST_MM):
         return _SIZE
     if max(abs(teat[LEAN_X]), abs(teat[LEAN_Z])) > p.greatest_lean:
         return _LEANS
@@ -320,12 +330,13 @@ def _one_sees_a_side(evidence: Evidence, i: int) -> bool:
 def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     """What of teat ``i`` an optical picture shows too little of."""
     end = evidence.end[i, view]
-    warm = np.isfinite(evidence.thermal_px[i, [SIDE_A, SIDE_B]]).any()
+    warm = np.isfinite(evidence.thermal_px[i, [SIDE_A, SIDE_B]])
     followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.8
     partial = evidence.end[i, :2].mean() < (p.least_end_followed if followed else p.least_end_alone)
     alone = partial and evidence.end[i, 2] < 0.5
     # a gap has two sides too
-    between_two = evidence.followed[i] and not warm and evidence.end[i, :2].mean() < _LEAST_BETWEEN
+    least = _LEAST_BETWEEN if evidence.followed[i] and not warm.any() else _LEAST_COLD
+    between_two = not warm.all() and evidence.end[i, :2].mean() < least
     if end < (_LEAST_FOLLOWED if followed else p.least_end) or alone or between_two:
         return "its end isn't seen"
     sure = evidence.misfit_px[i] < _SURE_MISFIT_PX and evidence.sd_mm[i] < _SURE_MM

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from detector.calibration import Calibration
 from detector.fused import fast
 from detector.fused.fit import Parameters, View
-from detector.fused.model import COUNT, HEIGHT, LEAN_X, RADIUS, Rows, axes
+from detector.fused.model import COUNT, HEIGHT, LEAN_X, RADIUS, Rows, apexes, axes
 from detector.fused.thermal import Field, Nominations, joined, strengths
 from detector.geometry import Array, Camera, Motion
 
@@ -32,6 +32,7 @@ _APART_STEPS = 2
 _LEAST = 0.1
 # what a nomination's next best place is worth of the one before, so that none is crowded out
 _NEXT = 0.8
+_NEAR_MM, _NEAR = 20.0, 0.4  # and what a start so near a better one is worth
 _SLIDE_MM = np.arange(0.0, 111.0, 3.0)
 
 
@@ -124,8 +125,7 @@ def _by_depth(teats: Array, maps: tuple[Map, ...], p: Parameters, *, end: bool) 
 
 def best_starts(starts: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
     """The most promising teats (m, 8), with the best shift and swell."""
-    order = np.argsort(-starts.score * starts.nominated, kind="stable")
-    teats = starts.teats[order[: p.most_starts]]
+    teats = starts.teats[_apart(apexes(starts.teats), starts.score * starts.nominated, p)]
     if len(teats) == 0:
         return teats
     m, swells = len(teats), len(_SWELLS)
@@ -138,6 +138,18 @@ def best_starts(starts: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
         moved[:, RADIUS] * np.array(_SWELLS)[swell], p.least_radius_mm, p.greatest_radius_mm
     )
     return moved
+
+
+def _apart(ends: Array, score: Array, p: Parameters) -> list[int]:
+    """The best starts, of which each that lies by a better one counts for less."""
+    left, chosen = np.array(score), []
+    while len(chosen) < min(p.most_starts, len(score)):
+        best = int(left.argmax())
+        chosen.append(best)
+        left[best] = -np.inf
+        near = np.linalg.norm(ends - ends[best], axis=1) < _NEAR_MM
+        left[near] *= _NEAR
+    return chosen
 
 
 def _joint(

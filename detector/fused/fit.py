@@ -101,7 +101,7 @@ class Parameters:
     greatest_sd_mm: float = 5.5  # of an end, along the axis where it is the least sure
     # of the way from the surroundings' temperature to the warmest teat's
     least_warmth: float = 0.78
-    udder_mm: float = 250.0  # no end is farther from the nearest other of its udder
+    udder_mm: float = 200.0  # a gap that parts udders; an end that all pictures show may be farther
     # two teats' axes are never closer than this share of the sum of their radii
     overlap: float = 0.85
     # what a short stretch of an outline has in common (paint, shadow, sampling) at the least,

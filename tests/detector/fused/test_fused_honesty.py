@@ -102,7 +102,15 @@ def members() -> list[Seen]:
         pytest.param("cooler_bodies", 20147, id="a whole end, a side in one picture only"),
         pytest.param("overlapping", 20088, id="one side, near and sure"),
         pytest.param("straw_and_legs", 20081, id="a cold straw across a teat"),
+        pytest.param("straw_and_legs", 21137, id="a straw across an end too"),
+        pytest.param("straw_and_legs", 31073, id="half an end and no warm side"),
+        pytest.param("overlapping", 566, id="a gap between teats before an arm"),
+        pytest.param("cow_teats", 31046, id="a funnel's narrow end"),
+        pytest.param("anywhere", 30002, id="an end far from the others, clear in all pictures"),
         pytest.param("cluttered", 20005, id="a hose behind the udder"),
+        pytest.param("cluttered", 62, id="a hose 240 mm from the nearest end"),
+        pytest.param("cluttered", 747, id="a bent hose, clear in all pictures"),
+        pytest.param("cluttered", 30021, id="many starts about one teat"),
     ],
 )
 def test_each_visible_end_is_found_and_none_else(family: str, member: int) -> None:
