@@ -161,7 +161,7 @@ def _lay_out(figure: Figure) -> None:
     engine = figure.get_layout_engine()
     if figure.axes and engine is not None:
         engine.execute(figure)
-    figure.set_layout_engine("none")
+    figure.set_layout_engine(None)  # one that stays, "none" too, has it drawn twice
 
 
 def not_measured(name: str, inches: tuple[float, float], why: str) -> str:

@@ -62,6 +62,7 @@ def test_fixed_lenses_stay_and_only_the_motion_moves() -> None:
     assert np.linalg.norm(off) < 1.0
 
 
+@pytest.mark.slow
 def test_a_third_camera_hangs_on_the_pair() -> None:
     rig = thesis_rig()
     views = seen(rig, 5, thermal=True)
@@ -76,6 +77,7 @@ def test_a_third_camera_hangs_on_the_pair() -> None:
     assert max(sds) < 20.0
 
 
+@pytest.mark.slow
 def test_halves_differ_by_what_their_deviations_allow() -> None:
     halves = split_half(seen(thesis_rig(), 6), SIZE, model="k1 k2 p1 p2")
     apart = np.array(list(halves.differences.values()))

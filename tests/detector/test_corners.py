@@ -95,6 +95,7 @@ def test_a_charuco_board_may_be_hidden_in_part() -> None:
     assert np.abs(missed_px(found, CHARUCO)).max() < 0.2
 
 
+@pytest.mark.slow
 def test_the_first_corner_is_the_prints_own_whichever_way_it_is_turned() -> None:
     turned = np.array([[-1.0, 0, SIZE[0] - 1], [0, -1.0, SIZE[1] - 1], [0, 0, 1.0]]) @ TILTED
     found = find_board(picture(CHESS, turned), CHESS)

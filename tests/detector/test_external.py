@@ -34,6 +34,7 @@ def test_it_answers_and_its_start_stands_apart(start: Start, rig: Calibration) -
     assert detector.start_up_s is None, "it runs already"
 
 
+@pytest.mark.slow
 def test_it_says_what_it_is_before_the_first_call(start: Start, rig: Calibration) -> None:
     """Its start-up stays apart from the first call, and is told with it."""
     ready = 'say({"ready": True, "device": "CUDA:0", "trained_on": {"ideal": [[0, 9]]}})'
@@ -123,6 +124,7 @@ def test_a_bad_call_is_what_it_is(
     assert any(part in str(found) for part in text.split("|")), found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ready", "outcome", "text"),
     [

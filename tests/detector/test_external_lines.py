@@ -170,6 +170,7 @@ anything = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(
     st.fixed_dictionaries(
         {"frame": st.just("7")},

@@ -73,6 +73,7 @@ with open(%r, "w") as file: file.write(f"{os.getpid()} {grandchild.pid}")
 """
 
 
+@pytest.mark.slow
 @linux
 @pytest.mark.parametrize("ending", ["close", "crash", "timeout"])
 def test_a_grandchild_ends_too(start: Start, rig: Calibration, tmp_path: Path, ending: str) -> None:
@@ -105,6 +106,7 @@ os.kill(os.getppid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.slow
 @linux
 @pytest.mark.parametrize("goes_on", [True, False], ids=["answers on", "falls silent"])
 def test_a_killed_supervisor(start: Start, rig: Calibration, tmp_path: Path, goes_on: bool) -> None:
@@ -136,6 +138,7 @@ say({"frame": asked["frame"], "teats": [], "reason": said})"""
     assert ask(start(above, memory_mib=100.0), rig).reason == "refused"
 
 
+@pytest.mark.slow
 @linux
 def test_nothing_outlives_a_bench_that_is_killed(tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(

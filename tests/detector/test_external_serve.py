@@ -34,6 +34,7 @@ def served(name: str, environment: Sequence[str] = ()) -> ExternalDetector:
     )
 
 
+@pytest.mark.slow
 def test_thesis_in_a_process(draw: Draw, teats_mm: NDArray[np.float64], rig: Calibration) -> None:
     frames = draw(teats_mm)
     with closing(served("thesis")) as there:
@@ -72,6 +73,7 @@ class Loud:
 """
 
 
+@pytest.mark.slow
 def test_prints_are_kept(tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", installed(tmp_path, "loud", PRINTS, "loud = loud:Loud"))
     frames = Pictures(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))

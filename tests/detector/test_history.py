@@ -61,6 +61,7 @@ def later(seeds: range) -> Iterator[Seen]:
         yield from cow(seed)[4:]
 
 
+@pytest.mark.slow
 def test_own_visits_and_hours_tell_more_than_the_last_visit_and_regions_hold() -> None:
     errors, last, inside = [], [], []
     for seen in later(range(40)):
@@ -80,6 +81,7 @@ def test_own_visits_and_hours_tell_more_than_the_last_visit_and_regions_hold() -
     assert 0.93 < np.mean(inside) < 0.99
 
 
+@pytest.mark.slow
 def test_another_cow_s_history_gains_nothing() -> None:
     others = [seen.context for seen in later(range(40, 52))]
     for seen, other in zip(later(range(12)), others, strict=True):

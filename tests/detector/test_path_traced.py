@@ -27,6 +27,7 @@ def test_every_frame_is_answered(path_traced: Path) -> None:
             assert np.isfinite(teat.world_mm).all()
 
 
+@pytest.mark.slow
 def test_radiometric_frames_alone_are_answered(path_traced: Path) -> None:
     calibration, detector = load_calibration(path_traced / "calibration.toml"), create("thesis")
     whole = recorded(path_traced / "frames" / "0000")

@@ -168,6 +168,7 @@ def test_a_name_that_no_file_could_bear_is_left_out() -> None:
         create("../up", given)
 
 
+@pytest.mark.slow
 def test_an_installed_package_is_found_and_a_broken_one_reported(
     tmp_path: Path,
 ) -> None:

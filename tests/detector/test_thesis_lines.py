@@ -93,6 +93,7 @@ def test_merging_columns_is_the_double_loop_at_full_size() -> None:
     assert merge_columns(columns, 4) == literal_merge_columns(columns, 4)
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(st.integers(0, 25), st.integers(0, 60)), max_size=50),
     st.integers(0, 3),
@@ -110,6 +111,7 @@ def test_merging_rows(points: list[tuple[int, int]], row_reach: int, column_reac
     assert merge_rows(rows, columns, row_reach, column_reach).tolist() == y
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(1, 80), max_size=60))
 @settings(max_examples=200)
 def test_segments_are_the_listings(columns: list[int]) -> None:

@@ -127,6 +127,7 @@ def test_long_writes_are_cut_into_lines_that_the_reader_takes(tmp_path: Path) ->
     assert conversation.exchanges[1].asked == long
 
 
+@pytest.mark.slow
 def test_nothing_is_kept_in_memory(tmp_path: Path) -> None:
     with opened(tmp_path / "c") as (_, tap):
         tap.received(bytes(1000))

@@ -243,6 +243,7 @@ def test_whatever_taps_get_is_read_back(
         assert came == b"".join(data for event, data in mine if event == "received")
 
 
+@pytest.mark.slow
 @given(st.binary() | st.binary().map(lambda tail: (HEAD + OPENED).encode() + tail))
 @ONE_FOLDER
 def test_no_file_gives_an_error_but_ours(tmp_path: Path, content: bytes) -> None:
@@ -274,6 +275,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
 @pytest.mark.parametrize("after_s", [0.05, 0.11, 0.17])
 def test_kill_9_leaves_all_that_was_captured(tmp_path: Path, after_s: float) -> None:

@@ -144,6 +144,7 @@ def test_fast_answers_at_once(play: Play) -> None:
     assert (bench.clock.now(), bench.note) == (0.0, [])
 
 
+@pytest.mark.slow
 @given(cuts=st.sets(st.integers(1, 8)))
 @settings(
     max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
@@ -329,6 +330,7 @@ def test_in_real_time_too(play: Play) -> None:
     assert bench.note == []
 
 
+@pytest.mark.slow
 def test_a_stream_of_an_hour_is_planned_piece_by_piece(play: Play) -> None:
     stream: list[Line] = [(n / 100, "received", "p") for n in range(20_000)]
     clock = VirtualClock()

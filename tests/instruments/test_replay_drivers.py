@@ -130,6 +130,7 @@ def replayed(
         return found, [*map(str, replay.mismatches), *replay.unplayed]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SESSIONS)
 def test_the_driver_finds_the_same_again_and_listening_in_changes_nothing(
     name: str, tmp_path: Path

@@ -184,6 +184,7 @@ def test_counts_are_written_beside_the_bars() -> None:
     assert sum(text.endswith(" of 4") for text in texts) == 1
 
 
+@pytest.mark.slow
 def test_each_teat_has_a_panel_with_its_own_counts() -> None:
     missed = figures.TeatPlaces("2", np.zeros((0, 3)), [], [[1.0, 2.0, 3.0]])
     texts = texts_of(figures.error_maps([_places("1", 12), missed], 5.0))
@@ -301,6 +302,7 @@ def test_bad_arrays_are_explained(said: str, draw: Callable[[], str]) -> None:
         draw()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("logarithmic", [True, False])
 def test_sensitivity_names_its_curves_and_bounds(logarithmic: bool) -> None:
     curves = [_curve("fused"), _curve("thesis")]

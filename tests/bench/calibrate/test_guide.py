@@ -144,6 +144,7 @@ def test_who_shows_nothing_is_not_asked_for_ever(tmp_path: Path) -> None:
     assert "12 more views" in room.note[-1]
 
 
+@pytest.mark.slow
 def test_a_camera_that_delivers_nothing_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the rig has no thermal camera: left delivered pictures"):
         Room().gather(tmp_path, ViewsRequest(("left", "thermal"), ("thermal",)))

@@ -104,6 +104,7 @@ def test_another_point_is_asked_for_again(tmp_path: Path) -> None:
     assert "another point, or the board has moved. Once more." in lab.again[0]
 
 
+@pytest.mark.slow
 def test_an_arm_that_moved_is_asked_for_again(tmp_path: Path) -> None:
     lab = Lab(moves_at=7)
     np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)

@@ -69,6 +69,7 @@ def pool(campaign: Campaign, workers: int, said: list[str], limit_s: float = 0.0
     return LocalPool(campaign.job, workers, say=said.append, chunk_scenes=scenes, limit_s=limit_s)
 
 
+@pytest.mark.slow
 def test_the_order_of_chunks_changes_nothing(
     plan: Plan, plain: tuple[Path, str], tmp_path: Path
 ) -> None:
@@ -235,6 +236,7 @@ def test_a_client_killed_at_random_goes_on_where_it_was(
     assert json.loads(out)["scenes"] == 2 * plan.most_scenes
 
 
+@pytest.mark.slow
 def test_a_family_stops_when_its_interval_is_tight_enough_whatever_came_first(
     tmp_path: Path,
 ) -> None:
@@ -261,6 +263,7 @@ def test_chunks_suit_the_number_of_scenes(families: int, scenes: int, in_chunk: 
     assert Plan.model_validate(tomllib.loads(text) | {"made_by": {}}) == asked
 
 
+@pytest.mark.slow
 def test_what_the_commands_write_and_refuse(
     plan: Plan, plain: tuple[Path, str], tmp_path: Path, said: Said
 ) -> None:

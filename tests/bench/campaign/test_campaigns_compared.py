@@ -56,6 +56,7 @@ def old(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("compared") / "old")
 
 
+@pytest.mark.slow
 def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None:
     same = tmp_path / "same"
     shutil.copytree(old, same)
@@ -83,6 +84,7 @@ def test_the_gate_and_the_figures(old: Path, tmp_path: Path, said: Said) -> None
     assert "the mean distance to the teat end grew by 0.350 mm" in grown
 
 
+@pytest.mark.slow
 def test_other_pictures_are_compared_only_where_the_plans_say_why(
     old: Path, tmp_path: Path, said: Said
 ) -> None:
@@ -97,6 +99,7 @@ def test_other_pictures_are_compared_only_where_the_plans_say_why(
     assert "not compared: 4 trials of the old run" in " ".join(out.split())
 
 
+@pytest.mark.slow
 def test_what_can_not_be_compared_is_refused(old: Path, tmp_path: Path, said: Said) -> None:
     strict = written(tmp_path / "strict", plan={"limit_mm": 3.0})
     assert "run both with one --limit-mm" in said(2, "campaign compare {} {}", old, strict).err

@@ -39,6 +39,7 @@ def bench() -> Bench:
     return Bench.of_rig(load_rig(find_rig(None)), make_detectors(["fused", "thesis"]), 1)
 
 
+@pytest.mark.slow
 def test_rows_depend_on_the_scene_alone(bench: Bench) -> None:
     scenes = [Scene("ideal", 3), Scene("overlapping", 1)]
     both, second = run_chunk(bench, scenes), run_chunk(bench, scenes[1:])
@@ -56,6 +57,7 @@ def test_rows_depend_on_the_scene_alone(bench: Bench) -> None:
         assert sum(t.status in ("found", "missed") for t in mine) == row.visible
 
 
+@pytest.mark.slow
 def test_answers_are_counted_against_the_truth(bench: Bench) -> None:
     scene = Scene("ideal", 0)
     ends = situation("ideal", 0).phantom.ends_mm

@@ -31,6 +31,7 @@ def end(x: float = 0.0) -> Confirmed:
     return Confirmed(np.array([x, 1.0, 2.0]), SURE, "attached")
 
 
+@pytest.mark.slow
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(hours=st.lists(st.integers(-80, 80), unique=True, min_size=1, max_size=12))
 def test_no_context_holds_a_visit_of_now_or_later(tmp_path: Path, hours: list[int]) -> None:

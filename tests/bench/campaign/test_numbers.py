@@ -87,6 +87,7 @@ def test_the_parameter_that_failures_depend_on_comes_first(numbers: Numbers) -> 
     assert of_column[-1] > 10 * max(of_column[:-1][:2])
 
 
+@pytest.mark.slow
 def test_the_page_says_them(numbers: Numbers, plan: Plan) -> None:
     page = campaign_page(Path("some where"), plan, {"teatbench": "0"}, numbers)
     board = next(part for part in page.parts() if isinstance(part, Scoreboard))

@@ -162,6 +162,7 @@ def test_wrong_perturbations_are_refused_with_what_there_is(
     assert not (tmp_path / "c").exists()
 
 
+@pytest.mark.slow
 def test_a_plan_s_perturbations_are_in_its_rows_and_its_identity(tmp_path: Path) -> None:
     plain = small_plan(tmp_path)
     off = small_plan(tmp_path, perturbations=[{"name": "noise", "amount": 8.0}])

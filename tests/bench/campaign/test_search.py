@@ -45,6 +45,7 @@ def rarely_failing(member: int) -> Evaluate:
     return evaluate
 
 
+@pytest.mark.slow
 def test_a_search_finds_several_times_as_many_distinct_failures_as_chance() -> None:
     found = chance = 0
     for member in range(10):
@@ -105,6 +106,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return out, rig
 
 
+@pytest.mark.slow
 def test_hits_and_rates_stand_apart(found: tuple[Path, Path]) -> None:
     table = tomllib.loads((found[0] / "search.toml").read_text(encoding="utf-8"))
     (hits,), (rate,), failures = table["hits"], table["rates"], table["failures"]
@@ -142,6 +144,7 @@ for line in sys.stdin:
 """
 
 
+@pytest.mark.slow
 def test_the_gate_holds_a_kept_case(found: tuple[Path, Path], tmp_path: Path, said: Said) -> None:
     """A version that finds all visible ends, then one that finds none."""
     kept = tmp_path / "kept"
@@ -163,6 +166,7 @@ def test_the_gate_holds_a_kept_case(found: tuple[Path, Path], tmp_path: Path, sa
     assert "case passed and now fails: 3 missed" in " ".join(told.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "name", "why"),
     [(99, "new", "no failure 99 (there: 1 to"), (1, "a:b", "any file system takes")],

@@ -65,6 +65,7 @@ def test_a_quantity_at_a_value_is_a_family_of_scenes() -> None:
     assert right.note[1].left != bench.calibration.left
 
 
+@pytest.mark.slow
 def test_the_limit_grows_with_the_errors_of_the_calibration() -> None:
     bench = bench_of()
     for size, least_mm, most_mm in ((0.0, 0.0, 0.1), (0.5, 0.1, 2.0)):
@@ -129,6 +130,7 @@ def test_what_was_not_measured_is_said_so(tmp_path: Path) -> None:
     assert "not measured" in figure_of(quantity, [nothing])
 
 
+@pytest.mark.slow
 def test_a_figure_stands_alone_on_paper_of_its_own(tmp_path: Path) -> None:
     points = [
         Measured(value, 4, {"a": Tally((0.2, 0.4)), "b": Tally((2.0,), 1)}, LIMIT)
@@ -317,6 +319,7 @@ DOCS = ROOT / "docs"
 TEXT = (DOCS / "scene.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_every_quantity_has_its_figure() -> None:
     page = (DOCS / "sensitivity" / PAGE).read_text(encoding="utf-8")
     assert re.findall(r"\]\(([a-z-]+)\.svg\)", page) == list(QUANTITIES)
@@ -481,6 +484,7 @@ def test_quantiles_are_those_of_a_shifted_normal_distribution() -> None:
     assert shifted[0] == pytest.approx(5.0, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_miscalibration_moves_perfect_pixels_as_its_covariance_says(
     calibration: Calibration, state: SceneState
 ) -> None:

@@ -17,6 +17,7 @@ def recorded(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[str, str
     return said.out, said.err
 
 
+@pytest.mark.slow
 def test_a_terminal_has_a_bar_that_counts_and_a_pipe_has_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

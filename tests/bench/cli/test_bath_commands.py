@@ -78,6 +78,7 @@ def test_read_leaves_a_hot_bath_as_it_is(bath: Served, said: Said) -> None:
     assert bath.plant.running
 
 
+@pytest.mark.slow
 def test_learn_says_row_by_row_what_answered_and_writes_nothing(tmp_path: Path, said: Said) -> None:
     """A profile with one wrong command and one wrong form, on a JULABO that heats."""
     profile, clock, plant = load_profile("julabo-ascii"), RealClock(), Plant(1, start_c=25.0)

@@ -116,6 +116,7 @@ def test_a_stage_is_not_asked_while_a_run_has_its_rig(tmp_path: Path, said: Said
 FAR = ', "pose": {"x_mm": 170.0}'
 
 
+@pytest.mark.slow
 def test_a_script_of_which_no_trial_is_within_the_travel(tmp_path: Path, said: Said) -> None:
     seen = said(2, DRY, *one(tmp_path, FAR)).out
     assert "not checked: the script as a whole: no trial is within the stage's travel" in seen

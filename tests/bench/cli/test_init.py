@@ -51,6 +51,7 @@ def rig_of(path: Path) -> Rig:
     return load_rig(path).rig
 
 
+@pytest.mark.slow
 def test_instruments_are_found_and_nothing_of_them_changes(
     twin: EmulatedRig, tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -67,6 +67,7 @@ def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
         list(record(rig, ["dim_light"], [5], tmp_path / "one", seed=1))
 
 
+@pytest.mark.slow
 def test_a_recording_is_perturbed_in_scene_pictures_and_calibration(
     tmp_path: Path, said: Said
 ) -> None:
@@ -90,6 +91,7 @@ def test_a_recording_is_perturbed_in_scene_pictures_and_calibration(
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools'
 def test_masks_and_key_points_are_those_of_the_pictures(tmp_path: Path, said: Said) -> None:
     """Read by pycocotools; the teats in another paint change the pixels of the masks, no others."""
@@ -149,6 +151,7 @@ def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, said: Said) -> None:
     assert 20 < picture.std() < 120
 
 
+@pytest.mark.slow
 def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path, said: Said) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     for command, why in (("record", "can't be written"), ("sheet", "there is no folder")):
@@ -209,6 +212,7 @@ def test_boards_are_found_in_their_pictures(tmp_path: Path, said: Said) -> None:
             assert cv2.findChessboardCorners(picture, (9, 6))[0]
 
 
+@pytest.mark.slow
 def test_a_heated_board_of_circles_fits_the_thermal_view(tmp_path: Path) -> None:
     said = words(
         "scene boards heated-circles-7x5-18 --warmer-k 14 --poses 1 --out {}", tmp_path / "boards"

@@ -45,6 +45,7 @@ def stage() -> Iterator[Served]:
         clock.close()
 
 
+@pytest.mark.slow
 def test_status_says_everything_with_units(stage: Served, said: Said) -> None:
     text = json.loads(said(0, "stage status {} --json", stage.at).out)
     known = {"dialect": "grblHAL", "version": "1.1f", "state": "Alarm", "homed": False}

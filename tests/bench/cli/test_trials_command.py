@@ -13,6 +13,7 @@ from bench.script.model import TRIALS, find_script, load_script
 from tests.bench.commands import Said, teatbench
 
 
+@pytest.mark.slow
 def test_each_script_that_ships_is_listed_with_what_it_is_about(said: Said) -> None:
     lines = said(0, "trials").out.splitlines()
     assert [line.split(": ")[0] for line in lines] == shipped(TRIALS)

@@ -99,6 +99,7 @@ FAULTS: tuple[tuple[dict[str, str | None], int], ...] = (
 )
 
 
+@pytest.mark.slow
 @given(data=st.data())
 def test_a_request_with_a_fault_does_nothing(console: Console, data: st.DataObject) -> None:
     method, path = data.draw(st.sampled_from(routes(console)))
@@ -117,6 +118,7 @@ def test_a_request_with_a_fault_does_nothing(console: Console, data: st.DataObje
     assert b"script-src 'self'" in answered[b"content-security-policy"]
 
 
+@pytest.mark.slow
 @given(name=st.sampled_from(NAMES) | st.text(max_size=20), data=st.data())
 def test_a_path_for_a_name_reaches_nothing(
     console: Console, name: str, data: st.DataObject

@@ -47,6 +47,7 @@ def found(rehearsal: Rehearsal) -> list[tuple[str, str]]:
     return [(one.trial, one.kind) for one in rehearsal.findings]
 
 
+@pytest.mark.slow
 def test_a_gate_that_never_opens_and_an_interlock_are_met(tmp_path: Path) -> None:
     late = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\ntimeout_s = 30.0")
     rig, script = loaded(tmp_path, script=late)
@@ -134,6 +135,7 @@ def test_answers_that_are_left_over_are_found_and_one_that_skips_is_reported(
     assert "1 answers of answers.toml were never asked for" in left.findings[0].text
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_behind(tmp_path: Path, nothing_stays: Path) -> None:
     rig, script = loaded(tmp_path)
 

@@ -73,6 +73,7 @@ def test_the_emulated_stage_is_set_as_the_controller_reported(
     assert {number: settings[number] for number in wanted} == wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dialect", "axes", "spoken"),
     [("grbl", "XY", "marlin"), ("grbl", "XYA", "zaber"), ("marlin", "XYZ", "marlin")],

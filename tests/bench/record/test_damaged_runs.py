@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from bench.cli.main import main, parser
 from bench.cli.store import DAMAGED
@@ -165,10 +166,11 @@ DAMAGES: dict[str, Damage] = {
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made up to their last artist, but not rendered; the command line is made once.
-    Both take three quarters of the time and see nothing of the record.
+    """Figures are made up to their last artist, but not laid out or rendered; the command line is
+    made once. All that takes most of the time and sees nothing of the record.
     """
     monkeypatch.setattr("bench.cli.main.parser", PARSER)
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
     monkeypatch.setattr(Figure, "savefig", lambda _, file, **__: file.write(EMPTY))
 
 

@@ -404,6 +404,7 @@ def test_readings_and_trials_from_two_threads_are_all_there(tmp_path: Path) -> N
     assert run.external_c[-1] == 32.7
 
 
+@pytest.mark.slow
 def test_an_interruption_between_any_two_lines_leaves_a_record_that_can_be_finished(
     tmp_path: Path,
 ) -> None:

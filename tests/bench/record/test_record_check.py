@@ -174,6 +174,7 @@ def test_damage_is_found_and_named(run: Path, what: str, said: Said) -> None:
     assert "The record is NOT as it was written." in said(1, "store check {}", run).out
 
 
+@pytest.mark.slow
 def test_no_cell_of_any_table_changes_unseen(run: Path) -> None:
     with closing(sqlite3.connect(run / DATABASE, isolation_level=None)) as db:
         db.execute("PRAGMA synchronous = OFF")

@@ -89,6 +89,7 @@ def test_csv_has_every_table_and_empty_fields_for_what_was_not_measured(
     assert {*tables.split(), "chain"} <= {path.stem for path in out.iterdir()}
 
 
+@pytest.mark.slow
 def test_parquet_keeps_types_and_nulls_and_names_its_run(run: RunRecord, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="the extra 'export' is not installed")
     out = exported(run, "parquet", tmp_path)

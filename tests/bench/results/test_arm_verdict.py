@@ -152,6 +152,7 @@ def drawn(chance: np.random.Generator, times: float, lengths: bool) -> dict[str,
     return facts(before, after, **more) | {STATED_FACT: stated()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lengths", [False, True])
 def test_an_arm_at_twice_its_stated_u_is_caught_and_a_sound_one_rarely_accused(
     lengths: bool,

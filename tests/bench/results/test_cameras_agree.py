@@ -54,6 +54,7 @@ def decided(disparity_px: float, **more: int) -> Decision:
     return decide_cameras(RULE, trials(disparity_px, **more))
 
 
+@pytest.mark.slow
 def test_twelve_poses_notice_half_a_pixel_and_accuse_no_sound_rig() -> None:
     off = [decided(0.5, seed=seed).verdict for seed in RNG_SEEDS]
     sound = [decided(0.0, seed=seed).verdict for seed in RNG_SEEDS]

@@ -120,6 +120,7 @@ def test_what_the_driver_says(
         assert not twin.world.plant.running
 
 
+@pytest.mark.slow
 def test_a_controller_that_forgets_its_run_in_a_reset_is_shown_to_have_stopped(
     tmp_path: Path,
 ) -> None:

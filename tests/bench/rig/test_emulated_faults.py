@@ -43,6 +43,7 @@ def arm_of(twin: EmulatedRig) -> MicroScribe:
     return MicroScribe(Link(twin.urls["arm"], twin.world.clock, who="arm"), twin.world.clock)
 
 
+@pytest.mark.slow
 def test_the_power_of_the_arm_goes_at_its_time_and_comes_back(tmp_path: Path) -> None:
     fault = '{ instrument = "arm", name = "power loss", at_s = 10.0, for_s = 5.0 }'
     rig = load_rig(with_emulation(tmp_path, f"faults = [{fault}]"))

@@ -45,6 +45,7 @@ def homed(rig: LoadedRig) -> Iterator[tuple[EmulatedRig, Stage]]:
         yield twin, devices.stage
 
 
+@pytest.mark.slow
 def test_the_plate_stands_as_the_stage_stands_in_all_four_axes(tmp_path: Path) -> None:
     rig = rig_with(tmp_path, 'axes = "XYZA"', '[emulation.stage]\ndialect = "grblHAL"')
     assert rig.rig.stage is not None

@@ -61,6 +61,7 @@ def test_each_fault_is_cured_by_another_try_and_counted_or_refused(fault: FrameF
     assert len(bench.waits) == 5
 
 
+@pytest.mark.slow
 def test_two_faults_at_once_are_both_told() -> None:
     bench = Bench()
     bench.cameras.faults.inject("black", times=1, camera="right")

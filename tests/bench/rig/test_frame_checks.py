@@ -92,6 +92,7 @@ def test_no_false_alarm_in_what_a_path_tracer_rendered(shared_data: Path) -> Non
     assert len({recording.truth[frame][0].situation for frame in recording.frames[::3]}) == 11
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", SHOWN)
 def test_each_fault_of_the_emulated_cameras_is_noticed_and_named(fault: FrameFault) -> None:
     cameras, looks = EmulatedCameras(GalleryWorld()), checks()
@@ -102,6 +103,7 @@ def test_each_fault_of_the_emulated_cameras_is_noticed_and_named(fault: FrameFau
     assert looks.notice(cameras.capture()) == [], "it has passed"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "camera"),
     [
@@ -145,6 +147,7 @@ def test_a_thermal_frame_that_is_flat_is_no_fault_where_nothing_need_be_warm() -
         assert seen == ([FrameFault.FLAT_FIELD] if warm else [])
 
 
+@pytest.mark.slow
 def test_looks_can_be_left_out() -> None:
     cameras = EmulatedCameras(GalleryWorld())
     looks = checks(frozen=False, swapped=False, focus_px=FocusTable())

@@ -109,6 +109,7 @@ def test_the_newest_runs_count_most_and_rigs_are_kept_apart(tmp_path: Path) -> N
     assert kept["expected_s"]["total_s"] == expected.total_s
 
 
+@pytest.mark.slow
 def test_needs_by_hand() -> None:
     rig, script = load_rig(find_rig(None)), load_script(find_script(None))
     by_hand = replace(rig, rig=rig.rig.model_copy(update={"operator": Operator(url="console:")}))

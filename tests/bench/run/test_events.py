@@ -294,6 +294,7 @@ def test_a_reader_of_the_output_that_has_gone_ends_no_run(tmp_path: Path) -> Non
     assert (run.folder / "times.json").is_file(), "what comes after the table is done too"
 
 
+@pytest.mark.slow
 def test_a_trip_is_among_the_lines(tmp_path: Path) -> None:
     """It happens on the watch's own thread; a watcher at the other end of the lines has to hear of
     it all the same.

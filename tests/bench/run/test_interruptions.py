@@ -125,6 +125,7 @@ def test_who_skips_the_trial_that_waits_finds_the_next_one_waiting_too(tmp_path:
     assert len(texts(record, "back")) == 1
 
 
+@pytest.mark.slow
 def test_an_abort_is_taken_while_preparing_waits_for_an_instrument(tmp_path: Path) -> None:
     record = given("abort", tmp_path, fault("arm", "silent", 0.1))
     assert (record.ending, len(record.trials)) == ("aborted", 0)

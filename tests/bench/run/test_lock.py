@@ -56,6 +56,7 @@ def taken_over(path: Path) -> list[str]:
     return note
 
 
+@pytest.mark.slow
 def test_the_second_bench_names_who_has_the_rig_and_gets_it_when_that_one_ends(
     tmp_path: Path,
 ) -> None:
@@ -69,6 +70,7 @@ def test_the_second_bench_names_who_has_the_rig_and_gets_it_when_that_one_ends(
     assert path.read_bytes() == b""
 
 
+@pytest.mark.slow
 def test_the_lock_of_a_bench_that_was_killed_is_taken_over_and_that_is_reported(
     tmp_path: Path,
 ) -> None:
@@ -101,6 +103,7 @@ def test_an_emulated_rig_needs_none_and_a_folder_that_is_not_there_is_reported(
     refused(tmp_path / "no" / "lab.lock.json", "the rig can't be locked", ConfigError)
 
 
+@pytest.mark.slow
 def test_a_run_is_refused_before_anything_is_opened(tmp_path: Path, said: Said) -> None:
     arguments, rig = files(tmp_path, operator="console:"), tmp_path / "rig.toml"
     # nobody is there, and nobody is asked

@@ -65,6 +65,7 @@ def test_all_of_the_run_is_in_it_byte_for_byte_with_digests_budgets_and_card(
     assert named.items() <= {name: f"sha256:{digest}" for name, digest in sums.items()}.items()
 
 
+@pytest.mark.slow
 def test_it_scores_as_the_run_did(packed: Path, kept: Path, tmp_path: Path) -> None:
     run = read_run(kept)
     (detector,) = run.detectors

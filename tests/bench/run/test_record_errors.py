@@ -252,6 +252,7 @@ def test_events_as_lines_and_each_is_json(tmp_path: Path) -> None:
     assert any("bath" in line for line in lines if line["what"] == "doing")
 
 
+@pytest.mark.slow
 def test_a_file_for_lines_that_fails_can_not_end_a_run(tmp_path: Path) -> None:
     files(tmp_path)
     with FileIO(tmp_path / "e", "a") as closed:

@@ -169,6 +169,7 @@ def test_every_way_out_passes_through_safe_whole(
     assert lived_through(signals, tmp_path / "log", gap_s=0.15) == [*SAFE, why]
 
 
+@pytest.mark.slow
 @posix
 def test_requests_that_come_at_once_are_one(tmp_path: Path) -> None:
     assert lived_through(["SIGTERM", "SIGHUP", "SIGINT"], tmp_path / "log", 0.0)[:3] == SAFE
@@ -244,6 +245,7 @@ def test_a_request_never_leaves_a_lock_held(monkeypatch: pytest.MonkeyPatch) -> 
     assert raised == 100
 
 
+@pytest.mark.slow
 @posix
 def test_a_terminal_that_goes_does_not_keep_the_bench_from_safe(tmp_path: Path) -> None:
     """A dropped SSH connection: the pseudo-terminal closes, SIGHUP comes, and every write to it

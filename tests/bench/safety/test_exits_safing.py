@@ -132,6 +132,7 @@ def test_a_pump_that_turns_with_run_is_on_when_the_controller_runs() -> None:
     assert pump_on(Noted("none"), replace(COLD, running=True)) is None
 
 
+@pytest.mark.slow
 def test_every_driver_declares_its_safe_state_and_gets_there() -> None:
     with open_instruments(load_rig(find_rig(None)), seed=1) as devices:
         assert set(devices.safe_states()) == {"bath", "stage", "arm", "cameras"}

@@ -43,6 +43,7 @@ def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> No
     assert list(hot.folder.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
     with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()):
         pass
@@ -64,6 +65,7 @@ def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) ->
     assert text["why"] == "the main thread hangs: detecting took more than 0.5 s"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
     with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
@@ -165,6 +167,7 @@ def test_the_guardian_is_small_and_gets_no_signal_that_is_meant_for_the_bench(
         line.done()
 
 
+@pytest.mark.slow
 def test_a_guardian_that_cannot_start_is_reported_with_its_own_words(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match=r"did not start.*no-such-family"):
         GuardianClient(GuardianTarget("tcp://127.0.0.1:1", "no-such-family"), tmp_path, Heartbeat())
@@ -202,6 +205,7 @@ time.sleep(100)
 )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="sees the bench's end in /proc")
 def test_a_bench_that_dies_is_noticed_while_its_end_of_the_pipe_is_still_open(hot: HotBath) -> None:
     """As a process that it has forked keeps it, or the system, which is slow to end a process when

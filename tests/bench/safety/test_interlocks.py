@@ -378,6 +378,7 @@ def test_a_bath_near_its_set_point_with_little_power_never_trips(
         assert interlocks.add(reading) is None
 
 
+@pytest.mark.slow
 @given(st.floats(min_value=37.01, max_value=1e4), st.integers(min_value=0, max_value=200))
 def test_no_heat_above_the_limit_is_ever_missed(temp_c: float, after_s: int) -> None:
     trip = first_trip(

@@ -63,6 +63,7 @@ def test_what_is_waited_for_is_reported_by_the_readings_near_the_set_point() -> 
     assert gate.at_least_s == 340.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("temps", "reason"),
     [

@@ -472,6 +472,7 @@ def test_a_truth_without_uncertainty_has_no_guard_band() -> None:
     assert acceptance_limit_mm(T, 0.0) == refusal_limit_mm(T, 0.0) == T
 
 
+@pytest.mark.slow
 @given(st.floats(1, 20), st.floats(1e-4, 0.55))
 def test_the_radial_limit_solves_the_noncentral_chi_square(limit: float, relative: float) -> None:
     u = limit * relative

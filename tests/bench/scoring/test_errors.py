@@ -122,6 +122,7 @@ def test_nothing_measured_is_none_and_not_zero() -> None:
     assert s.radial == RadialSummary(0)
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(0, 1e3), min_size=1, max_size=150), st.sampled_from([50, 95, 99]))
 def test_a_percentile_is_the_smallest_value_with_that_share_at_or_below(
     values: list[float], percent: int

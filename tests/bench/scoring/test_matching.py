@@ -75,6 +75,7 @@ def test_under_the_benchs_gate_against_motmetrics(seed: int, teats: int, spread_
 SCENES = st.builds(scene, st.integers(0, 2**32 - 1), st.integers(1, 6), st.floats(0.5, 30))
 
 
+@pytest.mark.slow
 @settings(max_examples=260, deadline=None)
 @given(SCENES | st.tuples(clouds(), clouds()), st.floats(1, 60), st.integers(0, 63))
 def test_no_other_assignment_is_cheaper(

@@ -70,6 +70,7 @@ def test_an_empty_rate_is_not_measured() -> None:
     assert str(empty) == "not measured"
 
 
+@pytest.mark.slow
 @given(st.lists(RATES, max_size=5))
 def test_rates_add_by_their_counts(rates: list[Rate]) -> None:
     total = sum(rates, Rate())

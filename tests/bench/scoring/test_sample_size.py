@@ -75,6 +75,7 @@ def test_a_share_too_small_for_any_computer_is_none() -> None:
 SHARES = st.floats(0, 0.5).map(lambda share: share if share > 1e-12 else 0.0)
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.integers(1, 25), SHARES, SHARES)
 @example(2, 0.0, 0.0)

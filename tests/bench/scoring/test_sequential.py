@@ -32,6 +32,7 @@ def exact(failures: int, scenes: int) -> tuple[float, float]:
     return Rate(failures, scenes).interval() or (0.0, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [0.001, 0.02, 0.3, 0.9])
 def test_a_thousand_campaigns_looked_at_after_each_chunk(rate: float) -> None:
     assert missed(rate, confidence_sequence) <= 0.05

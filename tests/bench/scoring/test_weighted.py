@@ -47,6 +47,7 @@ def fails_beyond_a_slope(points: Floats) -> Floats:
     return np.asarray(points[..., 0] + points[..., 1] + points[..., 3] > 2.72)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fails", [fails, fails_beyond_a_slope])
 def test_it_agrees_with_brute_force_and_is_nearer_than_as_many_even_scenes(
     evenly: Floats, fails: Callable[[Floats], Floats]
@@ -72,6 +73,7 @@ def test_even_scenes_give_the_confidence_sequence() -> None:
     assert (found.value, found.effective) == (0.015, 200)
 
 
+@pytest.mark.slow
 def test_a_proposal_is_a_density_of_bounded_weights(evenly: Floats) -> None:
     proposal = Proposal.around(evenly[fails(evenly)][:5])
     weights = np.array([proposal.weight(point) for point in evenly[:4000]])

@@ -100,6 +100,7 @@ def test_a_seed_is_one_udder_and_another_seed_another() -> None:
     assert RANDOM.phantom(7, 1) != RANDOM.phantom(7, 2)
 
 
+@pytest.mark.slow
 def test_the_paint_of_the_file_is_the_paint_of_the_scene(tmp_path: Path) -> None:
     calibration = tomllib.loads((ROOT / "bench/rigs/calibration.toml").read_text(encoding="utf-8"))
     world = World(VirtualClock(), 1, Renderer.from_calibration(calibration, 1))
@@ -142,6 +143,7 @@ def test_a_wrong_file_says_what_and_where(
     assert f"mine.toml:{line}:" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_an_envelope_in_which_no_udder_fits_is_refused(tmp_path: Path) -> None:
     spans = (
         "front_spacing_mm = [20.0, 21.0]\nrear_spacing_mm = [20.0, 21.0]\nfront_to_rear_mm = [20.0,"

@@ -178,6 +178,7 @@ def test_the_command_reports_and_reports_again(
     assert (folder / "report" / "index.html").read_bytes() == page
 
 
+@pytest.mark.slow
 def test_an_offset_that_does_no_harm_is_met(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -125,6 +125,7 @@ def test_repeats_cycles_and_sides_multiply_and_count_on() -> None:
     assert len({one.id for one in trials}) == len(trials)
 
 
+@pytest.mark.slow
 @given(
     count=st.integers(1, 40),
     seed=st.integers(0, 2**40),
@@ -325,6 +326,7 @@ def test_the_operator_reads_what_stands_where(tmp_path: Path) -> None:
     assert f"length {found.phantom.teats[2].shape.length_mm:.1f} mm" in asked.details
 
 
+@pytest.mark.slow
 def test_the_emulated_operator_sets_the_whole_scene_up(tmp_path: Path) -> None:
     (planned,) = of_families(tmp_path, 'family = "low_contrast"\nmember = 3\n').planned
     found = situation("low_contrast", 3)

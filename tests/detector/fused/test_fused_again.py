@@ -30,6 +30,7 @@ def test_points_inside_of_an_outline_are_those_of_opencv(seed: int) -> None:
         assert (_inside(points, outline, room)[sure] == (off > -room)[sure]).all()
 
 
+@pytest.mark.slow
 def test_a_bright_dome_isnt_the_whole_teat(find: Find, udder: list[Body]) -> None:
     """A flatter rim below the end has more contrast, before a thing as warm as the teat."""
     teat = replace(udder[2], end_mm=(-140.0, 205.0, 136.0), height=1.0, radius_mm=11.0, grey=60.0)

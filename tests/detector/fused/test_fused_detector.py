@@ -112,6 +112,7 @@ def test_touching_teats_are_told_apart(find: Find, udder: list[Body], gap_mm: fl
     held(find(bodies), bodies, 1.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
@@ -179,6 +180,7 @@ def odd_frames(frames: Any) -> dict[str, tuple[dict[str, Any], str]]:
     }
 
 
+@pytest.mark.slow
 def test_frames_without_teats(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:
     frames = draw_scene(udder)
     for name, (changes, words) in odd_frames(frames).items():
@@ -191,6 +193,7 @@ def test_without_a_thermal_pose(draw_scene: Draw, udder: list[Body], rig: Calibr
     assert "lens and pose of the thermal camera" in reason
 
 
+@pytest.mark.slow
 def test_colour_and_sixteen_bits(draw_scene: Draw, udder: list[Body], rig: Calibration) -> None:
     frames = draw_scene(udder)
     plain = errors(FusedDetector().detect(frames, rig), udder)

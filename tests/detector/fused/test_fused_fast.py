@@ -73,6 +73,7 @@ def drawn_teats(count: int) -> NDArray[np.float64]:
     return rng.uniform(low, high, (count, COUNT))
 
 
+@pytest.mark.slow
 def test_outlines_and_their_slopes_are_equal(both: Both, rig: Calibration) -> None:
     teats = drawn_teats(40)
     teats[3, 2] = -500.0  # behind the cameras
@@ -128,6 +129,7 @@ def same(slow: Detection, quick: Detection) -> None:
                 assert np.array_equal(values, again.data[name])
 
 
+@pytest.mark.slow
 def test_answers_on_drawn_teats_are_equal(
     both: Both, draw_scene: Draw, udder: list[Body], rig: Calibration
 ) -> None:
@@ -139,6 +141,7 @@ def test_answers_on_drawn_teats_are_equal(
         assert bool(slow.teats) == bool(bodies)
 
 
+@pytest.mark.slow
 def test_answers_on_path_traced_frames_are_equal(both: Both, path_traced: Path) -> None:
     calibration = load_calibration(path_traced / "calibration.toml")
     frames = sorted((path_traced / "frames").iterdir())[::6]

@@ -65,6 +65,7 @@ def mirrored_rig(rig: Calibration) -> Calibration:
     )
 
 
+@pytest.mark.slow
 def test_a_mirrored_scene_mirrors_answers(frames: Any, plain: Detection, rig: Calibration) -> None:
     left = np.ascontiguousarray(frames.right[:, ::-1])
     right = np.ascontiguousarray(frames.left[:, ::-1])
@@ -115,6 +116,7 @@ def test_same_frames_give_the_same_answer(frames: Any, plain: Detection, rig: Ca
     )
 
 
+@pytest.mark.slow
 def test_shifted_teats_shift_the_answers(find: Find, udder: list[Body]) -> None:
     by = np.array([7.3, -11.7, 4.1])
     shifted = [replace(b, end_mm=tuple(np.add(b.end_mm, by))) for b in udder]

@@ -363,6 +363,7 @@ def test_a_rounded_set_point_stands_and_is_not_written_again() -> None:
 # ---- profiles that are refused
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "old", "new", "message"),
     [

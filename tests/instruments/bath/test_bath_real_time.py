@@ -94,6 +94,7 @@ def test_an_adapter_that_is_unplugged_is_reported_and_the_next_one_is_found() ->
         again.close()
 
 
+@pytest.mark.slow
 @pty
 def test_at_exit_standby_needs_no_look_and_no_second() -> None:
     with terminal("eurotherm-2400") as (listener, emulator, clock):
@@ -204,6 +205,7 @@ def ctrl_c() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals to a thread: POSIX only")
 @pytest.mark.usefixtures("ctrl_c")
 def test_in_real_time_ctrl_c_ends_a_question_at_once() -> None:

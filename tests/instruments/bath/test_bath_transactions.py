@@ -251,6 +251,7 @@ def test_p6_garbage_ahead_of_an_answer_costs_nothing(garbage: str) -> None:
         assert len(far_end.asked) == 5
 
 
+@pytest.mark.slow
 @given(
     ahead=st.binary(max_size=40),
     behind=st.binary(max_size=40),
@@ -300,6 +301,7 @@ PRESTO = {5: 4, 2: 0x4204, 12: 0x41F4, 14: 37, 16: 0x4205, 10: 0x4204, 11: 0x800
 POLLED_BYTES = (17, 17, 35)  # the answers of a poll: holding 0 to 3 and 90 to 93, input 5 to 17
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", ["alone", "late", "its rest later", "its rest amid the next"])
 def test_a_cut_answer_is_never_completed_by_the_next(cut: str) -> None:
     """At every place: the right reading or an error, and the right one again soon after."""
@@ -420,6 +422,7 @@ def real(framing: str) -> Iterator[tuple[FarEnd, Transactions]]:
         yield far_end, link
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("framing", ["rtu", "tcp"])
 def test_p10_bytes_one_by_one_are_one_answer(framing: str) -> None:
     with real(framing) as (far_end, link):

@@ -470,6 +470,7 @@ FAULTS = st.one_of(
 TWO_REPLIES = 0.1 + 1e-9  # what they may differ by; a tenth has no exact binary number
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
 @given(faults=st.dictionaries(st.integers(0, 40), FAULTS, min_size=1, max_size=4))
 # both replies to one command come twice, each late enough to answer the next command: they agree
@@ -576,6 +577,7 @@ def in_real_time(name: str) -> Iterator[tuple[LineEmulator, str]]:
             yield device, listener.url
 
 
+@pytest.mark.slow
 def test_a_client_written_from_the_julabo_manual_alone() -> None:
     with in_real_time(JULABO) as (device, url), closing(ManualClient(url)) as client:
         assert client.ask("version").startswith("JULABO")

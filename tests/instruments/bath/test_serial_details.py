@@ -130,6 +130,7 @@ class Wire:
         self.write = host.sendall
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:set(Daemon|Name)", "ignore:isDaemon")  # of pyserial
 @pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals: POSIX only")
 @pytest.mark.parametrize("name", SPOKEN)

@@ -282,6 +282,7 @@ def test_a_camera_without_stamps_or_started_anew() -> None:
     assert time.bench_s(4.0, 11.0) == pytest.approx(10.0, abs=1e-3)
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.tuples(st.floats(0.1, 300.0), st.floats(0.0, 0.5)), min_size=1, max_size=30),
     st.floats(-5e-5, 5e-5),

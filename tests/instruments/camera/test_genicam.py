@@ -67,6 +67,7 @@ def whole(camera: GenicamCamera) -> RawFrame:
                 raise
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pixel_format", "kind", "bits", "dimensions"),
     [

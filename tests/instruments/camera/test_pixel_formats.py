@@ -69,6 +69,7 @@ def packed(name: str, values: list[int]) -> bytes:
     return b"".join(value.to_bytes(1 if bits == 8 else 2, "little") for value in values)
 
 
+@pytest.mark.slow
 @given(
     st.data(),
     st.sampled_from([known.name for known in FORMATS if known.name.startswith("Mono")]),

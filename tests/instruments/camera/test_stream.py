@@ -119,6 +119,7 @@ def test_a_camera_that_falls_silent_and_a_server_that_goes(clock: RealClock) -> 
     camera.close()
 
 
+@pytest.mark.slow
 def test_a_size_that_changes_within_a_stream_is_reported_until_it_is_the_old_one(
     clock: RealClock,
 ) -> None:

@@ -102,6 +102,7 @@ def test_the_letter_o_swallows_24_bytes(host: Host) -> None:
     assert host.ask("4F 00 00 02 " + "01 " * 23 + "03") == f"CF {AT_REST}"  # 26 with seven encoders
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.binary(min_size=1, max_size=40), max_size=6))
 def test_whatever_it_receives_it_can_be_signed_on_again(noise: list[bytes]) -> None:
@@ -141,6 +142,7 @@ def test_without_delay_a_stream_is_as_fast_as_115200_baud(
     assert len(host.packets(stream(0, command=command), 1.0)) == pytest.approx(rate_hz, abs=1)
 
 
+@pytest.mark.slow
 def test_differences_send_when_a_joint_has_moved_so_far_and_not_else(host: Host) -> None:
     host.hand.point = POINT
     assert host.ask(stream(0, deltas=(20, 0, 0, 0, 0, 0)), 0.5) == "CF"
@@ -190,6 +192,7 @@ def test_a_stream_goes_on_for_the_next_host(host: Host) -> None:
     assert host.ask("", 0.1) == ""
 
 
+@pytest.mark.slow
 def test_a_stream_never_outruns_its_line() -> None:
     clock = RealClock()
     arm = ArmEmulator(Hand(clock), clock)

@@ -59,6 +59,7 @@ def tilted(tilt_deg: float, towards_deg: float) -> Floats:
     return np.array([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)])
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     st.floats(-260, -110),
@@ -84,6 +85,7 @@ def test_the_arm_reaches_the_teats_with_the_stylus_from_above(
     assert np.linalg.norm(ARM.forward(np.rint(counts))[0] - tips) < 0.4
 
 
+@pytest.mark.slow
 def test_the_direction_is_met_exactly_outside_the_blind_cone() -> None:
     chance = np.random.default_rng(2)
     off = []

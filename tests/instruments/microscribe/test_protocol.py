@@ -131,6 +131,7 @@ def packets(draw: st.DrawFn) -> Packet:
     )
 
 
+@pytest.mark.slow
 @given(st.lists(packets(), max_size=8), st.lists(st.integers(0, 200), max_size=10))
 def test_any_packets_cut_anywhere_come_back(sent: list[Packet], cuts: list[int]) -> None:
     stream = b"".join(map(wire.encode_packet, sent))
@@ -143,6 +144,7 @@ def test_after_any_garbage_the_second_packet_is_right(garbage: bytes, cuts: list
     assert got[-1] == REST
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.one_of(st.binary(max_size=20), packets().map(wire.encode_packet)), max_size=6).map(
         b"".join

@@ -57,6 +57,7 @@ def test_placement_errors_have_the_spread_that_was_asked_for(
     assert np.abs(np.corrcoef(np.transpose(errors)) - np.eye(3)).max() < 0.2
 
 
+@pytest.mark.slow
 def test_what_stands_as_asked_is_not_touched_again() -> None:
     here = world()
     who = hands(here, placement_error_mm=ERROR_MM)

@@ -342,6 +342,7 @@ def test_sleep_is_left_only_by_a_reset_and_into_the_alarm(free: Board) -> None:
     assert free.state() == b"Alarm"
 
 
+@pytest.mark.slow
 def test_blasting_blindly_mangles_lines_into_many_kinds_of_error(free: Board) -> None:
     """As recorded, where 1230 bytes gave 48 ``ok`` and six kinds of error; which ones depends on
     the moves that were sent.

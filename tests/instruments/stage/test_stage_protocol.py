@@ -135,6 +135,7 @@ def test_a_move_states_units_distance_mode_and_machine_coordinates() -> None:
     assert protocol.encode("$H") == b"$H\n"
 
 
+@pytest.mark.slow
 @given(
     st.fixed_dictionaries({axis: st.floats(-1e6, 1e6) for axis in "XYZA"}), st.floats(0.001, 1e6)
 )

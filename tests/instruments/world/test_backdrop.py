@@ -64,6 +64,7 @@ def texture(patch: Patch, points: NDArray[np.float64]) -> NDArray[np.float32]:
     return np.asarray(found, np.float32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("family", "seed"),
     [("ideal", 3), ("anywhere", 11), ("low_contrast", 5), ("hot_body_at_base", 8)],
@@ -83,6 +84,7 @@ def test_frames_are_those_of_the_long_way(
         assert np.abs(off).max() <= MOST_GREY, name
 
 
+@pytest.mark.slow
 def test_depth_and_warmth_are_those_of_the_long_way_and_a_poster_off_the_board_shows() -> None:
     whole = situation("anywhere", 11).backdrop
     off = Backdrop(

@@ -47,6 +47,7 @@ def at_rows(limb: Floats, rows: Ints) -> Floats:
     return np.asarray(np.interp(rows, limb[:, 1], limb[:, 0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["left", "right"])
 def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
     depths = ((150.0, 130.0), (700.0, 420.0))
@@ -56,6 +57,7 @@ def test_small_balls_lie_where_opencv_projects_them(which: str) -> None:
         assert centroid(share, (round(u), round(v)), 14) == pytest.approx([u, v], abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("lean_mm", [0.0, 20.0])
 def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
@@ -74,6 +76,7 @@ def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
     assert worst < 0.01, f"worst edge error {worst:.4f} px"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("angle_deg", [0.0, 1.0, 5.0, 17.0, 30.0, 45.0, 60.0, 73.0, 89.0, 90.0])
 def test_edges_of_every_orientation(which: str, angle_deg: float) -> None:

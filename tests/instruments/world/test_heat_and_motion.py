@@ -51,6 +51,7 @@ def column_of_teat(state: SceneState) -> Floats:
     return np.asarray(seen[top:foot, u - 1 : u + 2].mean(axis=1)[::-1])
 
 
+@pytest.mark.slow
 def test_a_teat_is_warmer_at_its_base() -> None:
     """By `teat_fall` of what it is above the room: 13 K x 0.1; its mean stays."""
     along = column_of_teat(replace(WARM, teat_fall=0.1))
@@ -86,6 +87,7 @@ def test_board_and_table_have_temperatures_of_their_own() -> None:
     assert seen[-6].mean() == pytest.approx(19.6, abs=0.01)
 
 
+@pytest.mark.slow
 def test_posters_hang_where_they_are_put_in_both_cameras() -> None:
     poster = Poster(-300.0, 300.0, 90.0, 60.0, 0.0)
     for eye in (renderer().left, renderer().right):

@@ -121,6 +121,7 @@ def test_a_kept_arm_looks_as_one_drawn_anew() -> None:
         assert np.array_equal(getattr(one, name), getattr(two, name))
 
 
+@pytest.mark.slow
 def test_temperatures_light_and_paint_are_no_part_of_what_is_kept() -> None:
     eyes, first = Renderer(renderer().cameras, camera_seed=7), scene(PlatePose())
     before = eyes.left.expected(first), eyes.thermal.expected_k(first)

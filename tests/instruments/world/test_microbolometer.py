@@ -61,6 +61,7 @@ def three_d_noise(frames: NDArray[np.float64]) -> dict[str, float]:
     return {name: float(np.sqrt(max(variance, 0.0))) for name, variance in named}
 
 
+@pytest.mark.slow
 def test_three_dimensional_noise_returns_every_sigma() -> None:
     seen = three_d_noise(clip(thermal(put_in=PUT_IN), 120))
     # A spread from n values is known to 1 / sqrt(2 n): 120 frames, 240 rows, 320 columns.

@@ -78,6 +78,7 @@ def test_distortion_as_opencv_and_back(kc: tuple[float, ...], alpha_c: float) ->
     assert np.abs(camera.plane_from_pixels(pixels) - plane).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_rays_of_every_pixel_return_to_it() -> None:
     camera = cameras_from_calibration(calibration_table())[1]
     x, y = camera.rays()

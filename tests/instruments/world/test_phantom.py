@@ -39,6 +39,7 @@ def test_a_leaning_teat_by_hand() -> None:
     assert phantom.ends_mm[0] == pytest.approx([60.0, 20.0, 86.60254], abs=1e-5)
 
 
+@pytest.mark.slow
 @given(
     x=st.floats(-60, 60),
     y=st.floats(-60, 60),
@@ -126,6 +127,7 @@ def test_upright_teats_end_where_they_are_said_to() -> None:
     assert phantom.name == "two"
 
 
+@pytest.mark.slow
 @given(
     x=st.floats(-50, 50),
     y=st.floats(-50, 50),

@@ -202,6 +202,7 @@ def test_low_level_stops_heater_and_pump_until_filled_and_acknowledged() -> None
     assert (plant.alarm, plant.pump_on) == ("", True)
 
 
+@pytest.mark.slow
 def test_water_evaporates_26_g_an_hour() -> None:
     plant = Plant(1)
     plant.advance_to(24 * 3600.0)

@@ -39,6 +39,7 @@ def warm(
     return SceneState(phantom, (teat_c,) * len(phantom.teats), teat_c - 0.5, ambient_c, **more)
 
 
+@pytest.mark.slow
 def test_same_state_and_seed_same_bytes() -> None:
     state = situation("hot_body_at_base")
     one, two, other = (renderer().render(state, np.random.default_rng(seed)) for seed in (5, 5, 6))
@@ -69,6 +70,7 @@ def thermal_masks() -> tuple[Floats, Floats]:
     return np.asarray(seen > 273.15 + 31.0), np.asarray(seen < 273.15 + 20.001)
 
 
+@pytest.mark.slow
 def test_a_cold_phantom_is_invisible_in_the_thermal_picture() -> None:
     teat, room = thermal_masks()
     cold = replace(warm(teat_c=20.0), hose_temp_c=20.0)
@@ -190,6 +192,7 @@ def test_a_thing_in_a_camera_s_face_is_refused() -> None:
         renderer().render(state, np.random.default_rng(1))
 
 
+@pytest.mark.slow
 def test_a_contact_sheet_has_a_row_for_each_state() -> None:
     one = contact_sheet({"a": warm()}, renderer())
     two = contact_sheet({"a": warm(), "b": situation("overlapping")}, renderer())

@@ -51,6 +51,7 @@ def test_photon_transfer_gives_the_gain_and_the_dark_noise() -> None:
     assert np.var(dark[0] - dark[1]) / 2.0 == pytest.approx(dark_variance + 1.0 / 12.0, rel=0.08)
 
 
+@pytest.mark.slow
 def test_fixed_patterns_stay_and_have_the_declared_spread() -> None:
     stack = frames(replace(FLAT, prnu=0.02, dsnu_e=0.0), 0.5, 40)
     pattern = stack.mean(axis=0)

@@ -50,6 +50,7 @@ def test_there_are_the_eleven_and_those_of_a_cowshed() -> None:
     assert (*eleven, *COWSHED) == NAMES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_member_is_a_value_of_name_and_seed(name: str) -> None:
     assert situation(name, 7) == members(name)[7]

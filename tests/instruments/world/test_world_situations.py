@@ -17,6 +17,7 @@ def world() -> World:
     return World(VirtualClock(), seed=3, renderer=renderer(), ambient_c=20.0, bath_start_c=30.0)
 
 
+@pytest.mark.slow
 def test_the_world_stands_as_the_situation_says() -> None:
     found, bench = situation("missing_or_hidden", 3), world()
     bench.arrange(found.phantom, [{"kind": "rod", "y_mm": 900.0}], found)
@@ -39,6 +40,7 @@ def test_a_situation_s_phantom_rides_on_the_stage() -> None:
     assert np.array_equal(bench.scene().phantom.ends_mm, bench.ends_mm())
 
 
+@pytest.mark.slow
 def test_what_the_stage_moves_is_smeared() -> None:
     bench, found = world(), situation("ideal", 1)
     bench.arrange(found.phantom, [], found)
