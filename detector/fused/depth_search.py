@@ -123,9 +123,13 @@ def _by_depth(teats: Array, maps: tuple[Map, ...], p: Parameters, *, end: bool) 
     return np.where(possible, score.reshape(radius.shape), 0.0)
 
 
-def best_starts(starts: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
-    """The most promising teats (m, 8), with the best shift and swell."""
-    teats = starts.teats[_apart(apexes(starts.teats), starts.score * starts.nominated, p)]
+def best_starts(ends: Starts, sides: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
+    """The most promising teats (m, 8) of both kinds, and more of those known by their ``sides``,
+    with the best shift and swell.
+    """
+    starts = ends + sides
+    best = np.argsort(-starts.score * starts.nominated, kind="stable")[: p.most_starts].tolist()
+    teats = starts.take(best + _apart(starts, best, len(ends.score), p)).teats
     if len(teats) == 0:
         return teats
     m, swells = len(teats), len(_SWELLS)
@@ -140,16 +144,17 @@ def best_starts(starts: Starts, maps: tuple[Map, ...], p: Parameters) -> Array:
     return moved
 
 
-def _apart(ends: Array, score: Array, p: Parameters) -> list[int]:
-    """The best starts, of which each that lies by a better one counts for less."""
-    left, chosen = np.array(score), []
-    while len(chosen) < min(p.most_starts, len(score)):
-        best = int(left.argmax())
-        chosen.append(best)
-        left[best] = -np.inf
-        near = np.linalg.norm(ends - ends[best], axis=1) < _NEAR_MM
-        left[near] *= _NEAR
-    return chosen
+def _apart(starts: Starts, chosen: list[int], first: int, p: Parameters) -> list[int]:
+    """The best from ``first`` on beside those ``chosen``; one near a better one counts for less."""
+    places, more = apexes(starts.teats), list[int]()
+    near = np.linalg.norm(places[:, None] - places, axis=2) < _NEAR_MM
+    left = starts.score * starts.nominated * _NEAR ** near[chosen].sum(axis=0)
+    left[[*range(first), *chosen]] = 0.0
+    while len(more) < p.more_bar_starts and left.max(initial=0.0) > 0.0:
+        more.append(int(left.argmax()))
+        left = np.where(near[more[-1]], _NEAR * left, left)
+        left[more[-1]] = 0.0
+    return more
 
 
 def _joint(

@@ -82,7 +82,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "5"  # counted up when an answer on any frame set changes
+    version: str = "6"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -312,9 +312,9 @@ def _start(
     views = optical_views(left, right, calibration, np.concatenate([of_ends, above, of_bars]))
     maps = tuple(Map.of(view, _OPTICAL_BLUR_PX) for view in views)
     coarse = Map.of(thermal.view, _THERMAL_BLUR_PX)
-    starts = sweep_ends(of_ends, ends.score, maps, p)
-    starts += sweep_bars(of_bars, upright.score, maps, coarse, p)
-    teats = best_starts(starts, maps, p)
+    by_end = sweep_ends(of_ends, ends.score, maps, p)
+    by_sides = sweep_bars(of_bars, upright.score, maps, coarse, p)
+    teats = best_starts(by_end, by_sides, maps, p)
     trace.append(Stage("starts", {"teats": teats}))
     return teats, (*maps, coarse), ends
 

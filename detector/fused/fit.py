@@ -81,7 +81,8 @@ class Parameters:
     most_nominations: int = 20
     most_bars: int = 8
     starts_per_nomination: int = 3
-    most_starts: int = 26
+    most_starts: int = 24
+    more_bar_starts: int = 4  # of bars without a clear end, which others crowd out
     most_fits: int = 12
     whole_end: float = 0.7  # share of the rounded end, below which a fit may have bridged two teats
     whole_end_both: float = 0.85  # where both sides are seen
