@@ -55,7 +55,7 @@ _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
 # unlike its surroundings it must be, as a share of the warmest teat's
 _OWN_OUTLINE, _OWN_WARMTH = (0.6, 0.5, 0.35), 0.2
-_EVEN = 0.06  # of a teat's warmth: how unlike the lines of one without a thermal side may be
+_EVEN = 0.06  # of a teat's warmth: how unlike the lines of one without a thermal outline may be
 _GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats
 _BARREL_MM, _NARROWEST_MM = 20.0, 5.5  # how far below its end a teat is judged; an end's radius
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
@@ -206,9 +206,9 @@ def objections(
         reference = max(float(np.median(evidence.warmth[i])) for i in clean)
         for i in clean:
             as_warm = least[i] - surroundings >= p.least_warmth * (reference - surroundings)
-            no_side = evidence.side[i, 2] < p.least_side
+            no_outline = max(evidence.end[i, 2], evidence.side[i, 2]) < p.least_end
             uneven = np.ptp(evidence.warmth[i]) > _EVEN * abs(reference - surroundings)
-            if (no_side and uneven) or not (
+            if (no_outline and uneven) or not (
                 as_warm or _own_warmth(evidence, i, surroundings, reference)
             ):
                 reasons[i] = "it isn't warm all over"
