@@ -47,6 +47,7 @@ def test_rigs_are_found_within_the_stated_covariance() -> None:
     assert abs(sum(distances) - freedom) < 4 * np.sqrt(2 * freedom), np.mean(distances)
 
 
+@pytest.mark.slow
 def test_noise_is_told_apart_from_reprojection_error() -> None:
     fit = joined(3).fit
     assert fit.sigma_px == pytest.approx(0.1, rel=0.03)

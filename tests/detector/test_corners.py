@@ -102,6 +102,7 @@ def test_the_first_corner_is_the_prints_own_whichever_way_it_is_turned() -> None
     assert np.abs(missed_px(found, CHESS, turned)).max() < 0.3
 
 
+@pytest.mark.slow
 def test_boards_that_read_the_same_turned_are_counted_alike_in_both_cameras() -> None:
     board = Board("chessboard", 8, 6, 25.0)
     found = find_board(picture(board), board)
@@ -116,6 +117,7 @@ EMPTY = np.full((480, 640), 90, np.uint8)
 
 
 class TestRefusals:
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("make", "refusal", "said"),
         [

@@ -150,6 +150,7 @@ def test_a_program_that_is_not_there(rig: Calibration) -> None:
     detector.close()
 
 
+@pytest.mark.slow
 def test_after_a_fault_it_is_started_again(start: Start, rig: Calibration) -> None:
     detector = start(answering(f'sys.exit(1) if asked["frame"] in ("2", "3") else {NO_TEATS}'))
     outcomes = []

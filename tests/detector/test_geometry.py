@@ -75,6 +75,7 @@ def test_rotation_vector_survives_the_awkward_angles(om: list[float]) -> None:
     assert np.allclose(rotation_from_vector(back), R, atol=1e-14)
 
 
+@pytest.mark.slow
 @given(vectors, vectors, vectors)
 def test_motions_compose_and_invert(om: Array, T: Array, point: Array) -> None:
     a, b = Motion.from_vectors(om, 100 * T), Motion.from_vectors(-0.5 * T, om)

@@ -107,6 +107,7 @@ def literal_search(dark: NDArray[np.bool_]) -> tuple[int, int, int] | None:
     return None
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 0.97))
 @settings(max_examples=200)
 def test_row_search_is_the_listings(seed: int, share: float) -> None:

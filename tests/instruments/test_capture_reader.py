@@ -212,6 +212,7 @@ EVENTS = st.lists(
 )
 
 
+@pytest.mark.slow
 @given(EVENTS)
 @settings(ONE_FOLDER, max_examples=100)
 def test_whatever_taps_get_is_read_back(

@@ -119,6 +119,7 @@ def test_hits_and_rates_stand_apart(found: tuple[Path, Path]) -> None:
     assert set(first["point"]) == set(first["values"])
 
 
+@pytest.mark.slow
 def test_a_failure_is_kept_as_a_case(found: tuple[Path, Path], tmp_path: Path, said: Said) -> None:
     out, rig = found
     kept = tmp_path / "kept"

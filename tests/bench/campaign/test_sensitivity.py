@@ -76,6 +76,7 @@ def test_the_limit_grows_with_the_errors_of_the_calibration() -> None:
         assert least_mm < limit.median_mm < limit.p95_mm < most_mm
 
 
+@pytest.mark.slow
 def test_a_thermal_quantity_has_the_share_that_can_be_nominated_beside_it() -> None:
     bench = bench_of()
     for netd_k, share in ((0.05, 1.0), (400.0, 0.0)):

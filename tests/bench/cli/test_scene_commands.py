@@ -171,6 +171,7 @@ def test_all_families_are_chosen_by_naming_none() -> None:
         chosen(["x"])
 
 
+@pytest.mark.slow
 def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
     text = find_rig(None).read_text(encoding="utf-8")
     (tmp_path / "calibration.toml").write_bytes(

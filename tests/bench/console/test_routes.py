@@ -140,6 +140,7 @@ def test_a_path_for_a_name_reaches_nothing(
     assert digest(console) == before
 
 
+@pytest.mark.slow
 def test_a_report_is_served_by_its_ticket_alone_and_can_reach_nothing(console: Console) -> None:
     (folder,) = console.runs.iterdir()
     (folder / "report").mkdir(exist_ok=True)

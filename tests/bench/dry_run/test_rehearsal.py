@@ -77,6 +77,7 @@ def test_what_the_arm_does_not_reach_is_reported_by_the_trial_and_the_others_are
     assert rehearsal.trials == 2
 
 
+@pytest.mark.slow
 def test_a_check_point_out_of_reach_ends_it(tmp_path: Path) -> None:
     far = CHECK_POINT.replace("120.0", "900.0")
     rehearsal = rehearse(*loaded(tmp_path, check_point=far), ())

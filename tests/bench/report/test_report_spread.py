@@ -120,6 +120,7 @@ def test_too_many_teats_are_one_cloud(two_teats: RunRecord) -> None:
     assert drawn.alt == "Errors with 95 % ellipsoids by teat. 7 teats: 42 poses."
 
 
+@pytest.mark.slow
 def test_the_map_has_a_panel_a_teat_and_counts_the_missed(two_teats: RunRecord) -> None:
     parts = list(pose_parts(two_teats, 5.0, anchors(two_teats)))
     drawn = message(parts, Figure, "Error over the plane")

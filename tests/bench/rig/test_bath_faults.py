@@ -133,6 +133,7 @@ def test_a_controller_that_forgets_its_run_in_a_reset_is_shown_to_have_stopped(
         assert bath.read().running is False
 
 
+@pytest.mark.slow
 def test_a_controller_that_carries_on_after_its_reset_is_found_again(tmp_path: Path) -> None:
     with running(tmp_path, EUROTHERM, "controller reset") as (twin, bath):
         with pytest.raises(LinkError, match="no answer"):

@@ -109,6 +109,7 @@ def test_faults_of_a_relay_in_the_rig_file(tmp_path: Path) -> None:
         load_rig(rig_of(tmp_path, "julabo-presto", relay=True))
 
 
+@pytest.mark.slow
 def test_a_relays_fault_comes_and_goes(tmp_path: Path) -> None:
     wish = FAULT.format(name="late answer", at_s=5.0) + "for_s = 10.0\namount = 0.4\n"
     with EmulatedRig(

@@ -61,6 +61,7 @@ def test_the_power_of_the_arm_goes_at_its_time_and_comes_back(tmp_path: Path) ->
         arm.close()
 
 
+@pytest.mark.slow
 def test_faults_are_there_from_the_start_so_often_and_so_much(tmp_path: Path) -> None:
     faults = [
         '{ instrument = "arm", name = "echo after repeats", amount = 5 }',

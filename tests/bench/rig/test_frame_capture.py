@@ -92,6 +92,7 @@ def test_a_camera_that_is_gone_is_not_asked_again() -> None:
     assert waits == []
 
 
+@pytest.mark.slow
 def test_a_recording_is_asked_once_for_its_next_frame_is_another_trials(tmp_path: Path) -> None:
     frames = EmulatedCameras(GalleryWorld()).capture()
     writer = RecordingWriter(tmp_path)

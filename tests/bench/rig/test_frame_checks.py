@@ -157,6 +157,7 @@ def test_looks_can_be_left_out() -> None:
         assert looks.notice(cameras.capture()) == []
 
 
+@pytest.mark.slow
 def test_a_depth_pictures_faults_are_noticed_and_rows_without_measurement_are_none() -> None:
     deep = load_rig(find_rig("emulated-depth"))
     frames = EmulatedCameras(GalleryWorld()).capture()

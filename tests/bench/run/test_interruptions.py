@@ -398,6 +398,7 @@ def test_a_trial_is_repeated_whole_and_another_skipped_each_with_its_reason(tmp_
     assert len(run.trials) == 2
 
 
+@pytest.mark.slow
 def test_an_abort_is_taken_before_the_first_trial_too(tmp_path: Path) -> None:
     class Impatient(Person):
         def typed(self) -> str | None:

@@ -35,6 +35,7 @@ from tests.bench.safety.guards import PATIENCE_S, HotBath, guardian_record, stan
 from tests.conftest import ROOT
 
 
+@pytest.mark.slow
 def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> None:
     with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
         assert line.lost is None

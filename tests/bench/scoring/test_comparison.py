@@ -394,6 +394,7 @@ def test_poses_count_not_rows() -> None:
     assert by_pose.high - by_pose.low > 4 * (by_row.high - by_row.low)
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.integers(-5000, 5000).filter(bool).map(lambda k: k / 1024), min_size=2, max_size=10)
 )

@@ -98,6 +98,7 @@ def test_rms_squared_is_bias_squared_and_sd_squared(values: Floats) -> None:
         assert axis.rms_mm**2 == pytest.approx(axis.bias_mm**2 + axis.sd_mm**2, abs=1e-9)
 
 
+@pytest.mark.slow
 @given(ERRORS, st.integers(0, 2**32 - 1))
 def test_order_does_not_matter(values: Floats, seed: int) -> None:
     shuffled = summarise(values[np.random.default_rng(seed).permutation(len(values))])
@@ -106,6 +107,7 @@ def test_order_does_not_matter(values: Floats, seed: int) -> None:
     assert shuffled.x.bias_mm == pytest.approx(s.x.bias_mm, abs=1e-9)
 
 
+@pytest.mark.slow
 @given(ERRORS)
 def test_camera_axes_keep_distances_and_turn_biases(values: Floats) -> None:
     # camera x is world y, camera z is world x

@@ -91,6 +91,7 @@ def test_no_other_assignment_is_cheaper(
     assert cost(result, found, truth) == pytest.approx(least, abs=1e-6)
 
 
+@pytest.mark.slow
 @given(clouds(), clouds(), st.integers(0, 2**32 - 1), st.floats(1, 60))
 def test_order_does_not_matter(found: Floats, truth: Floats, seed: int, c: float) -> None:
     rng = np.random.default_rng(seed)
@@ -98,6 +99,7 @@ def test_order_does_not_matter(found: Floats, truth: Floats, seed: int, c: float
     assert gospa_mm(found, truth, c) == pytest.approx(gospa_mm(found[a], truth[b], c), abs=1e-9)
 
 
+@pytest.mark.slow
 @given(clouds(), clouds(), st.floats(1, 60), st.data())
 def test_every_finding_and_every_teat_is_accounted_for_once(
     found: Floats, truth: Floats, c: float, data: st.DataObject
@@ -113,6 +115,7 @@ def test_every_finding_and_every_teat_is_accounted_for_once(
     assert m.counts.found == len(found)
 
 
+@pytest.mark.slow
 @given(clouds(), clouds(), clouds(), st.floats(1, 60))
 def test_gospa_is_a_metric(a: Floats, b: Floats, x: Floats, c: float) -> None:
     assert gospa_mm(a, a, c) == 0.0

@@ -24,6 +24,7 @@ from bench.scoring.rates import (
 RATES = st.integers(1, 400).flatmap(lambda n: st.builds(Rate, st.integers(0, n), st.just(n)))
 
 
+@pytest.mark.slow
 @given(RATES, st.sampled_from([0.8, 0.9, 0.95, 0.99]))
 def test_the_interval_is_the_exact_one(rate: Rate, confidence: float) -> None:
     referee = scipy.stats.binomtest(rate.successes, rate.trials).proportion_ci(
@@ -32,6 +33,7 @@ def test_the_interval_is_the_exact_one(rate: Rate, confidence: float) -> None:
     assert rate.interval(confidence) == pytest.approx((referee.low, referee.high), abs=1e-9)
 
 
+@pytest.mark.slow
 @given(RATES)
 def test_one_sided_bounds(rate: Rate) -> None:
     greater, less = (

@@ -238,6 +238,7 @@ def test_the_region_is_the_ellipsoid_of_95_percent() -> None:
     assert not truth.holds((1.001 * edge, 0.0, 0.0))
 
 
+@pytest.mark.slow
 def test_the_stated_uncertainty_holds_what_was_put_in() -> None:
     rng = np.random.default_rng(1)
     inside, trials = 0, 2000

@@ -41,6 +41,7 @@ MOST = int(scipy.stats.binom.ppf(0.9999, SEEDS, 0.0455))
 TILTED_MM = np.vstack([CORNERS_MM, CORNERS_MM + np.array([0.0, 0.0, -60.0])])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_mm", [CORNERS_MM, TILTED_MM], ids=["flat", "with heights"])
 def test_scale_squareness_and_rotation_are_found_again_within_twice_their_uncertainty(
     at_mm: np.ndarray,

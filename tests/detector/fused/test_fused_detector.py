@@ -52,6 +52,7 @@ def test_it_is_a_detector() -> None:
     assert FusedDetector(Parameters(most_bars=0)).parameters != detector.parameters
 
 
+@pytest.mark.slow
 def test_teats_of_any_lean_and_shape_are_found(
     find: Find, udder: list[Body], rig: Calibration
 ) -> None:
@@ -125,6 +126,7 @@ def test_another_thing_is_no_teat(find: Find, udder: list[Body], change: dict[st
     held(find([*udder, replace(udder[0], **change)]), udder, 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["L", "R"])
 def test_a_teat_that_one_camera_doesnt_see_is_hidden(
     find: Find, udder: list[Body], camera: str

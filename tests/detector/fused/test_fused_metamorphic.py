@@ -89,6 +89,7 @@ def test_brightness_and_gain_hardly_move_the_ends(
     assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_warmer_room_moves_nothing(frames: Any, plain: Detection, rig: Calibration) -> None:
     found = FusedDetector().detect(replace(frames, thermal_k=frames.thermal_k + 8.0), rig)
     assert np.linalg.norm(places(found) - places(plain), axis=1).max() < 0.01

@@ -36,6 +36,7 @@ def greatest_sd_mm(found: Detection) -> NDArray[np.float64]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sd_px", "says"),
     [((4.0, 0.0), "along the rows"), ((0.0, 4.0), "along the columns"), ((2.0, 2.0), "focus")],

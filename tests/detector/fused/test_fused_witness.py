@@ -20,6 +20,7 @@ def frames(draw_scene: Draw) -> Pictures:
     return draw_scene([Body(end, (0.05, -0.05)) for end in ends])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "says"),
     [

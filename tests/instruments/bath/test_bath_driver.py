@@ -70,6 +70,7 @@ def test_start_puts_the_controller_in_charge_of_the_heater(stand: Stand) -> None
     assert [address for _, address in stand.emulator.writes()] == [1, 1, 2, 0]
 
 
+@pytest.mark.slow
 def test_two_runs_read_the_same() -> None:
     def run() -> list[object]:
         with Stand(plant=Plant(7)) as stand:

@@ -214,6 +214,7 @@ def test_a_parameter_block_of_another_length_is_refused_and_told_from_a_short_on
     assert isinstance(refused.value, BlockLengthError) is another_length
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "decode",
     [

@@ -145,6 +145,7 @@ def test_unplugged_and_plugged_in_again(bench: Bench) -> None:
         driver.read()
 
 
+@pytest.mark.slow
 def test_a_port_that_another_program_has_open(bench: Bench) -> None:
     bench.signed_on()
     with pytest.raises(

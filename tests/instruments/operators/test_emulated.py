@@ -70,6 +70,7 @@ def test_what_stands_as_asked_is_not_touched_again() -> None:
     assert (here.ends_mm() != before).any()
 
 
+@pytest.mark.slow
 def test_touches_scatter_by_the_hand_s_error() -> None:
     here = world()
     who = hands(here, hand_error_mm=0.3)

@@ -144,6 +144,7 @@ def test_dark_parts_are_half_of_a_chessboard_and_circles_are_round() -> None:
         assert circle.mean(axis=0) == pytest.approx(middle)
 
 
+@pytest.mark.slow
 def test_circles_lie_where_opencv_projects_them_by_heat() -> None:
     """The middle of each circle's heat, in thermal pixels."""
     pattern = Pattern("circles", 4, 3, 36.0, 9.0, feature_mm=18.0)

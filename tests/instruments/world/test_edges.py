@@ -115,6 +115,7 @@ def _limb(camera: CameraModel, a: Floats, b: Floats, radius: float, side: float)
     return np.asarray(a + np.linspace(0.0, 1.0, 400)[:, None] * (b - a) + radius * touch)
 
 
+@pytest.mark.slow
 def test_the_rounded_end_reaches_its_apex() -> None:
     """The highest covered row is the hemisphere's limb."""
     camera = renderer().cameras[0]

@@ -71,6 +71,7 @@ def test_emissivity_falls_off_at_grazing_angles() -> None:
     assert seen[4] == pytest.approx(0.0)
 
 
+@pytest.mark.slow
 def test_a_shiny_thing_shows_the_room() -> None:
     """Bare aluminium, emissivity 0.07: 13 K above the room look like less than one."""
     place = {"x_mm": -150.0, "y_mm": 300.0, "z_mm": 90.0, "radius_mm": 50.0}

@@ -59,6 +59,7 @@ def test_what_was_drawn_before_leaves_no_trace() -> None:
     assert np.array_equal(one.thermal_ck, two.thermal_ck)
 
 
+@pytest.mark.slow
 def test_another_camera_seed_is_another_camera() -> None:
     other = Renderer(renderer().cameras, camera_seed=8)
     assert not np.array_equal(other.left.expected(NOBODY), empty("left"))
@@ -83,6 +84,7 @@ def test_a_cold_phantom_is_invisible_in_the_thermal_picture() -> None:
     assert picture.min() > 180.0
 
 
+@pytest.mark.slow
 def test_a_warm_phantom_stands_out_black_and_mirrored() -> None:
     state = warm()
     frame = renderer().render(state, np.random.default_rng(3))

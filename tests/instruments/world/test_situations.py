@@ -58,6 +58,7 @@ def test_a_member_is_a_value_of_name_and_seed(name: str) -> None:
     assert (members(name)[7].name, members(name)[7].seed) == (name, 7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_member_can_be_set_up_and_drawn(name: str) -> None:
     for found in members(name):
@@ -234,6 +235,7 @@ def test_pipes_cross_behind_the_teats_about_as_high_as_their_ends() -> None:
     assert min(emissivities) < 0.35  # bare steel mirrors the room
 
 
+@pytest.mark.slow
 def test_drops_and_dirt_sit_on_the_skin_of_wet_teats_and_leave_their_ends_free() -> None:
     names = set()
     for found in members("wet"):
@@ -261,6 +263,7 @@ def test_low_contrast_is_low_and_dim_is_dim() -> None:
     assert all(found.lighting.brightness < 0.3 for found in members("dim_light"))
 
 
+@pytest.mark.slow
 def test_missing_or_hidden_is_one_or_the_other() -> None:
     kinds = set()
     for found, seen in zip(members("missing_or_hidden"), visible("missing_or_hidden"), strict=True):
@@ -316,6 +319,7 @@ def test_unknown_names_and_seeds_are_refused() -> None:
         situation("ideal", -1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_any_point_of_a_members_parameters_can_be_asked_for(name: str) -> None:
     around = Around(name, 3)

@@ -32,6 +32,7 @@ def test_the_world_stands_as_the_situation_says() -> None:
     assert np.array_equal(seen.phantom.ends_mm, found.phantom.ends_mm)
 
 
+@pytest.mark.slow
 def test_a_situation_s_phantom_rides_on_the_stage() -> None:
     found, bench = situation("ideal", 1), world()
     bench.stage_pose = lambda: PlatePose(5.0, -3.0)
