@@ -136,7 +136,8 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
         if (d := dist(a, b)) <= gate_mm
     }
     kept = list(within)  # in order of truth, as the pairs were looked at
-    if not len({i for i, _ in kept}) == len({j for _, j in kept}) == len(kept):  # they contend
+    taken_found, taken_truth = {i for i, _ in kept}, {j for _, j in kept}
+    if not len(taken_found) == len(taken_truth) == len(kept):  # they contend
         from scipy.optimize import linear_sum_assignment  # type: ignore[attr-defined, unused-ignore]  # re-exported by a star import
 
         squared = ((np.array(found)[:, None] - np.array(truth)) ** 2).sum(axis=2)
@@ -144,7 +145,7 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
         rows, cols = linear_sum_assignment(gain)
         chosen = sorted(zip(cols.tolist(), rows.tolist(), strict=True))
         kept = [(i, j) for j, i in chosen if (i, j) in within]
-    taken_found, taken_truth = {i for i, _ in kept}, {j for _, j in kept}
+        taken_found, taken_truth = {i for i, _ in kept}, {j for _, j in kept}
     pairs = tuple([(i, j) for i, j in kept if seen[j]])
     return Match(
         pairs=pairs,
