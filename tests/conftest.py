@@ -94,11 +94,12 @@ def no_leaked_threads() -> Iterator[None]:
 @pytest.fixture(scope="module", autouse=True)
 def caches_end_with_their_module() -> Iterator[None]:
     """What tests draw once and keep (`functools.cache`) is some 100 MB a renderer: a worker would
-    hold that of every module; and as much of what the renderer keeps of its last rigs.
+    hold that of every module; and as much of what the renderer and campaigns keep of their last
+    rigs.
     """
     yield
     for name, module in list(sys.modules.items()):
-        if name.startswith(("tests.", "instruments.world.")):
+        if name.startswith(("tests.", "instruments.world.", "bench.campaign.")):
             for thing in list(vars(module).values()):
                 if isinstance(thing, _lru_cache_wrapper):
                     thing.cache_clear()
