@@ -50,13 +50,17 @@ _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long o
 _WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
 _CLEAR_END, _CLEAR_SIDES = 0.65, 0.75  # of an outline that nothing but a teat has
 _SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
+_LEAST_END_THEN = 0.78  # where one picture shows a side that the other doesn't
+# of the thermal end, and of all sides, of a teat whose end only the thermal picture shows
+_THERMAL_END, _ALL_SIDES = 0.8, 0.9
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
 # unlike its surroundings it must be, as a share of the warmest teat's
 _OWN_OUTLINE, _OWN_WARMTH = (0.6, 0.5, 0.35), 0.2
 _EVEN = 0.06  # of a teat's warmth: how unlike the lines of one without a thermal outline may be
-_GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats
+_GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats,
+_COLD_GAP = 0.2  # as is what has less warmth than this, between two that have more
 _BARREL_MM, _NARROWEST_MM = 20.0, 5.5  # how far below its end a teat is judged; an end's radius
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
@@ -135,10 +139,14 @@ def unlike_covariances(teats: Array, evidence: Evidence, which: list[int], p: Pa
     unlike_mm = teats[which, RADIUS] * np.abs(teats[which, HEIGHT] - 1.0)
     along2 = (p.end_unlike_share * unlike_mm) ** 2 + p.end_in_part_sd_mm**2 * in_part
     along2 += (short & ~evidence.shaped[which]) * SHAPE_ALONG_MM**2
+    along2 += thermal_ends(evidence, p)[which] * p.thermal_end_sd_mm**2
     across2 = one_side * np.where(short, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
+    sight = teats[which, :3] / np.linalg.norm(teats[which, :3], axis=1, keepdims=True)
+    deep2 = _one_sees_a_side(evidence)[which] * p.one_sees_sd_mm**2
     return np.asarray(
         np.einsum("m,mi,mj->mij", along2, axis, axis)
         + np.einsum("m,mi,mj->mij", across2, across, across)
+        + np.einsum("m,mi,mj->mij", deep2, sight, sight)
         + np.einsum("m,ij->mij", short * p.short_sd_mm**2, np.eye(3))
     )
 
@@ -218,9 +226,13 @@ def objections(
             reasons[i] = _WORSE
         else:
             kept.append(i)
-    for i in _of_another(apexes(teats[kept]), evidence.merit[kept], p.udder_mm):
-        if evidence.end[kept[i]].min() < _WHOLE_END or evidence.shaped[kept[i]]:
-            reasons[kept[i]] = _FAR
+    ends_mm, merit = apexes(teats[kept]), evidence.merit[kept]
+    half_seen = evidence.end[kept, :2].mean(axis=1) < p.least_end_alone
+    partly_seen = evidence.end[kept].min(axis=1) < _WHOLE_END
+    for gap_mm, doubtful in ((p.udder_mm, half_seen), (p.widest_udder_mm, partly_seen)):
+        for i in _of_another(ends_mm, merit, gap_mm):
+            if doubtful[i] or evidence.shaped[kept[i]]:
+                reasons[kept[i]] = _FAR
     return reasons
 
 
@@ -242,7 +254,9 @@ def _own_warmth(evidence: Evidence, i: int, surroundings: float, reference: floa
     inside, full = float(np.median(evidence.warmth[i])), reference - surroundings
     unlike = inside - beside
     own = all(share >= least for share, least in zip(shares, _OWN_OUTLINE, strict=True))
-    gap = (unlike < 0).all() and (beside - surroundings > _GAP * full).all()
+    cold = inside - surroundings < _COLD_GAP * full
+    warmer = beside - surroundings > (_COLD_GAP if cold else _GAP) * full
+    gap = (unlike < 0).all() and warmer.all()
     return bool(own and np.abs(unlike).min() > _OWN_WARMTH * full and not gap)
 
 
@@ -299,7 +313,7 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
     for view, name in enumerate(("left", "right")):
         if unseen := _unseen(evidence, i, view, p):
             return f"{unseen} in the {name} picture"
-    if _one_sees_a_side(evidence, i):
+    if _one_sees_a_side(evidence)[i] and evidence.end[i, :2].min() < _LEAST_END_THEN:
         return "a side of it is seen in one picture only"
     if evidence.misfit_px[i] > p.greatest_misfit_px:
         return OUTLINE
@@ -318,12 +332,14 @@ def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | 
     return _UNSURE if evidence.sd_mm[i] > p.greatest_sd_mm else None
 
 
-def _one_sees_a_side(evidence: Evidence, i: int) -> bool:
-    """Whether the pictures disagree on sides and warmth hardly shows an end: two things as one."""
-    return bool(
-        np.ptp(evidence.both[i, :2]) > 0.5
-        and evidence.end[i, 2] < 0.7
-        and evidence.end[i, :2].min() < _WHOLE_END
+def _one_sees_a_side(evidence: Evidence) -> NDArray[np.bool_]:
+    """Of which of m teats one picture shows a side that the other doesn't, and warmth hardly an
+    end: two things may be taken for one, at a wrong depth.
+    """
+    return np.asarray(
+        (np.ptp(evidence.both[:, :2], axis=1) > 0.5)
+        & (evidence.end[:, 2] < 0.7)
+        & (evidence.end[:, :2].min(axis=1) < _WHOLE_END)
     )
 
 
@@ -332,14 +348,20 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     end = evidence.end[i, view]
     warm = np.isfinite(evidence.thermal_px[i, [SIDE_A, SIDE_B]])
     followed = evidence.followed[i] and evidence.both[i, :2].min() > 0.8
-    partial = evidence.end[i, :2].mean() < (p.least_end_followed if followed else p.least_end_alone)
-    alone = partial and evidence.end[i, 2] < 0.5
+    least = p.least_end_followed if followed else p.least_end_alone
+    sure = evidence.misfit_px[i] < _SURE_MISFIT_PX
+    if followed and sure and evidence.both[i, 2] > 0.8:
+        least = p.least_end_sure
+    partial = evidence.end[i, :2].mean() < least
+    alone = partial and evidence.end[i, 2] < (_LEAST_BETWEEN if followed else 0.5)
     # a gap has two sides too
     least = _LEAST_BETWEEN if evidence.followed[i] and not warm.any() else _LEAST_COLD
     between_two = not warm.all() and evidence.end[i, :2].mean() < least
-    if end < (_LEAST_FOLLOWED if followed else p.least_end) or alone or between_two:
+    least_end = (0.2 if sure else _LEAST_FOLLOWED) if followed else p.least_end
+    short = end < least_end or alone or between_two
+    if short and not thermal_ends(evidence, p)[i]:
         return "its end isn't seen"
-    sure = evidence.misfit_px[i] < _SURE_MISFIT_PX and evidence.sd_mm[i] < _SURE_MM
+    sure = sure and evidence.sd_mm[i] < _SURE_MM
     whole_side = evidence.side[i].min() > _WHOLE_SIDE
     one_sided = evidence.both[i, :2].max() < p.least_side and not (sure and whole_side)
     good = evidence.misfit_px[i] < p.good_misfit_px
@@ -350,16 +372,23 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     )
     if one_sided and (end < p.least_end_one_sided * (1.0 if good else 1.4) or not warm_end):
         return "only a side of it and too little of its end are seen"
-    least = (
-        p.least_end_alone
-        if min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM
-        else p.least_end_unsure
-    )
+    warm_round = min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM
+    least = p.least_end_unsure_warm if warm_round else p.least_end_unsure
     if one_sided and evidence.sd_mm[i] > p.sure_one_sided_mm and evidence.end[i, :2].mean() < least:
         return "only a side of it and not all of its end are seen"
     if evidence.side[i, view] < p.least_side and not _held_by_thermal(evidence, i):
         return "neither side is seen"
     return None
+
+
+def thermal_ends(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
+    """Which of m teats end where only the thermal picture shows it: what is behind them looks like
+    them in the optical ones, which show both sides.
+    """
+    unseen = evidence.end[:, :2].min(axis=1) < p.least_end
+    sides = evidence.both.min(axis=1) > _ALL_SIDES
+    close = evidence.misfit_px < _SURE_MISFIT_PX
+    return np.asarray(unseen & sides & close & (evidence.end[:, 2] > _THERMAL_END))
 
 
 def _held_by_thermal(evidence: Evidence, i: int) -> bool:

@@ -81,9 +81,9 @@ class Parameters:
     most_nominations: int = 20
     most_bars: int = 8
     starts_per_nomination: int = 3
-    most_starts: int = 24
+    most_starts: int = 36
     more_bar_starts: int = 4  # of bars without a clear end, which others crowd out
-    most_fits: int = 12
+    most_fits: int = 28
     whole_end: float = 0.7  # share of the rounded end, below which a fit may have bridged two teats
     whole_end_both: float = 0.85  # where both sides are seen
     most_doubts: int = 3
@@ -91,10 +91,12 @@ class Parameters:
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
     least_end: float = 0.4  # of the rounded end's; where the thermal picture doesn't show it,
     least_end_alone: float = 0.75  # where both sides were followed up to it,
-    least_end_followed: float = 0.57  # and where only one side is seen,
+    least_end_followed: float = 0.52
+    least_end_sure: float = 0.46  # (that closely, and warm on both sides), and with one side,
     least_end_one_sided: float = 0.45
-    # of one that is less sure than this; least_end_alone where it is warm all round
-    least_end_unsure: float = 0.87
+    # of one that is less sure than this, and of such a one that is warm all round
+    least_end_unsure: float = 0.7
+    least_end_unsure_warm: float = 0.6
     sure_one_sided_mm: float = 0.75
     greatest_thermal_px: float = 1.2  # how far the thermal outline may lie off, sensor pixels
     good_misfit_px: float = 0.15
@@ -102,7 +104,9 @@ class Parameters:
     greatest_sd_mm: float = 5.5  # of an end, along the axis where it is the least sure
     # of the way from the surroundings' temperature to the warmest teat's
     least_warmth: float = 0.78
-    udder_mm: float = 200.0  # a gap that parts udders; an end that all pictures show may be farther
+    # a gap that parts udders from half ends, and from all but those that all pictures show whole
+    udder_mm: float = 200.0
+    widest_udder_mm: float = 320.0
     # two teats' axes are never closer than this share of the sum of their radii
     overlap: float = 0.85
     # what a short stretch of an outline has in common (paint, shadow, sampling) at the least,
@@ -122,6 +126,10 @@ class Parameters:
     end_unlike_share: float = 0.08
     # and of an end that optical pictures see in part and the thermal one not at all;
     end_in_part_sd_mm: float = 1.7
+    # of an end that only the thermal picture shows;
+    thermal_end_sd_mm: float = 2.0
+    # along the line of sight, where one picture shows a side that the other doesn't;
+    one_sees_sd_mm: float = 1.5
     # across one with a side that an optical picture doesn't show, more where its sides are short
     one_side_sd_mm: float = 0.15
     short_one_side_sd_mm: float = 1.0

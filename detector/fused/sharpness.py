@@ -23,7 +23,7 @@ _LEVEL_PX, _SLOPE_PX = 4.0, 3.0  # levels are beyond, the greatest slope within
 _OUTER, _INNER = np.flatnonzero(_X_PX >= _LEVEL_PX), np.flatnonzero(_X_PX <= -_LEVEL_PX)
 _MIDDLE = np.flatnonzero(np.abs(_X_PX[1:-1]) <= _SLOPE_PX)
 _LEAST_LINES = 4
-_KNOWN = 0.25  # of a frame's teats and pictures, or nothing is known
+_KNOWN = 0.3  # of a frame's teats and pictures, or nothing is known
 # contrast, in noises and as a share of the profile's range: or it is paint, texture or a limb
 _CLEAR_STEP, _MONOTONOUS = 15.0, 0.7
 _SHARP_PX, _MOST_PX = 2.0, 4.2  # wider edges widen covariances; beyond that there are no ends
