@@ -14,13 +14,13 @@ from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.controller import Controller
-from instruments.stage.emulator.lines import LineController
+from instruments.stage.emulator.grbl import GrblController
 from instruments.stage.emulator.marlin import MarlinController
 from instruments.stage.emulator.motion import Switch, Vector
 from instruments.stage.emulator.store import CLASSIC, Dialect, Store
 from instruments.stage.emulator.zaber import ZaberController
 
-CONTROLLERS: dict[str, type[Controller | LineController]] = {
+CONTROLLERS: dict[str, type[Controller]] = {
     "Marlin": MarlinController,
     "Zaber": ZaberController,
 }
@@ -96,7 +96,7 @@ class StageEmulator:
         middle = tuple(-travel / 2 for travel in store.travel_mm)
         play = play_mm or (0.0,) * axes
         self._carriage = Carriage(middle, store.travel_mm, play, store.at_far_end)
-        made = CONTROLLERS.get(dialect.name, Controller)
+        made = CONTROLLERS.get(dialect.name, GrblController)
         self._controller = made(clock, store, self._carriage, self._answer)
         self._origin_mm, self._resets = store.origin_mm, dialect.resets_on_open
         self._first_words = ("error:7", *store.lines()) if fresh_eeprom else ()

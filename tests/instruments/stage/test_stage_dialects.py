@@ -370,7 +370,7 @@ def test_a_zaber_flag_that_is_not_harmless_costs_the_position(make: Make, flag: 
     bench = make(dialect=ZABER)
     stage = bench.homed()
     controller = bench.emulator._controller
-    controller._flags[1].add(flag)  # type: ignore[union-attr]
+    controller._flags[1].add(flag)  # type: ignore[attr-defined]
     order = (*emulated_zaber.ORDER, flag)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(emulated_zaber, "ORDER", order)

@@ -302,7 +302,7 @@ def test_a_resume_that_is_lost_is_reported(bench: Bench) -> None:
     bench.clock.sleep(1.0)
     stage.hold()
     start_s = bench.clock.now()
-    bench.emulator._controller._resume = lambda: None  # type: ignore[method-assign, union-attr]
+    bench.emulator._controller._resume = lambda: None  # type: ignore[attr-defined]
     with pytest.raises(DeviceError, match=r"the controller did not resume \(got Hold:0\)"):
         stage.resume()
     assert bench.clock.now() - start_s == pytest.approx(0.3)

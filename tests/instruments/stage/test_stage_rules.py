@@ -10,7 +10,7 @@ it, and everything counts again.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
@@ -33,7 +33,7 @@ from instruments.stage.emulator import (
     Fault,
     StageEmulator,
 )
-from instruments.stage.emulator.lines import LineController
+from instruments.stage.emulator.grbl import GrblController
 from tests.instruments.stage.board import motors_of, spoken_by
 
 TRAVEL = (300.0, 275.0, 50.0, 360.0)
@@ -231,13 +231,11 @@ class StageRules(RuleBasedStateMachine):
         """The carriage itself, whatever the controller counts; and all that was ever planned."""
         if hasattr(self, "emulator"):
             board, places = self.emulator._controller, self.emulator.position_mm()
-            planned: Sequence[float] = self.emulator._carriage.motion.target
-            if isinstance(board, LineController):
-                planned = board.target_mm()
+            planned = board.target_mm()
             for axis, (place, target) in enumerate(zip(places, planned, strict=True)):
                 low, high = self.origin[axis] - TRAVEL[axis] - 1e-6, self.origin[axis] + 1e-6
                 assert low <= place <= high
-                if not isinstance(board, LineController) or axis in board.homed:
+                if not isinstance(board, GrblController) or axis in board.homed:
                     assert low <= target <= high
 
     @invariant()

@@ -15,8 +15,7 @@ from instruments.errors import DeviceError, InstrumentError, LimitError, LinkErr
 from instruments.link import Link
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import Fault, StageEmulator
-from instruments.stage.emulator.controller import Controller
-from instruments.stage.emulator.gcode import Mode
+from instruments.stage.emulator.grbl import GrblController, Mode
 from instruments.stage.protocol import ALARMS, HAL_ALARMS
 from tests.instruments.stage.board import GREETING, Bench, Parrot, meet
 
@@ -187,7 +186,7 @@ FAST = (
 def test_recovery_from_each_alarm_is_explicit(bench: Bench, code: int, critical: bool) -> None:
     stage = bench.homed()
     controller = bench.emulator._controller
-    assert isinstance(controller, Controller)
+    assert isinstance(controller, GrblController)
 
     def strike() -> None:
         controller.alarm(code, critical=critical)
