@@ -97,7 +97,7 @@ class Stage:
     @property
     def safe_state(self) -> str:
         """What it is in once ``safe`` has returned."""
-        return self._talk.dialect.safe
+        return self._talk.safe
 
     @property
     def identity(self) -> StageIdentity:
@@ -241,7 +241,7 @@ class Stage:
         if self._talk.status().state in MOVING:
             self._talk.brake()
         self._until_still()
-        if self._talk.dialect.resume is None:
+        if not self._talk.resumes:
             self._move = None
 
     def brake(self) -> None:
@@ -254,14 +254,13 @@ class Stage:
     def resume(self) -> None:
         """Go on after a hold, once the stage stands. Raises LimitError unless held."""
         status = self._until_still()
-        resume = self._talk.dialect.resume
-        if status.name != "Hold:0" or resume is None:
+        if status.name != "Hold:0" or not self._talk.resumes:
             what = "nothing to resume: the stage is not held"
             raise LimitError(self.who, what, seen=status.name)
         if move := self._under_way:
             # its whole time once more
             self._move = replace(move, deadline_s=self._clock.now() + move.allowed_s)
-        self._talk.write(resume)
+        self._talk.resume()
         for pause_s in RESUME_PAUSES_S:
             self._talk.wait(pause_s)
             status = self._talk.status()
@@ -283,7 +282,7 @@ class Stage:
             self._talk.abort()
             return
         try:
-            if (move := self._under_way) and not move.jog and self._talk.dialect.resume:
+            if (move := self._under_way) and not move.jog and self._talk.resumes:
                 self._talk.brake()
             self.hold()
         except InstrumentError as error:

@@ -13,13 +13,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, QUIET_S, Dialogue
-from instruments.stage.dialects import ZABER
 from instruments.stage.protocol import (
     AXES,
     Message,
@@ -32,6 +31,7 @@ from instruments.stage.protocol import (
 )
 from instruments.stage.settings import StageIdentity, StageSettings, Target
 
+GET_POSITIONS = b"/get pos\n"  # of all devices
 POLL_S = 0.2
 SPEED = 1.6384  # the unit of speeds: microsteps a second times this
 ACCELERATION = SPEED / 10_000
@@ -109,10 +109,13 @@ def parse(line: bytes) -> Response:
 class ZaberDialogue(Dialogue):
     """The conversation on one link; ``motors`` in the order of the stage's axes."""
 
+    firmware = "Zaber"
+    resumes: ClassVar[bool] = False
+    safe: ClassVar[str] = "at a stand and holding its position"
     _parse = staticmethod(parse)
 
     def __init__(self, link: Link, clock: Clock, motors: Iterable[Motor]) -> None:
-        super().__init__(link, clock, ZABER)
+        super().__init__(link, clock)
         self._given = tuple(motors)
         self._motors: dict[str, Motor] = {}
         self._speeds: dict[tuple[int, int], int] = {}
@@ -260,6 +263,17 @@ class ZaberDialogue(Dialogue):
                 lines.append(f"{device} {number} set maxspeed {speed}")
             lines.append(f"{device} {number} move abs {round(place * microsteps)}")
         return lines
+
+    def jog_lines(self, way: Target, target: Target, feed_mm_min: float) -> list[str]:  # noqa: ARG002
+        return self.move_lines(target, feed_mm_min)
+
+    def finish(self, timeout_s: float) -> None:
+        """Each reply says whether its axis moves: nothing is to be waited for."""
+
+    def brake(self) -> None:
+        self.write(b"/stop\n")
+
+    cancel_jog = brake
 
     def send(self, lines: Iterable[str]) -> None:
         for line in lines:
