@@ -18,7 +18,6 @@ from instruments.link import Link
 from instruments.stage.protocol import (
     HOLD,
     JOG_CANCEL,
-    RESUME,
     SOFT_RESET,
     STATUS_QUERY,
     Alarm,
@@ -62,7 +61,7 @@ class Dialogue:
     """The conversation on one link. Raises LinkError, ProtocolError, DeviceError."""
 
     firmware: str = "Grbl"  # which answered last
-    resumes: ClassVar[bool] = True  # whether it goes on after a brake
+    brakes_freely: ClassVar[bool] = True  # whether a brake at rest costs nothing
     safe: ClassVar[str] = (
         "at a stand and holding its position; after an alarm, locked until it is homed"
     )
@@ -181,10 +180,6 @@ class Dialogue:
     def cancel_jog(self) -> None:
         """Brake, and forget the rest of a jog."""
         self.write(JOG_CANCEL)
-
-    def resume(self) -> None:
-        """Go on after a brake."""
-        self.write(RESUME)
 
     def abort(self) -> None:
         """Stop whatever it does, homing too; the position is lost. Raises LinkError."""

@@ -137,7 +137,7 @@ class MarlinDialogue(Dialogue):
     """The conversation on one link, for X, Y and Z."""
 
     firmware = "Marlin"
-    resumes: ClassVar[bool] = False
+    brakes_freely: ClassVar[bool] = False
     safe: ClassVar[str] = (
         "at a stand, its position lost if it moved; if it homed, halted until switched off and on"
     )

@@ -110,7 +110,7 @@ class ZaberDialogue(Dialogue):
     """The conversation on one link; ``motors`` in the order of the stage's axes."""
 
     firmware = "Zaber"
-    resumes: ClassVar[bool] = False
+    brakes_freely: ClassVar[bool] = False
     safe: ClassVar[str] = "at a stand and holding its position"
     _parse = staticmethod(parse)
 

@@ -36,7 +36,7 @@ class Controller(ABC):
         self.power_up()
         self.out.clear()
 
-    def power_up(self, first_words: tuple[str, ...] = ()) -> None:
+    def power_up(self) -> None:
         """Power comes, or the host's opening of the port resets the board: the count is lost, and
         is 0 where the carriage stands.
         """
@@ -46,8 +46,6 @@ class Controller(ABC):
         # machine coordinates less the motion's: right by axis once it is homed
         self.offset_mm = [0.0] * self.settings.axes
         self.homed: set[int] = set()
-        for line in first_words:
-            self.say(line)
 
     def drop(self) -> None:
         """What is in the works and what waits is forgotten."""

@@ -138,8 +138,8 @@ def axis_numbers(place: Vector, inches: bool) -> str:
 class GrblController(Controller):
     """One board; X, Y, Z, and A where it has it."""
 
-    def power_up(self, first_words: tuple[str, ...] = ()) -> None:
-        super().power_up(first_words)
+    def power_up(self) -> None:
+        super().power_up()
         self._clear()
         self.mode = Mode.LOCKED if self.settings[22] else Mode.READY
         self._greet()

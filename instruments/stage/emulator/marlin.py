@@ -36,8 +36,10 @@ KILLED = "Error:Printer halted. kill() called!"
 class MarlinController(Controller):
     """One board: X, Y, Z."""
 
-    def power_up(self, first_words: tuple[str, ...] = ()) -> None:
-        super().power_up((*first_words, *BOOT))
+    def power_up(self) -> None:
+        super().power_up()
+        for line in BOOT:
+            self.say(line)
         self.halted = False
         self._keepalive_s = KEEPALIVE_S
         self._relative = False

@@ -22,8 +22,8 @@ VERSION, SERIAL = "7.38", 65000
 class ZaberController(Controller):
     """A device an axis: the first moves X. Steps ($100 to $103) are microsteps."""
 
-    def power_up(self, first_words: tuple[str, ...] = ()) -> None:
-        super().power_up(first_words)
+    def power_up(self) -> None:
+        super().power_up()
         self._flags: list[set[str]] = [{"WR"} for _ in range(self.settings.axes)]
         self._to_home: list[int] = []
         self._homing: Iterator[float] | None = None

@@ -58,25 +58,23 @@ def test_a_touch_is_right_within_the_stated_accuracy_and_repeatable(
     assert seen[0] == seen[1]
 
 
-@pytest.mark.parametrize("apart", [False, True])
-@pytest.mark.parametrize("place", range(1, 14))
-def test_a_byte_that_comes_twice_gives_no_wrong_packet(rig: Rig, place: int, apart: bool) -> None:
+def test_a_byte_that_comes_twice_gives_no_wrong_packet(rig: Rig) -> None:
     driver = rig.signed_on()
     right = driver.poll().counts
-    left = 1
+    for number, (place, apart) in enumerate(itertools.product(range(1, 14), [False, True]), 1):
+        left = [place]
 
-    def spoil(data: bytes) -> list[bytes]:
-        nonlocal left
-        if not left or len(data) != 14:
-            return [data]
-        left -= 1
-        doubled = data[: place + 1] + data[place:]
-        return [doubled[:14], doubled[14:]] if apart else [doubled]
+        def spoil(data: bytes, left: list[int] = left, apart: bool = apart) -> list[bytes]:
+            if not left or len(data) != 14:
+                return [data]
+            at = left.pop()
+            doubled = data[: at + 1] + data[at:]
+            return [doubled[:14], doubled[14:]] if apart else [doubled]
 
-    rig.ear.spoil = spoil
-    assert driver.poll().counts == right
-    assert (left, driver.damaged) == (0, 1)
-    assert driver.poll().counts == right
+        rig.ear.spoil = spoil
+        assert driver.poll().counts == right
+        assert (left, driver.damaged) == ([], number)
+        assert driver.poll().counts == right
 
 
 def test_no_position_before_homing_is_confirmed_in_each_session(rig: Rig) -> None:
@@ -147,21 +145,6 @@ def test_a_damaged_packet_is_asked_for_again(rig: Rig, fault: Fault) -> None:
         assert driver.poll().counts == UNIT.home
     # a lost header leaves no packet to call damaged
     assert driver.damaged >= (15 if fault in (Fault.BIT_7, Fault.LOST_BYTE) else 0)
-
-
-def test_a_flipped_bit_shows_as_motion(rig: Rig) -> None:
-    driver = rig.signed_on()
-    refused = 0
-    for _ in range(30):
-        rig.arm.faults.inject("flipped bit", 1)
-        try:
-            tip = driver.read().tip_mm
-        except LimitError:
-            refused += 1
-        # a low bit, a joint that is none, or the buttons: no further off than the spread allows
-        else:
-            assert np.hypot(*tip[:2]) == pytest.approx(75, abs=1)
-    assert refused > 5
 
 
 def test_packets_that_are_always_damaged_are_refused(rig: Rig) -> None:
@@ -333,21 +316,17 @@ def test_without_a_stamp_samples_take_the_hosts_time(rig: Rig) -> None:
         assert driver.position([sample]).tip_mm[2] == pytest.approx(212.2005, abs=1e-3)
 
 
-@pytest.mark.parametrize("lost", range(25))
-def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig, lost: int) -> None:
+def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.hand.point = POINT  # off the peg: homing would show
-    before = driver.poll().counts
-    rig.ear.lose = {lost}
-    with driver.stream() as samples:
-        got = list(itertools.islice(samples, 30))
-    assert all(
-        abs(a - b) < 20
-        for sample in got
-        for a, b in zip(sample.counts[:5], before[:5], strict=True)
-    )
-    assert rig.arm.eeprom_attempts == 0
-    driver.read()
+    before = driver.poll().counts[:5]
+    for lost in range(25):
+        rig.ear.lose = {lost}
+        with driver.stream() as samples:
+            got = np.array([sample.counts[:5] for sample in itertools.islice(samples, 30)])
+        assert np.abs(got - before).max() < 20
+        assert rig.arm.eeprom_attempts == 0
+        driver.read()
 
 
 def test_questions_within_a_stream_are_refused(rig: Rig) -> None:

@@ -14,7 +14,7 @@ from instruments.listener import Connection
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import GRBL_HAL
 from instruments.stage.settings import read_settings
-from tests.instruments.stage.board import GREETING, Bench, Parrot, meet
+from tests.instruments.stage.board import Bench
 
 Make = Callable[..., Bench]
 SETTINGS = {13: "0", 20: "1", 21: "0", 22: "1", 24: "25.000", 25: "500.000", 27: "1.000"} | {
@@ -24,7 +24,7 @@ OF_A = {103: "100.000", 113: "3600.000", 123: "360.000", 133: "360.000"}
 WITH_A = SETTINGS | OF_A | {44: "4", 45: "3", 46: "8"}
 
 
-def test_a_stage_with_all_four_axes_moves_them_together(make: Make) -> None:
+def test_a_stage_moves_the_axes_that_it_is_declared_with(make: Make) -> None:
     bench = make(dialect=GRBL_HAL, axes="XYZA")
     stage = bench.homed()
     assert stage.position() == pytest.approx([-1, -1, -1, -1])
@@ -35,20 +35,12 @@ def test_a_stage_with_all_four_axes_moves_them_together(make: Make) -> None:
     assert bench.emulator.position_mm() == pytest.approx([-100, -50, -20, -90])
     stage.move_to(-100, -60)
     assert bench.emulator.position_mm() == pytest.approx([-100, -60, -20, -90])
-
-
-def test_a_turntable_without_a_z(make: Make) -> None:
-    bench = make(dialect=GRBL_HAL, axes="XYA")
-    stage = bench.homed()
+    stage = bench.again(axes="XYA").homed()
     stage.move_to(-100, -50, a_deg=-200)
     assert stage.position() == pytest.approx([-100, -50, -1, -200])
     assert list(stage.limits) == ["X", "Y", "A"]
     with pytest.raises(LimitError, match=r"A = -361\.000 deg is outside the travel, -360 to 0 deg"):
         stage.move_to(-100, -50, a_deg=-361)
-
-
-def test_a_two_axis_stage_on_a_four_axis_controller(make: Make) -> None:
-    bench = make(dialect=GRBL_HAL, axes="XYA")
     stage = bench.again(axes="XY").homed()
     stage.move_to(-100, -50)
     assert stage.position() == pytest.approx([-100, -50, -1])
@@ -70,18 +62,13 @@ def test_an_axis_that_is_not_declared_is_refused(
         stage.jog(**more)
 
 
-def test_axes_that_no_stage_has(make: Make) -> None:
+def test_axes_that_no_stage_or_this_controller_has_not(make: Make) -> None:
     bench = make()
     with pytest.raises(LimitError, match=r"a stage has no axes 'XB'\. Declare XY, XYZ, XYA, XYZA"):
         Stage(bench.stage._link, bench.clock, "XB")
-
-
-def test_a_controller_without_a_fourth_axis_is_reported(make: Make) -> None:
-    bench = make(axes="XY").again(axes="XYA")
-    with pytest.raises(
-        DeviceError, match=r"no axis A: setting \$103 is missing.*grblHAL build with four axes"
-    ):
-        bench.stage.connect()
+    missing = r"no axis A: setting \$103 is missing.*grblHAL build with four axes"
+    with pytest.raises(DeviceError, match=missing):
+        bench.again(axes="XYA").stage.connect()
 
 
 def test_settings_of_four_axes() -> None:
@@ -161,13 +148,3 @@ def test_a_report_with_too_few_numbers_for_the_declared_axes(make: Make) -> None
     bench.again(device=Spoiled(bench, rb"(MPos:[^,]+,[^,]+,[^,]+),[^|>]+", rb"\1"))
     with pytest.raises(ProtocolError, match="3 numbers in a position, 4 are needed"):
         bench.homed().move_to(-5, -5)
-
-
-def test_alarm_10_is_another_thing_in_each_firmware() -> None:
-    hal = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
-    for greeting, sentence in (
-        (GREETING, "two motors of one axis"),
-        (hal, "emergency stop is pressed"),
-    ):
-        with pytest.raises(DeviceError, match=f"alarm 10: .*{sentence}"):
-            meet(Parrot(greeting, {b"$I\n": b"ALARM:10\r\n"}))

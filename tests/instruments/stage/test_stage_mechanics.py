@@ -257,12 +257,21 @@ def test_play_of_an_axis_that_homes_to_its_far_end_is_on_the_other_side(make_boa
     assert board.emulator.position_mm()[0] == pytest.approx(-149.7)
 
 
-def test_the_carriage_stops_at_the_rails_end_and_the_switch_tells(free: Board) -> None:
-    free.links[-1].write(b"G1X200F3000\n")  # count 0 is 150 mm from the switch
+@pytest.mark.parametrize(
+    ("lines", "after_s"),
+    [
+        (b"G1X200F3000\n", 150 / 50 + 50 / 400),  # count 0 is 150 mm from the switch
+        (b"G1X-50F3000\nG1X160\nG4P0\n", (50 / 50 + 0.25) + (200 / 50 + 0.125)),
+    ],
+    ids=["at once", "on the second leg"],
+)
+def test_a_switch_at_the_rails_end_closes_at_its_moment(
+    free: Board, lines: bytes, after_s: float
+) -> None:
+    free.links[-1].write(lines)
     start = free.clock.now()
-    said = free.links[-1].read_until(b"ALARM:1\r\n", 60.0)
-    assert said == b"ok\r\nALARM:1\r\n"
-    assert free.clock.now() - start == pytest.approx(150 / 50 + 50 / 400, abs=2e-3)
+    assert free.links[-1].read_until(b"ALARM:1\r\n", 60.0).endswith(b"ok\r\nALARM:1\r\n")
+    assert free.clock.now() - start == pytest.approx(after_s, abs=2e-3)
     assert free.emulator.position_mm()[0] == pytest.approx(0.0)
 
 
@@ -321,60 +330,43 @@ def test_a_drive_fed_in_pieces_of_straight_lines_ends_the_same(
         assert cut.place == pytest.approx(whole.place, abs=1e-9)
 
 
-def test_a_switch_on_the_second_leg_closes_at_its_moment(free: Board) -> None:
-    free.links[-1].write(b"G1X-50F3000\nG1X160\nG4P0\n")
-    start = free.clock.now()
-    free.links[-1].read_until(b"ALARM:1\r\n", 60.0)
-    assert free.clock.now() - start == pytest.approx(
-        (50 / 50 + 0.25) + (200 / 50 + 0.125), abs=2e-3
-    )
-    assert free.emulator.position_mm()[0] == pytest.approx(0.0)
-
-
 TRUE = Mounting("XYZA", (-150.0, -137.5, -50.0, -180.0))
 
 
-def test_at_its_reference_the_pose_is_zero_whatever_the_errors() -> None:
-    crooked = replace(
-        TRUE, scale_errors=(0.01, -0.01, 0.02, 0.03), squareness_rad=0.01, yaw_rad=-0.02
-    )
-    for mounting in (TRUE, crooked):
-        pose = mounting.pose((-150.0, -137.5, -50.0, -180.0))
-        assert (pose.x_mm, pose.y_mm, pose.z_mm, pose.yaw_rad) == pytest.approx((0, 0, 0, 0))
+CROOKED = replace(TRUE, scale_errors=(0.01, -0.01, 0.02, 0.03), squareness_rad=0.01, yaw_rad=-0.02)
+SCALED = replace(TRUE, scale_errors=(0.01, -0.02, 0.1, 0.001))
+REFERENCE = (-150.0, -137.5, -50.0, -180.0)
 
 
-def test_a_true_stage_carries_what_it_counts() -> None:
-    pose = TRUE.pose((-140.0, -150.0, -30.0, -90.0))
-    assert (pose.x_mm, pose.y_mm, pose.z_mm, pose.yaw_rad) == pytest.approx(
-        (10, -12.5, 20, math.pi / 2)
-    )
-
-
-def test_axes_that_are_not_declared_carry_nothing() -> None:
-    pose = replace(TRUE, axes="XY").pose((-140.0, -137.5, -1.0))
-    assert (pose.x_mm, pose.y_mm, pose.z_mm, pose.yaw_rad) == pytest.approx((10, 0, 0, 0))
-    pose = replace(TRUE, axes="XYA").pose((-140.0, -137.5, -1.0, -181.0))
-    assert (pose.z_mm, pose.yaw_rad) == pytest.approx((0, -math.radians(1)))
-
-
-def test_below_its_reference_the_plate_rests_on_the_table() -> None:
-    assert TRUE.pose((-150.0, -137.5, -50.1, -180.0)).z_mm == 0.0
-
-
-def test_scale_squareness_and_yaw_by_hand() -> None:
-    scaled = replace(TRUE, scale_errors=(0.01, -0.02, 0.1, 0.001))
-    pose = scaled.pose((-50.0, -37.5, -40.0, -80.0))
-    assert (pose.x_mm, pose.y_mm, pose.z_mm, pose.yaw_rad) == pytest.approx(
-        (101, 98, 11, math.radians(100.1))
-    )
-    pose = replace(TRUE, squareness_rad=0.01).pose((-50.0, -37.5, -50.0, -180.0))
-    assert (pose.x_mm, pose.y_mm) == pytest.approx(
-        (100 - 100 * math.sin(0.01), 100 * math.cos(0.01))
-    )
-    pose = replace(TRUE, yaw_rad=0.1).pose((-50.0, -137.5, -50.0, -180.0))
-    assert (pose.x_mm, pose.y_mm, pose.yaw_rad) == pytest.approx(
-        (100 * math.cos(0.1), 100 * math.sin(0.1), 0.0)
-    )
+@pytest.mark.parametrize(
+    ("mounting", "place", "pose"),
+    [
+        (TRUE, REFERENCE, (0, 0, 0, 0)),
+        (CROOKED, REFERENCE, (0, 0, 0, 0)),
+        (TRUE, (-140.0, -150.0, -30.0, -90.0), (10, -12.5, 20, math.pi / 2)),
+        # axes that are not declared carry nothing
+        (replace(TRUE, axes="XY"), (-140.0, -137.5, -1.0), (10, 0, 0, 0)),
+        (replace(TRUE, axes="XYA"), (-140.0, -137.5, -1.0, -181.0), (10, 0, 0, -math.radians(1))),
+        # below its reference the plate rests on the table
+        (TRUE, (-150.0, -137.5, -50.1, -180.0), (0, 0, 0, 0)),
+        (SCALED, (-50.0, -37.5, -40.0, -80.0), (101, 98, 11, math.radians(100.1))),
+        (
+            replace(TRUE, squareness_rad=0.01),
+            (-50.0, -37.5, -50.0, -180.0),
+            (100 - 100 * math.sin(0.01), 100 * math.cos(0.01), 0, 0),
+        ),
+        (
+            replace(TRUE, yaw_rad=0.1),
+            (-50.0, -137.5, -50.0, -180.0),
+            (100 * math.cos(0.1), 100 * math.sin(0.1), 0, 0),
+        ),
+    ],
+)
+def test_the_plates_pose_by_hand(
+    mounting: Mounting, place: tuple[float, ...], pose: tuple[float, float, float, float]
+) -> None:
+    got = mounting.pose(place)
+    assert (got.x_mm, got.y_mm, got.z_mm, got.yaw_rad) == pytest.approx(pose, abs=1e-12)
 
 
 @given(

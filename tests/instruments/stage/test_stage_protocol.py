@@ -132,7 +132,10 @@ def test_a_move_states_units_distance_mode_and_machine_coordinates() -> None:
     assert (
         protocol.move_line({"X": -0.0001, "Z": -0.1236}, 99.95) == "G21G90G94G53G1X0Z-0.124F99.95"
     )
+    assert protocol.jog_line({"X": 5}, 600) == "$J=G21G91X5F600"
+    assert protocol.jog_line({"Y": -0.0004, "A": 12.5}, 99.95) == "$J=G21G91Y0A12.5F99.95"
     assert protocol.encode("$H") == b"$H\n"
+    assert protocol.encode("G" * 79) == b"G" * 79 + b"\n"
 
 
 @pytest.mark.slow
@@ -163,18 +166,15 @@ def test_every_move_fits_the_controllers_line_buffer(
 def test_a_move_that_cannot_be_written_is_refused(
     target_mm: dict[str, float], feed_mm_min: float
 ) -> None:
-    with pytest.raises(LimitError):
-        protocol.move_line(target_mm, feed_mm_min)
+    for line in (protocol.move_line, protocol.jog_line):
+        with pytest.raises(LimitError):
+            line(target_mm, feed_mm_min)
 
 
 @pytest.mark.parametrize("text", ["G1X1?", "!", "~", "G1\nX2", "é", "G1" + "0" * 78])
 def test_a_line_that_the_controller_would_mangle_is_refused(text: str) -> None:
     with pytest.raises(LimitError):
         protocol.encode(text)
-
-
-def test_the_longest_line_has_79_characters() -> None:
-    assert protocol.encode("G" * 79) == b"G" * 79 + b"\n"
 
 
 def test_every_code_of_the_sheet_has_a_sentence_and_advice() -> None:
