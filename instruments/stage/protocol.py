@@ -112,8 +112,7 @@ class Counted:
     steps: Position
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(NamedTuple):
     """Zaber's answer: whom it is from, the id that it answers, ``OK`` or ``RJ``, ``IDLE`` or
     ``BUSY``, the most serious warning flag, and data.
     """

@@ -182,23 +182,20 @@ class ZaberDialogue(Dialogue):
         line = f"{int(device):02d} {axis} {self._number:02d} {words}"
         self.write(f"/{line}:{checksum(line)}\n".encode("ascii"))
         until_s = self._clock.now() + timeout_s
+        asked = int(device), int(axis), self._number
         while (answer := self._next(until_s)) is not None:
-            if isinstance(answer, Reply) and self._answers(answer, int(device), int(axis)):
-                return [self._accepted(answer, text)]
+            if not isinstance(answer, Reply) or answer[:3] != asked:
+                continue
+            if not answer.taken:
+                why = REFUSALS.get(answer.data, "see the maker’s manual")
+                what, hint = f"refused, {answer.data}: {why}", "Call stop(), then try again."
+                raise DeviceError(self.who, what, asked=text, hint=hint)
+            if answer.flag not in HARMLESS:
+                self.upsets += 1
+            return [answer]
         self.upsets += 1
         hint = "Check power, cable, baud rate, and the device's number and protocol."
         raise LinkError(self.who, "no answer", asked=text, seconds=timeout_s, hint=hint)
-
-    def _answers(self, reply: Reply, device: int, axis: int) -> bool:
-        return (reply.device, reply.axis, reply.number) == (device, axis, self._number)
-
-    def _accepted(self, reply: Reply, text: str) -> Reply:
-        if not reply.taken:
-            what = f"refused, {reply.data}: {REFUSALS.get(reply.data, 'see the maker’s manual')}"
-            raise DeviceError(self.who, what, asked=text, hint="Call stop(), then try again.")
-        if reply.flag not in HARMLESS:
-            self.upsets += 1
-        return reply
 
     def _ask(self, device: int, axis: int, words: str) -> str:
         [reply] = self.command(f"{device} {axis} {words}")

@@ -145,7 +145,7 @@ class Host(Rig):
 
     def __init__(self, unit: ArmIdentity = UNIT, **options: float) -> None:
         super().__init__(unit, **options)
-        self.plug_in_again()
+        self.link = Link(self.listener.url, self.clock, who="host")
 
     def ask(self, sent: str, wait_s: float = 0.05) -> str:
         self.link.write(bytes.fromhex(sent))
@@ -162,6 +162,7 @@ class Host(Rig):
         return self.packets("03")[0].counts
 
     def plug_in_again(self) -> None:
+        self.link.close()
         self.link = Link(self.listener.url, self.clock, who="host")
 
     def close(self) -> None:

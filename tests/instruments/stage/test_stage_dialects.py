@@ -20,7 +20,6 @@ from instruments.stage.emulator import EMULATED, FLUIDNC, MARLIN, ZABER, Fault
 from instruments.stage.emulator import marlin as emulated_marlin
 from instruments.stage.emulator import zaber as emulated_zaber
 from instruments.stage.protocol import Nonsense, Reply
-from instruments.stage.settings import FLUIDNC_KEYS, read_fluidnc
 from tests.instruments.stage.board import Bench, Board
 
 Make = Callable[..., Bench]
@@ -140,9 +139,7 @@ def _limit(bench: Bench) -> None:
 def test_after_an_upset_it_is_believed_to_be_nowhere(
     each: Bench, upset: Callable[[Bench], None], moving: bool
 ) -> None:
-    stage = each.stage
-    stage.connect()
-    stage.home()
+    stage = each.homed()
     x, y = somewhere(stage)
     stage.move_to(x, y)
     if moving:
@@ -165,9 +162,7 @@ def test_after_an_upset_it_is_believed_to_be_nowhere(
 
 @pytest.mark.parametrize("fault", [Fault.LOST_OK, Fault.LATE_OK, Fault.GARBAGE, Fault.DISCONNECT])
 def test_after_a_lost_or_late_answer_it_is_recovered(newer: Bench, fault: Fault) -> None:
-    stage = newer.stage
-    stage.connect()
-    stage.home()
+    stage = newer.homed()
     x, y = somewhere(stage)
     newer.emulator.inject(fault, 3.0 if fault is Fault.LATE_OK else 0.2)
     with pytest.raises((LinkError, ProtocolError, DeviceError)):
@@ -177,9 +172,7 @@ def test_after_a_lost_or_late_answer_it_is_recovered(newer: Bench, fault: Fault)
         stage.reconnect()
     with pytest.raises(InstrumentError):
         newer.again().stage.move_to(x, y)
-    newer.stage.connect()
-    newer.stage.home()
-    newer.stage.move_to(x, y)
+    newer.homed().move_to(x, y)
     assert newer.emulator.position_mm()[:2] == pytest.approx([x, y], abs=0.006)
 
 
@@ -214,9 +207,7 @@ def test_a_stage_that_homes_is_stopped(each: Bench) -> None:
 
 
 def test_a_brake_from_outside_ends_the_move_and_marlins_position(newer: Bench) -> None:
-    stage = newer.stage
-    stage.connect()
-    stage.home()
+    stage = newer.homed()
     x, y = somewhere(stage)
     stage.begin_move(x + 200, y)
     newer.clock.sleep(1.0)
@@ -226,9 +217,6 @@ def test_a_brake_from_outside_ends_the_move_and_marlins_position(newer: Bench) -
     newer.clock.sleep(1.0)
     assert newer.emulator.velocity() == pytest.approx(0.0, abs=1e-9)
     assert stage.homed is (newer.emulator.dialect is FLUIDNC)
-    stage.recover()
-    stage.home()
-    stage.move_to(x, y)
 
 
 def test_a_board_that_looks_for_its_network_first_is_waited_for(make: Make) -> None:
@@ -246,9 +234,6 @@ def test_a_board_that_looks_for_its_network_first_is_waited_for(make: Make) -> N
     assert bench.again(device=Slow()).stage.connect().dialect == "FluidNC"
 
 
-# What no stage of ours may be
-
-
 @pytest.mark.parametrize(
     ("constant", "value", "why"),
     [
@@ -264,42 +249,6 @@ def test_a_marlin_that_can_not_be_stopped_is_refused(
         make(dialect=MARLIN).stage.connect()
 
 
-TOLD = [
-    "M92 X80.00 Y80.00 Z400.00 E93.00",
-    "M203 X300.00 Y300.00 Z5.00 E25.00",
-    "M201 X3000.00 Y3000.00 Z100.00 E10000.00",
-    "Soft endstops: ON  Min: X0.00 Y-2.00 Z0.00   Max: X220.00 Y220.00 Z250.00",
-]
-
-
-def test_marlins_settings_as_its_source_words_them() -> None:
-    settings = marlin.read_marlin(TOLD, "XYZ", who="stage")
-    assert settings.steps_per_mm == (80.0, 80.0, 400.0)
-    assert settings.rate_mm_min == (18000.0, 18000.0, 300.0)
-    assert settings.limits["Y"] == type(settings.limits["Y"])(-2.0, 220.0)
-    assert settings.soft_limits
-
-
-@pytest.mark.parametrize(
-    ("more", "why"),
-    [
-        (["G20 ; (in)"], "in inches"),
-        (["M206 X0.00 Y-3.00 Z0.00"], "home offsets"),
-        (["M420 S1 Z0.00"], "bed levelling"),
-        (["M92 X0.00 Y80.00 Z400.00"], "M92 is not usable"),
-    ],
-)
-def test_a_marlin_whose_reports_are_not_its_places_is_refused(more: list[str], why: str) -> None:
-    with pytest.raises(InstrumentError, match=why):
-        marlin.read_marlin([*TOLD, *more], "XY", who="stage")
-
-
-@pytest.mark.parametrize("line", TOLD)
-def test_a_marlin_that_leaves_something_out_is_refused(line: str) -> None:
-    with pytest.raises(ProtocolError):
-        marlin.read_marlin([one for one in TOLD if one != line], "XY", who="stage")
-
-
 def test_marlin_turns_nothing_and_zaber_needs_its_motors(make: Make) -> None:
     with pytest.raises(LimitError, match="X, Y and Z only"):
         make(dialect=MARLIN, axes="XY").again(axes="XYA").stage.connect()
@@ -307,39 +256,6 @@ def test_marlin_turns_nothing_and_zaber_needs_its_motors(make: Make) -> None:
     stage = Stage(bench.link(), bench.clock, "XY", dialect="zaber")
     with pytest.raises(LimitError, match="0 motors for the axes XY"):
         stage.connect()
-
-
-FLUID = {f"/axes/{axis}/{key}": "1.000" for axis in "xyz" for key in FLUIDNC_KEYS}
-FLUID |= {f"/axes/{axis}/max_travel_mm": "300.000" for axis in "xyz"}
-FLUID |= {"/start/must_home": "true"}
-
-
-def test_fluidncs_travel_goes_from_its_homing_place() -> None:
-    FLUID_X = FLUID | {
-        "/axes/x/homing/mpos_mm": "5.000",
-        "/axes/x/homing/positive_direction": "false",
-        "/axes/y/homing/mpos_mm": "0.000",
-        "/axes/y/homing/positive_direction": "true",
-    }
-    limits = read_fluidnc(FLUID_X, who="stage", axes="XY").limits
-    assert (limits["X"].low_mm, limits["X"].high_mm) == (5.0, 305.0)
-    assert (limits["Y"].low_mm, limits["Y"].high_mm) == (-300.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("change", "error"),
-    [
-        ({"/start/must_home": "false"}, DeviceError),
-        ({"/axes/y/homing/cycle": "0"}, DeviceError),
-        ({"/axes/y/homing/cycle": "nonsense"}, ProtocolError),
-        ({"/axes/x/max_travel_mm": "-3"}, ProtocolError),
-    ],
-)
-def test_a_fluidnc_that_can_not_be_driven_is_refused(
-    change: dict[str, str], error: type[InstrumentError]
-) -> None:
-    with pytest.raises(error):
-        read_fluidnc(FLUID | change, who="stage", axes="XY")
 
 
 @pytest.mark.parametrize(
