@@ -31,10 +31,9 @@ from instruments.stage.protocol import (
     Setting,
     Status,
     Welcome,
-    alarm_meaning,
     encode,
-    error_meaning,
     jog_line,
+    meaning,
     move_line,
     parse,
 )
@@ -61,6 +60,7 @@ class Dialogue:
     """The conversation on one link. Raises LinkError, ProtocolError, DeviceError."""
 
     firmware: str = "Grbl"  # which answered last
+    jogs: ClassVar[bool] = True  # whether it has relative moves that can be cancelled
     brakes_freely: ClassVar[bool] = True  # whether a brake at rest costs nothing
     safe: ClassVar[str] = (
         "at a stand and holding its position; after an alarm, locked until it is homed"
@@ -95,9 +95,8 @@ class Dialogue:
             if isinstance(answer, Ok):
                 return pushed
             if isinstance(answer, ErrorReply):
-                meaning = error_meaning(answer.code, self.firmware)
-                number = f"error {answer.code}: " if isinstance(answer.code, int) else ""
-                raise DeviceError(self.who, number + meaning.what, asked=text, hint=meaning.do)
+                what, hint = meaning(answer, self.firmware)
+                raise DeviceError(self.who, what, asked=text, hint=hint)
             pushed.append(answer)
 
     def status(self) -> Status:
@@ -160,9 +159,11 @@ class Dialogue:
         """The lines of a straight move to machine coordinates. Raises LimitError."""
         return [move_line(target, feed_mm_min, who=self.who)]
 
-    def jog_lines(self, way: Target, target: Target, feed_mm_min: float) -> list[str]:  # noqa: ARG002
+    def jog_lines(self, way: Target, target: Target, feed_mm_min: float) -> list[str]:
         """The lines of a relative move by ``way``, which ends at ``target``. Raises LimitError."""
-        return [jog_line(way, feed_mm_min, who=self.who)]
+        if self.jogs:
+            return [jog_line(way, feed_mm_min, who=self.who)]
+        return self.move_lines(target, feed_mm_min)
 
     def send(self, lines: Iterable[str]) -> None:
         """Each line in turn, once the one before was taken."""
@@ -280,10 +281,8 @@ class Dialogue:
         return answer
 
     def _alarmed(self, asked: str | None) -> DeviceError:
-        code = self.alarm or 0
-        meaning = alarm_meaning(code, self.firmware)
-        number = f"alarm {code}: " if isinstance(code, int) else ""
-        return DeviceError(self.who, number + meaning.what, asked=asked, hint=meaning.do)
+        what, hint = meaning(Alarm(self.alarm or 0), self.firmware)
+        return DeviceError(self.who, what, asked=asked, hint=hint)
 
     def _receive(self, until_s: float) -> bytes:
         try:

@@ -137,6 +137,7 @@ class MarlinDialogue(Dialogue):
     """The conversation on one link, for X, Y and Z."""
 
     firmware = "Marlin"
+    jogs: ClassVar[bool] = False
     brakes_freely: ClassVar[bool] = False
     safe: ClassVar[str] = (
         "at a stand, its position lost if it moved; if it homed, halted until switched off and on"
@@ -206,9 +207,6 @@ class MarlinDialogue(Dialogue):
 
     def move_lines(self, target: Target, feed_mm_min: float) -> list[str]:
         return ["G90", f"G1 {axis_words(target, feed_mm_min, who=self.who, between=' ')}"]
-
-    def jog_lines(self, way: Target, target: Target, feed_mm_min: float) -> list[str]:  # noqa: ARG002
-        return self.move_lines(target, feed_mm_min)
 
     def finish(self, timeout_s: float) -> None:
         self.command("M400", timeout_s)

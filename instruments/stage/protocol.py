@@ -362,27 +362,21 @@ FLUIDNC_ALARMS = _alarms("""
 18 a limit switch was hit while probing
 """)
 
-_OWN_ERRORS = {"FluidNC": FLUIDNC_ERRORS}
-_OWN_ALARMS = {"grblHAL": HAL_ALARMS, "FluidNC": FLUIDNC_ALARMS}
+_OWN = {"grblHAL": HAL_ALARMS, "FluidNC": FLUIDNC_ALARMS}
 
 
-def error_meaning(code: int | str, dialect: str = "Grbl") -> Meaning:
-    """The meaning of ``error:code`` of that firmware, unknown numbers included. A sentence of the
-    firmware stands for itself.
-    """
+def meaning(answer: ErrorReply | Alarm, firmware: str = "Grbl") -> Meaning:
+    """What it means in that firmware, unknown numbers included. A sentence stands for itself."""
+    code, alarm = answer.code, isinstance(answer, Alarm)
+    then = ", then recover() and home()."
     if isinstance(code, str):
-        return Meaning(code, "See the firmware's documentation; then recover() and home().")
-    what, do = (
-        "an error that this program does not know",
-        "Look the number up in the firmware's list.",
+        do = "Switch the controller off and on" if alarm else "See the firmware's documentation"
+        return Meaning(code, do + then)
+    kind = "alarm" if alarm else "error"
+    unknown = Meaning(
+        f"an {kind} that this program does not know",
+        f"Look the number up in the firmware's list of {kind}s{then if alarm else '.'}",
     )
-    return (ERRORS | _OWN_ERRORS.get(dialect, {})).get(code, Meaning(what, do))
-
-
-def alarm_meaning(code: int | str, dialect: str = "Grbl") -> Meaning:
-    """The meaning of ``ALARM:code`` of that firmware, as `error_meaning`."""
-    if isinstance(code, str):
-        return Meaning(code, "Switch the controller off and on, then recover() and home().")
-    what = "an alarm that this program does not know"
-    do = "Look the number up in the firmware's list, then recover() and home()."
-    return (ALARMS | _OWN_ALARMS.get(dialect, {})).get(code, Meaning(what, do))
+    own = _OWN.get(firmware, {}) if alarm else FLUIDNC_ERRORS if firmware == "FluidNC" else {}
+    known = own.get(code) or (ALARMS if alarm else ERRORS).get(code, unknown)
+    return known._replace(what=f"{kind} {code}: {known.what}")

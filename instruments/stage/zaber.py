@@ -110,6 +110,7 @@ class ZaberDialogue(Dialogue):
     """The conversation on one link; ``motors`` in the order of the stage's axes."""
 
     firmware = "Zaber"
+    jogs: ClassVar[bool] = False
     brakes_freely: ClassVar[bool] = False
     safe: ClassVar[str] = "at a stand and holding its position"
     _parse = staticmethod(parse)
@@ -260,9 +261,6 @@ class ZaberDialogue(Dialogue):
                 lines.append(f"{device} {number} set maxspeed {speed}")
             lines.append(f"{device} {number} move abs {round(place * microsteps)}")
         return lines
-
-    def jog_lines(self, way: Target, target: Target, feed_mm_min: float) -> list[str]:  # noqa: ARG002
-        return self.move_lines(target, feed_mm_min)
 
     def finish(self, timeout_s: float) -> None:
         """Each reply says whether its axis moves: nothing is to be waited for."""

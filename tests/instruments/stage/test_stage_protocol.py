@@ -13,6 +13,8 @@ from instruments.stage import protocol
 from instruments.stage.protocol import (
     ALARMS,
     ERRORS,
+    FLUIDNC_ALARMS,
+    FLUIDNC_ERRORS,
     HAL_ALARMS,
     Alarm,
     Decoder,
@@ -24,8 +26,7 @@ from instruments.stage.protocol import (
     Setting,
     Status,
     Welcome,
-    alarm_meaning,
-    error_meaning,
+    meaning,
 )
 
 
@@ -180,13 +181,16 @@ def test_a_line_that_the_controller_would_mangle_is_refused(text: str) -> None:
 def test_every_code_of_the_sheet_has_a_sentence_and_advice() -> None:
     assert {1, 2, 3, 5, 8, 9, 10, 11, 15, 20, 22, 33} <= ERRORS.keys()
     assert set(range(1, 11)) == ALARMS.keys()
-    alarms = (*ALARMS.values(), *HAL_ALARMS.values())
-    for meaning in (*ERRORS.values(), *alarms, error_meaning(999), alarm_meaning(999)):
-        assert meaning.what
-        assert meaning.do.endswith((".", ")."))
-    assert all(meaning.do.endswith("home().") for meaning in HAL_ALARMS.values())
-    assert all("home" in meaning.do for meaning in alarms)
-    assert "unknown" in error_meaning(999).what or "does not know" in error_meaning(999).what
+    alarms = (*ALARMS.values(), *HAL_ALARMS.values(), *FLUIDNC_ALARMS.values())
+    unknown = [meaning(ErrorReply(999)), meaning(Alarm(999))]
+    for what, do in (*ERRORS.values(), *FLUIDNC_ERRORS.values(), *alarms, *unknown):
+        assert what
+        assert do.endswith((".", ")."))
+    assert all(do.endswith("home().") for _, do in alarms)
+    assert [what.split(": an ")[0] for what, _ in unknown] == ["error 999", "alarm 999"]
+    assert all("does not know" in what for what, _ in unknown)
+    assert meaning(Alarm(10), "FluidNC").what != meaning(Alarm(10)).what
+    assert meaning(ErrorReply("said so"), "Marlin").what == "said so"
 
 
 def test_real_time_bytes_are_those_of_the_sheet() -> None:
