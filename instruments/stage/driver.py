@@ -271,7 +271,8 @@ class Stage:
             if self._talk.status().state in MOVING:
                 self._talk.brake()
             self._until_still()
-            self._move = None
+            if not self._talk.brakes_freely:
+                self._move = None
         except InstrumentError as error:
             if self._talk.alarm is None:  # an alarm has cut the steps already
                 try:
@@ -296,10 +297,7 @@ class Stage:
         self._talk.restart()
         status = self._talk.status()
         if status.state not in ("Idle", "Alarm"):
-            what, hint = (
-                "neither idle nor locked after a reset",
-                "Switch the controller off and on.",
-            )
+            what, hint = "neither idle nor locked after a reset", "Switch it off and on."
             raise DeviceError(self.who, what, seen=status.name, hint=hint)
 
     def close(self) -> None:
