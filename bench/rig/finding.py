@@ -33,8 +33,7 @@ from instruments.errors import InstrumentError
 from instruments.link import Link
 from instruments.stage import marlin, zaber
 from instruments.stage.connection import BOOT_S
-from instruments.stage.dialects import GRBL, ZABER
-from instruments.stage.protocol import Decoder, Message, Reply, Status, Welcome
+from instruments.stage.protocol import STATUS_QUERY, Decoder, Message, Reply, Status, Welcome
 
 LISTEN_S = 2.5  # a board that the port's opening resets says its welcome within this
 
@@ -94,7 +93,7 @@ def _stage(url: str, clock: Clock) -> Found | None:
         decoder, who, start_s = Decoder(), "", clock.now()
         until_s = start_s + LISTEN_S
         while clock.now() < until_s:
-            link.write(GRBL.status_query)
+            link.write(STATUS_QUERY)
             for answer in decoder.feed(link.drain(0.2, at_most_s=0.4)):
                 if isinstance(answer, Welcome):
                     who = f"{answer.dialect} {answer.version}"
@@ -116,7 +115,7 @@ def _marlin_or_zaber(url: str, clock: Clock) -> Found | None:
                 if isinstance(answer, Message) and answer.text.startswith("FIRMWARE_NAME:Marlin"):
                     who = answer.text.removeprefix("FIRMWARE_NAME:").partition(" (")[0]
                     return Found("stage", url, who, dialect="marlin")
-        link.write(ZABER.status_query)
+        link.write(zaber.GET_POSITIONS)
         heard = Decoder(zaber.parse).feed(link.drain(0.3, at_most_s=0.6))
         replies = [answer for answer in heard if isinstance(answer, Reply)]
         devices = tuple(

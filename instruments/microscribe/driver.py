@@ -44,6 +44,7 @@ from instruments.microscribe.stream import Reading, Sample
 # eight packets of a still arm spread by some 0.35 mm: rounding (0.31 mm a packet) and tremor
 MAX_SPREAD_MM = 1.0
 INTERVAL_S = 0.01
+STREAMED = wire.POLL | wire.TIME_STAMP
 RECOVER_S = 30.0
 _RETRY_S = 0.25
 _RETRY_SIGN_ON_S = 1.0  # a port that is back is noticed, and its arm signed on, well within 2 s
@@ -320,25 +321,24 @@ class MicroScribe:
         return reading
 
     @contextlib.contextmanager
-    def stream(self, *, stamped: bool = True) -> Iterator[Iterator[Sample]]:
+    def stream(self) -> Iterator[Iterator[Sample]]:
         """Samples without end, as fast as the arm sends them: ``with arm.stream() as samples:``. A
         silent stream is started again if the arm still answers. Raises NoSessionError, LimitError
         within a stream; while it runs, as ``poll``.
         """
         self._need_session("a stream")
-        command = wire.POLL | (wire.TIME_STAMP if stamped else 0)
-        self._start_stream(command)
+        self._start_stream()
         try:
-            yield self._samples(command)
+            yield self._samples()
         finally:
             with self._noticing():
                 self._arm.stop_stream()
 
-    def _start_stream(self, command: int) -> None:
+    def _start_stream(self) -> None:
         start, seen = self._clock.now(), b""
         for _ in range(ATTEMPTS):
             with self._noticing():
-                came = self._arm.start_stream(command)
+                came = self._arm.start_stream(STREAMED)
             if came is None:
                 return
             seen = came or seen
@@ -351,7 +351,7 @@ class MicroScribe:
         asked, hint = bytes([Code.STREAM]), f"{CABLE_HINT}; or poll"
         raise kind(self.who, what, asked=asked, seen=seen[-64:], seconds=seconds, hint=hint)
 
-    def _samples(self, command: int) -> Iterator[Sample]:
+    def _samples(self) -> Iterator[Sample]:
         while True:
             if not self._arm.streaming:
                 what, asked = "the stream has ended", "the next sample"
@@ -362,11 +362,10 @@ class MicroScribe:
                 with self._noticing():
                     self._arm.stop_stream()
                 self._packet()
-                self._start_stream(command)
+                self._start_stream()
             host_s = self._clock.now()
             for packet in packets:
-                stamp = packet.ticks
-                t_s = host_s if stamp is None else self._arm_time.seconds(stamp, host_s)
+                t_s = self._arm_time.seconds(packet.ticks or 0, host_s)
                 yield Sample(t_s, packet.counts, packet.buttons)
 
     def position(self, samples: Sequence[Sample]) -> Reading:

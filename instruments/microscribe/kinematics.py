@@ -145,14 +145,13 @@ def inverse(
     direction: npt.ArrayLike | None = None,
     *,
     start: npt.ArrayLike,
-    ranges_rad: Floats = RANGES_RAD,
 ) -> Floats:
     """The counts (6,), not rounded, that hold the tip at ``point_mm`` (3,).
 
     ``direction`` (3,) points from the tip up the stylus; None leaves it free. In line with the
     forearm (a blind cone of about a degree) it may be off by 0.02 rad. Joints stay within
-    ``ranges_rad`` (6, 2) of the home pose ``start`` (6,); the pose nearest to it is taken. Damped
-    least squares from many starts. Raises OutOfReachError, ValueError for no direction.
+    `RANGES_RAD` of the home pose ``start`` (6,); the pose nearest to it is taken. Damped least
+    squares from many starts. Raises OutOfReachError, ValueError for no direction.
     """
     goal, stylus = np.asarray(point_mm, dtype=np.float64), None
     if direction is not None:
@@ -163,14 +162,14 @@ def inverse(
             raise ValueError(f"{what}; got {direction!r}")
         stylus = stylus / length
     home = geometry.angles(start)[0]
-    angles = _starts(geometry, goal, stylus, home, ranges_rad)
+    angles = _starts(geometry, goal, stylus, home)
     angles, misses_mm = _settle(geometry, angles, goal, stylus)
     if _TOLERANCE_MM < misses_mm.min() < _BLIND_RAD * _DIRECTION_MM:
         angles, misses_mm = _settle(
             geometry, angles[misses_mm < _BLIND_RAD * _DIRECTION_MM], goal, None
         )
     turned = np.mod(angles - home + np.pi, 2.0 * np.pi) - np.pi
-    within = (turned >= ranges_rad[:, 0]) & (turned <= ranges_rad[:, 1])
+    within = (turned >= RANGES_RAD[:, 0]) & (turned <= RANGES_RAD[:, 1])
     fits = (misses_mm < _TOLERANCE_MM) & within[:, geometry.active].all(axis=1)
     if not fits.any():
         where = f"out of reach: the tip at {_shown(goal)} mm"
@@ -188,11 +187,9 @@ def inverse(
     return counts
 
 
-def _starts(
-    geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats, ranges_rad: Floats
-) -> Floats:
+def _starts(geometry: ArmGeometry, goal: Floats, stylus: Floats | None, home: Floats) -> Floats:
     """Home and the best poses of a lattice over the joint ranges, each base turned to the goal."""
-    poses, tips, axes = _lattice(geometry, tuple(home), tuple(map(tuple, ranges_rad)))
+    poses, tips, axes = _lattice(geometry, tuple(home))
     turned = np.arctan2(goal[1], goal[0]) - np.arctan2(tips[:, 1], tips[:, 0])
     misses = _misses(_about_z(tips, turned), _about_z(axes, turned), goal, stylus)
     best = np.argsort(np.linalg.norm(misses[1:], axis=1), kind="stable")[: _STARTS - 1] + 1
@@ -203,11 +200,9 @@ def _starts(
 
 
 @lru_cache(maxsize=8)
-def _lattice(
-    geometry: ArmGeometry, home: tuple[float, ...], ranges_rad: tuple[tuple[float, float], ...]
-) -> tuple[Floats, Floats, Floats]:
+def _lattice(geometry: ArmGeometry, home: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
     """Home and a lattice over the joint ranges, poses (n, 6) rad; their tips and axes (n, 3)."""
-    low, high = np.transpose(ranges_rad)
+    low, high = RANGES_RAD.T
     between = np.linspace(low, high, 9)[1:-1] * geometry.active
     steps = [np.zeros(1), *between.T[1:-1], np.zeros(1)]
     lattice = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, JOINTS)

@@ -72,7 +72,7 @@ class Reading:
 @dataclass(frozen=True, slots=True)
 class Sample:
     """One packet: raw ``counts`` and ``buttons``. ``t_s`` is by the arm's clock from the session's
-    first stamp; by the host's clock without a stamp.
+    first stamp.
     """
 
     t_s: float

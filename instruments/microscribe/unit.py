@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ValidationError, model_validator
 
 from instruments.microscribe import configuration as conf
 from instruments.microscribe.configuration import Counts, DeviceInfo, Identity, Maxima, Parameters
@@ -75,15 +75,11 @@ class _Parameters(Parameters):
     beta: conf.Word = 0
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Peg(_Table):
+class _Peg(BaseModel, extra="forbid"):
     counts: Counts
 
 
-class _File(_Table):
+class _File(BaseModel, extra="forbid"):
     names: Identity
     maxima: Maxima
     parameters: _Parameters

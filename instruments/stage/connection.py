@@ -3,19 +3,23 @@
 Nothing is sent while an answer is owed. An alarm is kept until a restart; each alarm, locked
 report, restart, broken link or answer that makes no sense counts as an upset, by which the driver
 knows that homing is lost. `Dialogue` is the conversation with Grbl, grblHAL and FluidNC; those
-with other firmwares are its subclasses.
+with other firmwares are its subclasses. What none of them can tell is in docs/rig.md.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
+from typing import ClassVar
 
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LinkError, ProtocolError
 from instruments.link import Link
-from instruments.stage.dialects import BY_NAME, GRBL, Dialect
 from instruments.stage.protocol import (
+    HOLD,
+    JOG_CANCEL,
+    SOFT_RESET,
+    STATUS_QUERY,
     Alarm,
     Decoder,
     ErrorReply,
@@ -27,10 +31,9 @@ from instruments.stage.protocol import (
     Setting,
     Status,
     Welcome,
-    alarm_meaning,
     encode,
-    error_meaning,
     jog_line,
+    meaning,
     move_line,
     parse,
 )
@@ -54,19 +57,21 @@ LOCKED = frozenset({"Alarm", "Sleep"})
 
 
 class Dialogue:
-    """The conversation on one link. Raises LinkError, ProtocolError, DeviceError.
+    """The conversation on one link. Raises LinkError, ProtocolError, DeviceError."""
 
-    ``dialect`` is that of the firmware that answered last.
-    """
-
+    firmware: str = "Grbl"  # which answered last
+    jogs: ClassVar[bool] = True  # whether it has relative moves that can be cancelled
+    brakes_freely: ClassVar[bool] = True  # whether a brake at rest costs nothing
+    safe: ClassVar[str] = (
+        "at a stand and holding its position; after an alarm, locked until it is homed"
+    )
     _parse: Callable[[bytes], Response] = staticmethod(parse)
 
-    def __init__(self, link: Link, clock: Clock, dialect: Dialect = GRBL) -> None:
+    def __init__(self, link: Link, clock: Clock) -> None:
         self.who = link.who
         self.upsets = 0
         self.alarm: int | str | None = None
         self.owed: str | None = None  # the line whose answer hasn't come
-        self.dialect = dialect
         self._link = link
         self._clock = clock
         self._decoder = Decoder(self._parse)
@@ -90,9 +95,8 @@ class Dialogue:
             if isinstance(answer, Ok):
                 return pushed
             if isinstance(answer, ErrorReply):
-                meaning = error_meaning(answer.code, self.dialect.name)
-                number = f"error {answer.code}: " if isinstance(answer.code, int) else ""
-                raise DeviceError(self.who, number + meaning.what, asked=text, hint=meaning.do)
+                what, hint = meaning(answer, self.firmware)
+                raise DeviceError(self.who, what, asked=text, hint=hint)
             pushed.append(answer)
 
     def status(self) -> Status:
@@ -100,7 +104,7 @@ class Dialogue:
         self.wait(0.0)
         end_s = self._clock.now() + STATUS_S
         while self._clock.now() < end_s:
-            self.write(self.dialect.status_query)
+            self.write(STATUS_QUERY)
             until_s = end_s if self.alarm is None else min(end_s, self._clock.now() + ASK_AGAIN_S)
             while (answer := self._next(until_s)) is not None:
                 if isinstance(answer, Status):
@@ -145,11 +149,11 @@ class Dialogue:
     @property
     def homing(self) -> bool:
         """Whether it homes, as far as its answers tell."""
-        return self.owed is not None and self.owed == self.dialect.home
+        return self.owed == "$H"
 
-    def home(self, axes: str, bound_s: float) -> None:
+    def home(self, axes: str, bound_s: float) -> None:  # noqa: ARG002 - its settings say which
         """Home ``axes`` and wait for the end, ``bound_s`` at most."""
-        self.command(self.dialect.home.format(axes=" ".join(axes)), bound_s)
+        self.command("$H", bound_s)
 
     def move_lines(self, target: Target, feed_mm_min: float) -> list[str]:
         """The lines of a straight move to machine coordinates. Raises LimitError."""
@@ -157,7 +161,7 @@ class Dialogue:
 
     def jog_lines(self, way: Target, target: Target, feed_mm_min: float) -> list[str]:
         """The lines of a relative move by ``way``, which ends at ``target``. Raises LimitError."""
-        if self.dialect.jogs:
+        if self.jogs:
             return [jog_line(way, feed_mm_min, who=self.who)]
         return self.move_lines(target, feed_mm_min)
 
@@ -168,15 +172,15 @@ class Dialogue:
 
     def finish(self, timeout_s: float) -> None:
         """Wait until all motion is over: an idle report may come before the move has begun."""
-        if self.dialect.finish:
-            self.command(self.dialect.finish, timeout_s)
+        self.command("G4P0", timeout_s)
 
     def brake(self) -> None:
         """Send what brakes at once, and wait for nothing: any thread may call it."""
-        self.write(self.dialect.brake)
+        self.write(HOLD)
 
     def cancel_jog(self) -> None:
-        self.write(self.dialect.cancel_jog)
+        """Brake, and forget the rest of a jog."""
+        self.write(JOG_CANCEL)
 
     def abort(self) -> None:
         """Stop whatever it does, homing too; the position is lost. Raises LinkError."""
@@ -197,11 +201,11 @@ class Dialogue:
         """Soft reset: drop what was owed, alarm and input. Raises LinkError or ProtocolError."""
         self.upsets += 1
         self._link.drain(0.0)
-        self.write(self.dialect.abort)
+        self.write(SOFT_RESET)
         welcome = self._welcome()
         if welcome is None:
             what, hint = "no welcome after a reset", "Check power, cable and baud rate."
-            raise LinkError(self.who, what, asked=self.dialect.abort, seconds=START_S, hint=hint)
+            raise LinkError(self.who, what, asked=SOFT_RESET, seconds=START_S, hint=hint)
         return welcome
 
     def _welcome(self) -> Welcome | None:
@@ -220,7 +224,7 @@ class Dialogue:
         if welcome:
             more = self._link.drain(QUIET_S, at_most_s=START_S)
             welcome = _last_welcome(self._decoder, more) or welcome
-            self.dialect = BY_NAME[welcome.dialect]
+            self.firmware = welcome.dialect
         return welcome
 
     def _forget(self) -> None:
@@ -277,10 +281,8 @@ class Dialogue:
         return answer
 
     def _alarmed(self, asked: str | None) -> DeviceError:
-        code = self.alarm or 0
-        meaning = alarm_meaning(code, self.dialect.name)
-        number = f"alarm {code}: " if isinstance(code, int) else ""
-        return DeviceError(self.who, number + meaning.what, asked=asked, hint=meaning.do)
+        what, hint = meaning(Alarm(self.alarm or 0), self.firmware)
+        return DeviceError(self.who, what, asked=asked, hint=hint)
 
     def _receive(self, until_s: float) -> bytes:
         try:

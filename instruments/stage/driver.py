@@ -12,32 +12,27 @@ turntable.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from dataclasses import replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from instruments.clock import Clock
-from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError
+from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, Dialogue
 from instruments.stage.marlin import MarlinDialogue
-from instruments.stage.protocol import Status, axis_words
+from instruments.stage.protocol import AXES, Position, Status, axis_words
 from instruments.stage.settings import (
     DECLARABLE,
     AxisLimits,
-    Move,
     StageIdentity,
     StageSettings,
     Target,
-    allowed_s,
-    by_letter,
-    check_arrived,
     check_within,
     declared,
-    feed_for,
 )
 from instruments.stage.zaber import Motor, ZaberDialogue
 
@@ -50,8 +45,17 @@ MOVING = frozenset({"Run", "Jog", "Home"})
 STILL = frozenset({"Idle", "Alarm", "Sleep", "Check", "Hold:0", "Door:0", "Door:1"})
 
 
-# The firmware sends a report before it goes on, where both are asked for in one pass of its loop.
-RESUME_PAUSES_S = (0.0, 0.1, 0.1, 0.1)
+TOLERANCE_MM = 0.01
+SLACK_S = 10.0  # on top of twice what a move should take
+
+
+class Move(NamedTuple):
+    """A move under way: axis letter to mm, when it must be over, and whether it is a jog."""
+
+    target_mm: Target
+    deadline_s: float
+    allowed_s: float
+    jog: bool
 
 
 class Stage:
@@ -97,7 +101,7 @@ class Stage:
     @property
     def safe_state(self) -> str:
         """What it is in once ``safe`` has returned."""
-        return self._talk.dialect.safe
+        return self._talk.safe
 
     @property
     def identity(self) -> StageIdentity:
@@ -178,7 +182,7 @@ class Stage:
         """Start what ``finish_move`` waits for. Raises as ``move_to``."""
         wanted = {"X": x_mm, "Y": y_mm, "Z": z_mm, "A": a_deg}
         target = declared(wanted, self.axes, who=self.who)
-        feed = feed_for(target, feed_mm_min, self.settings)
+        feed = self._feed(target, feed_mm_min)
         lines = self._talk.move_lines(target, feed)
         self._check_homed(lines[-1])
         check_within(target, self.settings, lines[-1], who=self.who)
@@ -202,7 +206,7 @@ class Stage:
         way = declared(wanted, self.axes, who=self.who)
         if not way:
             raise LimitError(self.who, "a jog without a distance", hint="Give a way along an axis.")
-        feed = feed_for(way, feed_mm_min, self.settings)
+        feed = self._feed(way, feed_mm_min)
         line = f"jog {axis_words(way, feed, who=self.who)}"
         self._check_homed(line)
         here = self._ready_at(line)
@@ -227,22 +231,19 @@ class Stage:
             raise LimitError(self.who, "no move is under way", hint="Call begin_move().")
         status = self._until_over(move)
         self._move = None
-        try:
-            check_arrived(move, self._here(status), self.settings, who=self.who)
-        except DeviceError:
-            self._homed_at = self._homed_at if move.jog else None
-            raise
-
-    def hold(self) -> None:
-        """Brake and wait for a stand. Keeps a move for ``resume``, where the firmware can; ends a
-        jog.
-        """
-        self.cancel_jog()
-        if self._talk.status().state in MOVING:
-            self._talk.brake()
-        self._until_still()
-        if self._talk.dialect.resume is None:
-            self._move = None
+        here, steps = self._here(status), self._by_letter(self.settings.steps_per_mm)
+        for axis, value in move.target_mm.items():
+            if not abs(here[axis] - value) <= max(TOLERANCE_MM, 0.5 / steps[axis] + 0.001):
+                what, hint = (
+                    f"the stage is not at its target, {axis} = {value:.3f}",
+                    "Home it again.",
+                )
+                if move.jog:
+                    hint = "The jog was ended early, by a hold at the panel or by brake(); its"
+                    hint += " position is kept."
+                else:
+                    self._homed_at = None
+                raise DeviceError(self.who, what, seen=f"{axis} = {here[axis]:.3f}", hint=hint)
 
     def brake(self) -> None:
         """Send what brakes without waiting: the one call for other threads than the owner's. The
@@ -250,25 +251,6 @@ class Stage:
         position. Raises LinkError.
         """
         self._talk.brake()
-
-    def resume(self) -> None:
-        """Go on after a hold, once the stage stands. Raises LimitError unless held."""
-        status = self._until_still()
-        resume = self._talk.dialect.resume
-        if status.name != "Hold:0" or resume is None:
-            what = "nothing to resume: the stage is not held"
-            raise LimitError(self.who, what, seen=status.name)
-        if move := self._under_way:
-            # its whole time once more
-            self._move = replace(move, deadline_s=self._clock.now() + move.allowed_s)
-        self._talk.write(resume)
-        for pause_s in RESUME_PAUSES_S:
-            self._talk.wait(pause_s)
-            status = self._talk.status()
-            if status.state != "Hold":
-                return
-        what, hint = "the controller did not resume", "Call recover(), then home()."
-        raise DeviceError(self.who, what, seen=status.name, hint=hint)
 
     def stop(self) -> None:
         """Bring the stage to a stand from any state and wait for it; may be repeated.
@@ -283,9 +265,14 @@ class Stage:
             self._talk.abort()
             return
         try:
-            if (move := self._under_way) and not move.jog and self._talk.dialect.resume:
+            if (move := self._under_way) and not move.jog and self._talk.brakes_freely:
                 self._talk.brake()
-            self.hold()
+            self.cancel_jog()
+            if self._talk.status().state in MOVING:
+                self._talk.brake()
+            self._until_still()
+            if not self._talk.brakes_freely:
+                self._move = None
         except InstrumentError as error:
             if self._talk.alarm is None:  # an alarm has cut the steps already
                 try:
@@ -310,10 +297,7 @@ class Stage:
         self._talk.restart()
         status = self._talk.status()
         if status.state not in ("Idle", "Alarm"):
-            what, hint = (
-                "neither idle nor locked after a reset",
-                "Switch the controller off and on.",
-            )
+            what, hint = "neither idle nor locked after a reset", "Switch it off and on."
             raise DeviceError(self.who, what, seen=status.name, hint=hint)
 
     def close(self) -> None:
@@ -326,7 +310,26 @@ class Stage:
         return self._move if self.homed else None
 
     def _here(self, status: Status) -> Target:
-        return by_letter(self._talk.machine_mm(status), self.axes, who=self.who)
+        """The axes' places in machine coordinates. Raises ProtocolError for too few numbers."""
+        numbers = self._talk.machine_mm(status)
+        if len(numbers) < len(self._letters):
+            what = f"{len(numbers)} numbers in a position, {len(self._letters)} are needed"
+            hint = "A rotation A needs a controller with four axes."
+            raise ProtocolError(self.who, what, hint=hint)
+        return self._by_letter(numbers)
+
+    @property
+    def _letters(self) -> str:
+        """In the order of the controller's lists, which have Z whether it is declared or not."""
+        return AXES if "A" in self.axes else AXES[:3]
+
+    def _by_letter(self, numbers: Position) -> Target:
+        return dict(zip(self._letters, numbers, strict=False))
+
+    def _feed(self, axes: Target, wanted_mm_min: float | None) -> float:
+        """The feed to send: the wanted one, or what the slowest of the axes can."""
+        rates = self._by_letter(self.settings.rate_mm_min)
+        return min(rates[axis] for axis in axes) if wanted_mm_min is None else wanted_mm_min
 
     def _check_homed(self, line: str) -> None:
         if not self.homed:
@@ -347,14 +350,15 @@ class Stage:
             what = "a move is still under way, or the stage is not idle"
             hint = "Call finish_move(), or stop()."
             if status.state == "Hold":
-                hint = "Call resume() and finish_move(), or recover()."
+                hint = "Call recover(), then home()."
             raise LimitError(self.who, what, asked=line, seen=status.name, hint=hint)
         return self._here(status)
 
     def _send(
         self, lines: list[str], target: Target, way: Target, feed: float, *, jog: bool = False
     ) -> None:
-        allowed = allowed_s(way, feed, self.settings)
+        seconds = 60 * math.hypot(*way.values()) / min(feed, *self.settings.rate_mm_min)
+        allowed = SLACK_S + 2 * seconds
         self._talk.send(lines)
         self._move = Move(target, self._clock.now() + allowed, allowed, jog)
 
@@ -368,8 +372,6 @@ class Stage:
             self._talk.wait(POLL_S)
         if status.state != "Idle":
             hint = "See the controller's panel; then recover()."
-            if status.state == "Hold":
-                hint = "Call resume() and finish_move()."
             raise DeviceError(self.who, "the move was interrupted", seen=status.name, hint=hint)
         # Idle may be reported before the move has begun: only the dwell behind it shows that it is
         # over.

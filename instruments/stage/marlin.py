@@ -12,12 +12,12 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Mapping
+from typing import ClassVar
 
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, QUIET_S, START_S, STATUS_S, Dialogue
-from instruments.stage.dialects import MARLIN
 from instruments.stage.protocol import (
     Alarm,
     Counted,
@@ -46,9 +46,9 @@ _COUNTED = re.compile(
     rf"X:{_FIGURE} Y:{_FIGURE} Z:{_FIGURE} .*"
     rf"Count X:\s*{_FIGURE} Y:\s*{_FIGURE} Z:\s*{_FIGURE}(?: .*)?"
 )
-_OK, _REFUSED, _STOPPED = (
-    re.compile(pattern) for pattern in (MARLIN.acknowledged, MARLIN.refused, MARLIN.alarm)
-)
+_OK = re.compile(r"ok( .*)?")
+_REFUSED = re.compile(r"echo:Unknown command: .*|echo:Home .* First|Error:.*|Resend: ?\d+")
+_STOPPED = re.compile(r"Error:.*(halted|stopped|[Kk]ill).*")
 _CHATTER = ("echo:", "//", "Cap:", "FIRMWARE_NAME:", "area:", "T:", " T:", "wait", "Marlin")
 _SETTING = re.compile(r"\b(M\d+|G2[01])\b([^;]*)")
 _WORD = re.compile(rf"([A-Z]){_FIGURE}")
@@ -136,10 +136,16 @@ def _of(found: Mapping[str, Mapping[str, float]], code: str, who: str) -> Positi
 class MarlinDialogue(Dialogue):
     """The conversation on one link, for X, Y and Z."""
 
+    firmware = "Marlin"
+    jogs: ClassVar[bool] = False
+    brakes_freely: ClassVar[bool] = False
+    safe: ClassVar[str] = (
+        "at a stand, its position lost if it moved; if it homed, halted until switched off and on"
+    )
     _parse = staticmethod(parse)
 
     def __init__(self, link: Link, clock: Clock) -> None:
-        super().__init__(link, clock, MARLIN)
+        super().__init__(link, clock)
         self._axes = "XY"
         self._steps: Position = (1.0, 1.0, 1.0)
         self._stale = False  # answers may come that belong to nothing
@@ -192,7 +198,7 @@ class MarlinDialogue(Dialogue):
         return Status("Run" if moving else "Idle", None, at, None, None, {})
 
     def home(self, axes: str, bound_s: float) -> None:
-        super().home(axes, bound_s)
+        self.command(f"G28 {' '.join(axes)}", bound_s)
         self.finish(ANSWER_S)
 
     @property
@@ -202,8 +208,12 @@ class MarlinDialogue(Dialogue):
     def move_lines(self, target: Target, feed_mm_min: float) -> list[str]:
         return ["G90", f"G1 {axis_words(target, feed_mm_min, who=self.who, between=' ')}"]
 
+    def finish(self, timeout_s: float) -> None:
+        self.command("M400", timeout_s)
+
     def brake(self) -> None:
-        self.write(self.dialect.brake)
+        """Cut the steps, which costs the position."""
+        self.write(b"M410\n")
         self.upsets += 1
         self._stale = True  # M410 is answered too, before or after what is owed
 
@@ -219,7 +229,7 @@ class MarlinDialogue(Dialogue):
                 self.brake()
                 if self.status().state == "Idle":
                     return
-        self.write(self.dialect.abort)
+        self.write(b"M112\n")
         until_s = self._clock.now() + HALT_S
         while self.alarm is None:
             try:

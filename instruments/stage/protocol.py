@@ -112,8 +112,7 @@ class Counted:
     steps: Position
 
 
-@dataclass(frozen=True, slots=True)
-class Reply:
+class Reply(NamedTuple):
     """Zaber's answer: whom it is from, the id that it answers, ``OK`` or ``RJ``, ``IDLE`` or
     ``BUSY``, the most serious warning flag, and data.
     """
@@ -254,14 +253,21 @@ class Meaning(NamedTuple):
 _REPORT = "The line that was sent is wrong: report it with the bench's log."
 
 
-def _table(text: str) -> dict[int, Meaning]:
-    """Each entry "number what | do", which may go on in indented lines; "report" is `_REPORT`."""
+def _table(text: str, then: str = "") -> dict[int, Meaning]:
+    """Each entry "number what | do", which may go on in indented lines; "report" is `_REPORT`,
+    ``then`` follows what is to be done, if anything.
+    """
     table = {}
     for entry in re.split(r"\n(?=\d)", text.strip()):
         number, words = re.sub(r"\s+", " ", entry).split(" ", 1)
-        what, do = words.split(" | ")
+        what, _, do = words.partition(" |")
+        do = f"{do.strip()}, then {then}" if do and then else do.strip() or f"Call {then}"
         table[int(number)] = Meaning(what, _REPORT if do == "report" else do)
     return table
+
+
+def _alarms(text: str) -> dict[int, Meaning]:
+    return _table(text, "recover() and home().")
 
 
 ERRORS = _table("""
@@ -308,39 +314,30 @@ ERRORS = _table("""
 38 the tool number is too large | report
 """)
 
-ALARMS = _table("""
+ALARMS = _alarms("""
 1 a limit switch was hit and the position is probably lost | Clear the stage by hand with the power
-    off, then recover() and home().
-2 a target lay beyond the controller's soft limits; nothing moved there | Check $130 to $132, then
-    recover() and home().
-3 the controller was reset while moving and the position is lost | Call recover(), then home().
-4 the probe was not in its initial state | Check the probe, then recover() and home().
-5 the probe found no contact | Check the probe, then recover() and home().
-6 homing was ended by a reset | Call recover(), then home().
-7 homing was ended by the safety door | Close the door, then recover() and home().
-8 a switch stayed closed after the pull-off | Look for a stuck or dirty switch, or raise $27; then
-    recover() and home().
-9 homing found no switch | Check the switches, their cables and $23, $5; then recover() and home().
-10 the two motors of one axis found their switches too far apart | Square the gantry, then recover()
-    and home().
+    off
+2 a target lay beyond the controller's soft limits; nothing moved there | Check $130 to $132
+3 the controller was reset while moving and the position is lost
+4 the probe was not in its initial state | Check the probe
+5 the probe found no contact | Check the probe
+6 homing was ended by a reset
+7 homing was ended by the safety door | Close the door
+8 a switch stayed closed after the pull-off | Look for a stuck or dirty switch, or raise $27
+9 homing found no switch | Check the switches, their cables and $23, $5
+10 the two motors of one axis found their switches too far apart | Square the gantry
 """)
 
-HAL_ALARMS = _table("""
-10 the emergency stop is pressed | Release it when the cause is gone, then recover() and home().
-11 the controller wants to be homed first | Call recover(), then home().
-12 a limit switch is closed | Move the stage off it by hand with the power off, then recover() and
-    home().
-13 the probe's protection has stopped the stage | Check the probe, then recover() and home().
-14 a spindle did not reach its speed; a stage has none | Switch the spindle off in its settings,
-    then recover() and home().
-15 of the two motors of one axis, one did not find its switch in time | Square the gantry, then
-    recover() and home().
-16 the controller's test of itself failed | Look at its own messages, switch it off and on, then
-    recover() and home().
-17 a motor driver reports a fault | Check the motor's driver, cable and load, then recover() and
-    home().
+HAL_ALARMS = _alarms("""
+10 the emergency stop is pressed | Release it when the cause is gone
+11 the controller wants to be homed first
+12 a limit switch is closed | Move the stage off it by hand with the power off
+13 the probe's protection has stopped the stage | Check the probe
+14 a spindle did not reach its speed; a stage has none | Switch the spindle off in its settings
+15 of the two motors of one axis, one did not find its switch in time | Square the gantry
+16 the controller's test of itself failed | Look at its own messages, switch it off and on
+17 a motor driver reports a fault | Check the motor's driver, cable and load
 """)
-
 
 FLUIDNC_ERRORS = _table("""
 18 no axis has a homing cycle | Give each axis that moves a homing cycle in the configuration file.
@@ -353,43 +350,33 @@ FLUIDNC_ERRORS = _table("""
 152 the configuration is not valid | See the controller's own messages after its start.
 """)
 
-FLUIDNC_ALARMS = _table("""
-10 a spindle did not reach its speed; a stage has none | Remove it from the configuration file, then
-    recover() and home().
-11 a control pin was active at the start | Look for a pressed button, then recover() and home().
-12 both switches of an axis are closed | Check the switches and their pins, then recover() and
-    home().
-13 a hard stop was asked for | Release the button, then recover() and home().
-14 the controller wants to be homed first | Call recover(), then home().
-15 the controller's start failed | See its own messages, then recover() and home().
-16 an expander board was reset | Check its cable and power, then recover() and home().
-17 a G-code line was wrong | Report it with the bench's log, then recover() and home().
-18 a limit switch was hit while probing | Call recover(), then home().
+FLUIDNC_ALARMS = _alarms("""
+10 a spindle did not reach its speed; a stage has none | Remove it from the configuration file
+11 a control pin was active at the start | Look for a pressed button
+12 both switches of an axis are closed | Check the switches and their pins
+13 a hard stop was asked for | Release the button
+14 the controller wants to be homed first
+15 the controller's start failed | See its own messages
+16 an expander board was reset | Check its cable and power
+17 a G-code line was wrong | Report it with the bench's log
+18 a limit switch was hit while probing
 """)
 
-_OWN_ERRORS = {"FluidNC": FLUIDNC_ERRORS}
-_OWN_ALARMS = {"grblHAL": HAL_ALARMS, "FluidNC": FLUIDNC_ALARMS}
+_OWN = {"grblHAL": HAL_ALARMS, "FluidNC": FLUIDNC_ALARMS}
 
 
-def error_meaning(code: int | str, dialect: str = "Grbl") -> Meaning:
-    """The meaning of ``error:code`` of that firmware; a number that is not in its table is said to
-    be unknown. A sentence of the firmware stands for itself.
-    """
+def meaning(answer: ErrorReply | Alarm, firmware: str = "Grbl") -> Meaning:
+    """What it means in that firmware, unknown numbers included. A sentence stands for itself."""
+    code, alarm = answer.code, isinstance(answer, Alarm)
+    then = ", then recover() and home()."
     if isinstance(code, str):
-        return Meaning(code, "See the firmware's documentation; then recover() and home().")
-    return (ERRORS | _OWN_ERRORS.get(dialect, {})).get(code) or Meaning(
-        "an error that this program does not know",
-        "Look the number up in the firmware's list of errors.",
+        do = "Switch the controller off and on" if alarm else "See the firmware's documentation"
+        return Meaning(code, do + then)
+    kind = "alarm" if alarm else "error"
+    unknown = Meaning(
+        f"an {kind} that this program does not know",
+        f"Look the number up in the firmware's list of {kind}s{then if alarm else '.'}",
     )
-
-
-def alarm_meaning(code: int | str, dialect: str = "Grbl") -> Meaning:
-    """The meaning of ``ALARM:code`` of that firmware; others are unknown. A sentence stands for
-    itself.
-    """
-    if isinstance(code, str):
-        return Meaning(code, "Switch the controller off and on, then recover() and home().")
-    return (ALARMS | _OWN_ALARMS.get(dialect, {})).get(code) or Meaning(
-        "an alarm that this program does not know",
-        "Look the number up in the firmware's list of alarms, then recover() and home().",
-    )
+    own = _OWN.get(firmware, {}) if alarm else FLUIDNC_ERRORS if firmware == "FluidNC" else {}
+    known = own.get(code) or (ALARMS if alarm else ERRORS).get(code, unknown)
+    return known._replace(what=f"{kind} {code}: {known.what}")

@@ -11,18 +11,15 @@ squares, as in the firmware.
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
 from instruments.errors import DeviceError, LimitError, ProtocolError
-from instruments.stage.protocol import AXES, Position
+from instruments.stage.protocol import AXES
 
 Axes = tuple[float, ...]
 Target = dict[str, float]  # by axis letter in machine coordinates: mm, degrees for A
-TOLERANCE_MM = 0.01
-_SLACK_S = 10.0
 DECLARABLE = ("XY", "XYZ", "XYA", "XYZA")
 _PASSES = range(44, 50)
 _ORIGIN_AT_SWITCH = 8
@@ -199,16 +196,6 @@ def _check(values: Mapping[int, str], axes: str, who: str) -> None:
         refuse(f"homing leaves out {', '.join(unhomed)}", hint)
 
 
-@dataclass(frozen=True, slots=True)
-class Move:
-    """A move under way: axis letter to mm, when it must be over, and whether it is a jog."""
-
-    target_mm: Target
-    deadline_s: float
-    allowed_s: float
-    jog: bool = False
-
-
 def declared(values: Mapping[str, float | None], axes: str, *, who: str) -> Target:
     """``values`` without None. Raises LimitError for an undeclared axis."""
     target = {axis: value for axis, value in values.items() if value is not None}
@@ -216,18 +203,6 @@ def declared(values: Mapping[str, float | None], axes: str, *, who: str) -> Targ
         hint = f"It is declared with {axes}: if it has more, say so in the rig file's [stage] axes."
         raise LimitError(who, f"this stage has no axis {', '.join(missing)}", hint=hint)
     return target
-
-
-def feed_for(target: Target, wanted_mm_min: float | None, settings: StageSettings) -> float:
-    """The feed to send: the wanted one, or what the slowest of the axes can."""
-    rates = dict(zip(AXES, settings.rate_mm_min, strict=False))
-    return min(rates[axis] for axis in target) if wanted_mm_min is None else wanted_mm_min
-
-
-def allowed_s(way_mm: Mapping[str, float], feed_mm_min: float, settings: StageSettings) -> float:
-    """How long the move may take before something is wrong: twice what it should, and some more."""
-    way = math.hypot(*way_mm.values())
-    return _SLACK_S + 2 * 60 * way / min(feed_mm_min, *settings.rate_mm_min)
 
 
 def check_within(target: Target, settings: StageSettings, line: str, *, who: str) -> None:
@@ -242,26 +217,3 @@ def check_within(target: Target, settings: StageSettings, line: str, *, who: str
             if settings.low_mm:
                 hint = "These are machine coordinates, as the controller counts after homing."
             raise LimitError(who, what, asked=line, hint=hint)
-
-
-def check_arrived(move: Move, here: Target, settings: StageSettings, *, who: str) -> None:
-    """Raise DeviceError unless every axis is at its target within its resolution."""
-    steps = dict(zip(AXES, settings.steps_per_mm, strict=False))
-    for axis, value in move.target_mm.items():
-        if not abs(here[axis] - value) <= max(TOLERANCE_MM, 0.5 / steps[axis] + 0.001):
-            what, hint = f"the stage is not at its target, {axis} = {value:.3f}", "Home it again."
-            if move.jog:
-                hint = (
-                    "The jog was ended early, by a hold at the panel or by brake(); its position is"
-                    " kept."
-                )
-            raise DeviceError(who, what, seen=f"{axis} = {here[axis]:.3f}", hint=hint)
-
-
-def by_letter(numbers: Position, axes: str, *, who: str) -> Target:
-    """X, Y, Z, and A where declared, of a position. Raises ProtocolError for one with fewer."""
-    letters = AXES if "A" in axes else AXES[:3]
-    if len(numbers) < len(letters):
-        what = f"{len(numbers)} numbers in a position, {len(letters)} are needed"
-        raise ProtocolError(who, what, hint="A rotation A needs a controller with four axes.")
-    return dict(zip(letters, numbers, strict=False))

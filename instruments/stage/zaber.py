@@ -13,13 +13,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, QUIET_S, Dialogue
-from instruments.stage.dialects import ZABER
 from instruments.stage.protocol import (
     AXES,
     Message,
@@ -32,6 +31,7 @@ from instruments.stage.protocol import (
 )
 from instruments.stage.settings import StageIdentity, StageSettings, Target
 
+GET_POSITIONS = b"/get pos\n"  # of all devices
 POLL_S = 0.2
 SPEED = 1.6384  # the unit of speeds: microsteps a second times this
 ACCELERATION = SPEED / 10_000
@@ -109,10 +109,14 @@ def parse(line: bytes) -> Response:
 class ZaberDialogue(Dialogue):
     """The conversation on one link; ``motors`` in the order of the stage's axes."""
 
+    firmware = "Zaber"
+    jogs: ClassVar[bool] = False
+    brakes_freely: ClassVar[bool] = False
+    safe: ClassVar[str] = "at a stand and holding its position"
     _parse = staticmethod(parse)
 
     def __init__(self, link: Link, clock: Clock, motors: Iterable[Motor]) -> None:
-        super().__init__(link, clock, ZABER)
+        super().__init__(link, clock)
         self._given = tuple(motors)
         self._motors: dict[str, Motor] = {}
         self._speeds: dict[tuple[int, int], int] = {}
@@ -179,23 +183,20 @@ class ZaberDialogue(Dialogue):
         line = f"{int(device):02d} {axis} {self._number:02d} {words}"
         self.write(f"/{line}:{checksum(line)}\n".encode("ascii"))
         until_s = self._clock.now() + timeout_s
+        asked = int(device), int(axis), self._number
         while (answer := self._next(until_s)) is not None:
-            if isinstance(answer, Reply) and self._answers(answer, int(device), int(axis)):
-                return [self._accepted(answer, text)]
+            if not isinstance(answer, Reply) or answer[:3] != asked:
+                continue
+            if not answer.taken:
+                why = REFUSALS.get(answer.data, "see the maker’s manual")
+                what, hint = f"refused, {answer.data}: {why}", "Call stop(), then try again."
+                raise DeviceError(self.who, what, asked=text, hint=hint)
+            if answer.flag not in HARMLESS:
+                self.upsets += 1
+            return [answer]
         self.upsets += 1
         hint = "Check power, cable, baud rate, and the device's number and protocol."
         raise LinkError(self.who, "no answer", asked=text, seconds=timeout_s, hint=hint)
-
-    def _answers(self, reply: Reply, device: int, axis: int) -> bool:
-        return (reply.device, reply.axis, reply.number) == (device, axis, self._number)
-
-    def _accepted(self, reply: Reply, text: str) -> Reply:
-        if not reply.taken:
-            what = f"refused, {reply.data}: {REFUSALS.get(reply.data, 'see the maker’s manual')}"
-            raise DeviceError(self.who, what, asked=text, hint="Call stop(), then try again.")
-        if reply.flag not in HARMLESS:
-            self.upsets += 1
-        return reply
 
     def _ask(self, device: int, axis: int, words: str) -> str:
         [reply] = self.command(f"{device} {axis} {words}")
@@ -260,6 +261,14 @@ class ZaberDialogue(Dialogue):
                 lines.append(f"{device} {number} set maxspeed {speed}")
             lines.append(f"{device} {number} move abs {round(place * microsteps)}")
         return lines
+
+    def finish(self, timeout_s: float) -> None:
+        """Each reply says whether its axis moves: nothing is to be waited for."""
+
+    def brake(self) -> None:
+        self.write(b"/stop\n")
+
+    cancel_jog = brake
 
     def send(self, lines: Iterable[str]) -> None:
         for line in lines:

@@ -14,13 +14,13 @@ from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.stage.emulator.carriage import Carriage
 from instruments.stage.emulator.controller import Controller
-from instruments.stage.emulator.lines import LineController
+from instruments.stage.emulator.grbl import GrblController
 from instruments.stage.emulator.marlin import MarlinController
 from instruments.stage.emulator.motion import Switch, Vector
 from instruments.stage.emulator.store import CLASSIC, Dialect, Store
 from instruments.stage.emulator.zaber import ZaberController
 
-CONTROLLERS: dict[str, type[Controller | LineController]] = {
+CONTROLLERS: dict[str, type[Controller]] = {
     "Marlin": MarlinController,
     "Zaber": ZaberController,
 }
@@ -75,8 +75,7 @@ class StageEmulator:
     """The board and its mechanics, of 3 ``axes`` or 4.
 
     ``settings`` by number ($130 is 130) replace defaults; ``play_mm`` is the backlash by axis
-    (degrees for A); with ``fresh_eeprom`` it starts with an error and a dump of settings. Raises
-    ValueError for unknown settings or axes.
+    (degrees for A). Raises ValueError for unknown settings or axes.
     """
 
     def __init__(
@@ -87,7 +86,6 @@ class StageEmulator:
         dialect: Dialect = CLASSIC,
         axes: int = 3,
         play_mm: Vector | None = None,
-        fresh_eeprom: bool = False,
         high_mm: Vector | None = None,
     ) -> None:
         self._clock = clock
@@ -96,10 +94,9 @@ class StageEmulator:
         middle = tuple(-travel / 2 for travel in store.travel_mm)
         play = play_mm or (0.0,) * axes
         self._carriage = Carriage(middle, store.travel_mm, play, store.at_far_end)
-        made = CONTROLLERS.get(dialect.name, Controller)
+        made = CONTROLLERS.get(dialect.name, GrblController)
         self._controller = made(clock, store, self._carriage, self._answer)
         self._origin_mm, self._resets = store.origin_mm, dialect.resets_on_open
-        self._first_words = ("error:7", *store.lines()) if fresh_eeprom else ()
         self._connection: Connection | None = None
         self._faults: dict[Fault, float] = {}
         self._lost_mm = LOST_MM
@@ -135,10 +132,6 @@ class StageEmulator:
         self._faults.pop(fault, None)
         self._tell_switches()
 
-    def lose_steps(self, lost_mm: Vector) -> None:
-        """Shift the carriage against the count at once, as a knock does."""
-        self._carriage.knock(lost_mm, self._clock.now())
-
     def connect(self, connection: Connection) -> None:
         """A host opens the port, which resets most boards. The newest host has it."""
         if self._connection:
@@ -146,8 +139,7 @@ class StageEmulator:
         self._connection = connection
         self._wake_planned_s = math.inf
         if self._resets:
-            self._controller.power_up(self._first_words)
-        self._first_words = ()
+            self._controller.power_up()
         self._settle()
 
     def receive(self, connection: Connection, data: bytes) -> None:

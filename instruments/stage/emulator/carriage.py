@@ -59,11 +59,8 @@ class AxisDrive:
         self.to_lose -= lost
         self.motor += way - lost if way > 0 else way + lost
         below, above = (0.0, self.play) if self.at_far_end else (self.play, 0.0)
-        self._carry(min(max(self.place, self.motor - below), self.motor + above))
-
-    def _carry(self, wanted: float) -> None:
-        """Move the carriage to ``wanted`` or the rail's end; the motor loses the rest."""
-        self.place = min(max(wanted, self.low), self.high)
+        wanted = min(max(self.place, self.motor - below), self.motor + above)
+        self.place = min(max(wanted, self.low), self.high)  # at the rail's end steps are lost
         over = wanted - self.place
         if over:
             self.motor -= over
@@ -79,11 +76,6 @@ class AxisDrive:
         self.place = self.motor = place
         self.pressed = False
         self.recount(count)
-
-    def knock(self, way: float) -> None:
-        """The carriage, and the motor with it, is pushed by ``way`` while the count stays."""
-        self.motor += way
-        self._carry(self.place + way)
 
     def past_switch(self, count: float) -> bool:
         """Whether going straight to ``count`` would close the limit switch."""
@@ -204,12 +196,6 @@ class Carriage:
         blocks = self.follow(now_s).blocks(now_s)
         unit = blocks[0].unit[:3] if blocks else (1.0,)
         self._axes[max(range(len(unit)), key=lambda axis: abs(unit[axis]))].to_lose += amount_mm
-
-    def knock(self, way_mm: Vector, now_s: float) -> None:
-        """Push the carriage against the count."""
-        self.follow(now_s)
-        for axis, way in zip(self._axes, way_mm, strict=False):
-            axis.knock(way)
 
     def take_pressed(self, now_s: float) -> bool:
         """Whether a limit switch has closed since this was last asked."""

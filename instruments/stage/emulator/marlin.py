@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from instruments.stage.emulator.lines import LineController
+from instruments.stage.emulator.controller import Controller, Work
 from instruments.stage.emulator.motion import SOON_S
 
 KEEPALIVE_S = 2
@@ -33,11 +33,13 @@ BOOT = (
 KILLED = "Error:Printer halted. kill() called!"
 
 
-class MarlinController(LineController):
+class MarlinController(Controller):
     """One board: X, Y, Z."""
 
-    def power_up(self, first_words: tuple[str, ...] = ()) -> None:
-        super().power_up((*first_words, *BOOT))
+    def power_up(self) -> None:
+        super().power_up()
+        for line in BOOT:
+            self.say(line)
         self.halted = False
         self._keepalive_s = KEEPALIVE_S
         self._relative = False
@@ -61,76 +63,65 @@ class MarlinController(LineController):
         elif text.startswith("M410"):
             self.carriage.halt(self.now)
 
-    def work(self, text: str) -> Iterator[float]:
+    def work(self, text: str) -> Work:
         if self.halted or not text:
-            return
+            return None
         name, _, rest = text.partition(" ")
         words = dict(_WORD.findall(rest.upper()))
-        if name in ("G0", "G1"):
-            yield from self._move(words)
-        elif name == "G28":
-            yield from self._home(words)
-        elif name in ("M400", "G4"):
-            yield from self._busy(self._until_still())
-        else:
-            for line in self._quick(text, name, rest, words):
-                self.say(line)
-        if not self.halted:
-            self._answer("ok")
-
-    def _quick(self, text: str, name: str, rest: str, words: dict[str, str]) -> tuple[str, ...]:
-        """What a line that takes no time says before its ``ok``."""
         match name:
+            case "G0" | "G1":
+                yield from self._move(words)
+            case "G28":
+                asked = [axis for axis, letter in enumerate("XYZ") if letter in words]
+                yield from self._busy(self.until_still())
+                yield from self._busy(self.run_home(asked or [0, 1, 2]))
+            case "M400" | "G4":
+                yield from self._busy(self.until_still())
             case "G90" | "G91":
                 self._relative = name == "G91"
             case "M113" if "S" in words:
                 self._keepalive_s = int(float(words["S"]))
             case "M118":
-                return (re.sub(r"^E1 ", "echo:", rest),)
+                self.say(re.sub(r"^E1 ", "echo:", rest))
             case "M115" | "M503" | "M211" | "M114" | "M113":
-                return self._report(name)
+                self._report(name)
             case "G21" | "M17" | "M84" | "M410" | "M112" | "M108":
                 pass
             case _:
-                return (f'echo:Unknown command: "{text}"',)
-        return ()
+                self.say(f'echo:Unknown command: "{text}"')
+        return None if self.halted else "ok"
 
-    def _report(self, name: str) -> tuple[str, ...]:
-        steps = [self.settings[100 + axis] for axis in range(3)]
-        low, high = zip(*(self._ends(axis) for axis in range(3)), strict=True)
+    def _report(self, name: str) -> None:
+        steps, rates, accels = (
+            [self.settings[n + axis] for axis in range(3)] for n in (100, 110, 120)
+        )
         match name:
             case "M114":
-                sent, at = self.target_mm(), self.place_mm()
-                counts = [round(place * each) for place, each in zip(at, steps, strict=True)]
-                return (
-                    "X:{:.2f} Y:{:.2f} Z:{:.2f} E:0.00".format(*sent)
-                    + " Count X:{} Y:{} Z:{}".format(*counts),
-                )
+                counts = [round(at * each) for at, each in zip(self.place_mm(), steps, strict=True)]
+                sent = "X:{:.2f} Y:{:.2f} Z:{:.2f} E:0.00".format(*self.target_mm())
+                self.say(f"{sent} Count X:{counts[0]} Y:{counts[1]} Z:{counts[2]}")
             case "M115":
-                return (FIRMWARE, *(f"Cap:{one}" for one in CAPABILITIES))
+                for line in (FIRMWARE, *(f"Cap:{one}" for one in CAPABILITIES)):
+                    self.say(line)
             case "M113":
-                return (f"echo:M113 S{self._keepalive_s}",)
+                self.say(f"echo:M113 S{self._keepalive_s}")
             case "M211":
-                ends = [*low, *high]
-                words = "X{:.2f} Y{:.2f} Z{:.2f}   Max:  X{:.2f} Y{:.2f} Z{:.2f}".format(*ends)
-                return (f"echo:Soft endstops: On  Min:  {words}",)
-        rates = [self.settings[110 + axis] / 60 for axis in range(3)]
-        accels = [self.settings[120 + axis] for axis in range(3)]
-        told = {"M92": (*steps, 93), "M203": (*rates, 25), "M201": (*accels, 10000)}
-        return (
-            "echo:; Linear Units:",
-            "echo:  G21 ; (mm)",
-            *(
-                "echo:  {} X{:.2f} Y{:.2f} Z{:.2f} E{:.2f}".format(code, *figures)
-                for code, figures in told.items()
-            ),
-            "echo:; Home offset:",
-            "echo:  M206 X0.00 Y0.00 Z0.00",
-        )
-
-    def _ends(self, axis: int) -> tuple[float, float]:
-        origin = self.settings.origin_mm[axis]
-        return origin - self.settings.travel_mm[axis] + self.settings[27], origin
+                words = "X{:.2f} Y{:.2f} Z{:.2f}"
+                low, high = (words.format(*ends) for ends in self.settings.ends_mm)
+                self.say(f"echo:Soft endstops: On  Min:  {low}   Max:  {high}")
+            case "M503":
+                self.say("echo:; Linear Units:")
+                self.say("echo:  G21 ; (mm)")
+                mm_s = [rate / 60 for rate in rates]
+                for code, each, e in (
+                    ("M92", steps, 93),
+                    ("M203", mm_s, 25),
+                    ("M201", accels, 10000),
+                ):
+                    figures = "X{:.2f} Y{:.2f} Z{:.2f} E{:.2f}".format(*each, e)
+                    self.say(f"echo:  {code} {figures}")
+                self.say("echo:; Home offset:")
+                self.say("echo:  M206 X0.00 Y0.00 Z0.00")
 
     def _move(self, words: dict[str, str]) -> Iterator[float]:
         self._feed_mm_min = float(words.get("F", self._feed_mm_min))
@@ -139,28 +130,17 @@ class MarlinController(LineController):
             self.say(f"echo:Home {unhomed} First")
             return
         target = list(self.target_mm())
+        low, high = self.settings.ends_mm
         for axis in axes:
             wanted = float(words["XYZ"[axis]]) + (target[axis] if self._relative else 0.0)
-            low, high = self._ends(axis)
-            target[axis] = min(max(wanted, low), high)
-        while len(self.carriage.motion.blocks(self.now)) >= self.settings.dialect.planner_blocks:
-            yield self.carriage.due_s(self.now)
-        self.go(tuple(target), self._feed_mm_min / 60)
-
-    def _home(self, words: dict[str, str]) -> Iterator[float]:
-        asked = [axis for axis, letter in enumerate("XYZ") if letter in words]
-        yield from self._busy(self._until_still())
-        yield from self._busy(self.run_home(asked or [0, 1, 2]))
-
-    def _until_still(self) -> Iterator[float]:
-        while self.carriage.moving(self.now):
-            yield self.carriage.due_s(self.now)
+            target[axis] = min(max(wanted, low[axis]), high[axis])
+        yield from self.plan(target, self._feed_mm_min / 60)
 
     def _busy(self, work: Iterator[float]) -> Iterator[float]:
         """``work``, with a word that it goes on every few seconds."""
         say_s = self.now + self._keepalive_s
         for due_s in work:
-            while self.now < due_s - SOON_S and self.carriage.moving(self.now):
+            while self.now < due_s - SOON_S and self.moving:
                 yield min(due_s, say_s)
                 if self.now >= say_s - SOON_S:
                     self.say("echo:busy: processing")

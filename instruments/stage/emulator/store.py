@@ -139,6 +139,13 @@ class Store:
             return tuple([0.0] * self.axes)
         return self._high_mm or tuple([travel - self._values[27] for travel in self.travel_mm])
 
+    @property
+    def ends_mm(self) -> tuple[Vector, Vector]:
+        """The low and high ends of the travel in machine coordinates that begin at the low ones."""
+        high, pull_off = self.origin_mm, self._values[27]
+        ends = zip(high, self.travel_mm, strict=True)
+        return tuple([top - travel + pull_off for top, travel in ends]), high
+
     def lines(self) -> list[str]:
         return [
             f"${n}={value:.3f}" if n in _WITH_DECIMALS else f"${n}={value:.0f}"

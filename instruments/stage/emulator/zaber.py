@@ -10,8 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from instruments.stage.emulator.lines import LineController
-from instruments.stage.emulator.motion import Vector
+from instruments.stage.emulator.controller import Controller, Work
 
 _COMMAND = re.compile(r"/(?:(\d+) ?)?(?:(\d+) ?)?(?:(\d+) ?)?([a-z][^:]*)?(?::([0-9A-F]{2}))?")
 # the most serious first
@@ -20,15 +19,19 @@ SPEED = 1.6384
 VERSION, SERIAL = "7.38", 65000
 
 
-class ZaberController(LineController):
+class ZaberController(Controller):
     """A device an axis: the first moves X. Steps ($100 to $103) are microsteps."""
 
-    def power_up(self, first_words: tuple[str, ...] = ()) -> None:
-        super().power_up(first_words)
+    def power_up(self) -> None:
+        super().power_up()
         self._flags: list[set[str]] = [{"WR"} for _ in range(self.settings.axes)]
         self._to_home: list[int] = []
         self._homing: Iterator[float] | None = None
-        self._maxspeed = [self._usual_speed(axis) for axis in range(self.settings.axes)]
+        # the usual one: settings have mm/min
+        self._maxspeed = [
+            round(self.settings[110 + axis] / 60 * self.settings[100 + axis] * SPEED)
+            for axis in range(self.settings.axes)
+        ]
 
     def alarm(self, code: int, *, critical: bool = False) -> None:  # noqa: ARG002 - as Grbl's
         self.carriage.halt(self.now)
@@ -38,13 +41,17 @@ class ZaberController(LineController):
         self.homed.clear()
         self.drop()
 
-    def work(self, text: str) -> Iterator[float]:
+    def work(self, text: str) -> Work:
         """A command is answered at once; homing goes on behind the answers."""
         if text and (found := _COMMAND.fullmatch(text)):
+            device, axis, number, words, check = found.groups()
             head = text[1:].partition(":")[0]
-            if not found[5] or f"{-sum(head.encode('ascii')) & 0xFF:02X}" == found[5]:
-                self._command(found[1], found[2], found[3], (found[4] or "").strip())
+            if check in (None, f"{-sum(head.encode('ascii')) & 0xFF:02X}"):
+                for at in range(self.settings.axes):
+                    if int(device or 0) in (0, at + 1):
+                        self._command(at, int(axis or 0), number, (words or "").strip())
         yield from ()
+        return None
 
     def pump(self) -> None:
         super().pump()
@@ -60,24 +67,14 @@ class ZaberController(LineController):
                     self._flags[axis] -= {"WR", "WH", "FS", "FE"} if axis in self.homed else set()
                     self.pump()
 
-    def _command(
-        self, device: str | None, axis: str | None, number: str | None, words: str
-    ) -> None:
-        asked = int(device or 0)
-        for at in range(self.settings.axes):
-            if asked not in (0, at + 1):
-                continue
-            if int(axis or 0) > 1:
-                taken, data = False, "BADAXIS"
-            else:
-                taken, data = self._do(at, words)
-            busy = "BUSY" if self._busy(at) else "IDLE"
-            flag = next((one for one in ORDER if one in self._flags[at]), "--")
-            sent = f" {int(number):02d}" if number else ""
-            self._answer(
-                f"@{at + 1:02d} {int(axis or 0)}{sent} {'OK' if taken else 'RJ'} {busy} {flag}"
-                f" {data}"
-            )
+    def _command(self, at: int, axis: int, number: str | None, words: str) -> None:
+        taken, data = (False, "BADAXIS") if axis > 1 else self._do(at, words)
+        sent = f" {int(number):02d}" if number else ""
+        here, there = self.place_mm(), self.target_mm()
+        moving = self.carriage.motion.moving(self.now) and here[at] != there[at]
+        busy = "BUSY" if moving or at in self._to_home else "IDLE"
+        flag = next((one for one in ORDER if one in self._flags[at]), "--")
+        self._answer(f"@{at + 1:02d} {axis}{sent} {'OK' if taken else 'RJ'} {busy} {flag} {data}")
 
     def _do(self, at: int, words: str) -> tuple[bool, str]:
         match words.split():
@@ -120,35 +117,19 @@ class ZaberController(LineController):
         self._flags[at].add("NI")
 
     def _get(self, at: int, name: str) -> str | None:
+        low, high = self._ends(at)
+        steps = self.settings[100 + at]
         figures = {
-            "pos": self._microsteps(self.place_mm(), at),
-            "limit.min": self._ends(at)[0],
-            "limit.max": self._ends(at)[1],
+            "pos": round(self.place_mm()[at] * steps),
+            "limit.min": low,
+            "limit.max": high,
             "maxspeed": self._maxspeed[at],
-            "accel": round(self.settings[120 + at] * self.settings[100 + at] * SPEED / 10_000),
+            "accel": round(self.settings[120 + at] * steps * SPEED / 10_000),
             "system.serial": SERIAL + at,
             "version": VERSION,
         }
         return str(figures[name]) if name in figures else None
 
-    def _busy(self, at: int) -> bool:
-        if at in self._to_home:
-            return True
-        here, there = self.place_mm(), self.target_mm()
-        return self.carriage.motion.moving(self.now) and here[at] != there[at]
-
     def _ends(self, at: int) -> tuple[int, int]:
-        high = self.settings.origin_mm
-        low = tuple(
-            [
-                top - way + self.settings[27]
-                for top, way in zip(high, self.settings.travel_mm, strict=True)
-            ]
-        )
-        return self._microsteps(low, at), self._microsteps(high, at)
-
-    def _microsteps(self, place_mm: Vector, at: int) -> int:
-        return round(place_mm[at] * self.settings[100 + at])
-
-    def _usual_speed(self, at: int) -> int:
-        return round(self.settings[110 + at] / 60 * self.settings[100 + at] * SPEED)
+        low, high = (round(ends[at] * self.settings[100 + at]) for ends in self.settings.ends_mm)
+        return low, high

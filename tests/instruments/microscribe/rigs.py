@@ -105,10 +105,10 @@ class Ear:
 class Rig:
     """One emulated arm, plugged in, and its drivers."""
 
-    def __init__(self, unit: ArmIdentity = UNIT, *, accuracy_mm: float = 0.23) -> None:
+    def __init__(self, unit: ArmIdentity = UNIT, **options: float) -> None:
         self.clock = VirtualClock()
         self.hand = Hand(self.clock)
-        self.arm = ArmEmulator(self.hand, self.clock, unit=unit, seed=5, accuracy_mm=accuracy_mm)
+        self.arm = ArmEmulator(self.hand, self.clock, unit=unit, seed=5, **options)
         self.ear = Ear(self.arm)
         self.lock = threading.RLock()
         self.listener = Listener(self.ear, self.clock, lock=self.lock, name="arm")
@@ -140,14 +140,11 @@ class Rig:
         self.listener.close()
 
 
-class Host:
+class Host(Rig):
     """Sends hexadecimal to an emulated arm, and gives back what comes within 50 ms."""
 
-    def __init__(self, *, unit: ArmIdentity = UNIT, tremor_mm: float = 0.05) -> None:
-        self.clock = VirtualClock()
-        self.hand = Hand(self.clock)
-        self.arm = ArmEmulator(self.hand, self.clock, unit=unit, tremor_mm=tremor_mm)
-        self.listener = Listener(self.arm, self.clock, lock=threading.RLock(), name="arm")
+    def __init__(self, unit: ArmIdentity = UNIT, **options: float) -> None:
+        super().__init__(unit, **options)
         self.link = Link(self.listener.url, self.clock, who="host")
 
     def ask(self, sent: str, wait_s: float = 0.05) -> str:
@@ -170,7 +167,7 @@ class Host:
 
     def close(self) -> None:
         self.link.close()
-        self.listener.close()
+        super().close()
 
 
 class Parrot:

@@ -58,25 +58,23 @@ def test_a_touch_is_right_within_the_stated_accuracy_and_repeatable(
     assert seen[0] == seen[1]
 
 
-@pytest.mark.parametrize("apart", [False, True])
-@pytest.mark.parametrize("place", range(1, 14))
-def test_a_byte_that_comes_twice_gives_no_wrong_packet(rig: Rig, place: int, apart: bool) -> None:
+def test_a_byte_that_comes_twice_gives_no_wrong_packet(rig: Rig) -> None:
     driver = rig.signed_on()
     right = driver.poll().counts
-    left = 1
+    for number, (place, apart) in enumerate(itertools.product(range(1, 14), [False, True]), 1):
+        left = [place]
 
-    def spoil(data: bytes) -> list[bytes]:
-        nonlocal left
-        if not left or len(data) != 14:
-            return [data]
-        left -= 1
-        doubled = data[: place + 1] + data[place:]
-        return [doubled[:14], doubled[14:]] if apart else [doubled]
+        def spoil(data: bytes, left: list[int] = left, apart: bool = apart) -> list[bytes]:
+            if not left or len(data) != 14:
+                return [data]
+            at = left.pop()
+            doubled = data[: at + 1] + data[at:]
+            return [doubled[:14], doubled[14:]] if apart else [doubled]
 
-    rig.ear.spoil = spoil
-    assert driver.poll().counts == right
-    assert (left, driver.damaged) == (0, 1)
-    assert driver.poll().counts == right
+        rig.ear.spoil = spoil
+        assert driver.poll().counts == right
+        assert (left, driver.damaged) == ([], number)
+        assert driver.poll().counts == right
 
 
 def test_no_position_before_homing_is_confirmed_in_each_session(rig: Rig) -> None:
@@ -149,21 +147,6 @@ def test_a_damaged_packet_is_asked_for_again(rig: Rig, fault: Fault) -> None:
     assert driver.damaged >= (15 if fault in (Fault.BIT_7, Fault.LOST_BYTE) else 0)
 
 
-def test_a_flipped_bit_shows_as_motion(rig: Rig) -> None:
-    driver = rig.signed_on()
-    refused = 0
-    for _ in range(30):
-        rig.arm.faults.inject("flipped bit", 1)
-        try:
-            tip = driver.read().tip_mm
-        except LimitError:
-            refused += 1
-        # a low bit, a joint that is none, or the buttons: no further off than the spread allows
-        else:
-            assert np.hypot(*tip[:2]) == pytest.approx(75, abs=1)
-    assert refused > 5
-
-
 def test_packets_that_are_always_damaged_are_refused(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.arm.faults.inject("bit 7 in payload")
@@ -193,28 +176,18 @@ def test_a_hand_that_reaches_too_far_breaks_the_link_rather_than_lies(rig: Rig) 
 # Power and cables
 
 
-def test_power_loss_is_noticed_and_costs_the_homing(rig: Rig) -> None:
+def test_power_loss_is_noticed_and_recovering_waits_for_the_power_as_long_as_is_said(
+    rig: Rig,
+) -> None:
     driver = rig.signed_on()
-    rig.hand.point = POINT
-    driver.read()
     start = rig.clock.now()
-    rig.arm.power_cycle()
+    rig.arm.power_off()
     with pytest.raises(SilentArmError, match=r"fallen silent.*lost its power.*on its peg"):
         driver.read()
     assert rig.clock.now() - start < 1.0
     assert not driver.homed
     with pytest.raises(NoSessionError, match="no session"):
         driver.read()
-    driver.sign_on()
-    with pytest.raises(NotHomedError, match="the arm fell silent: it may have lost its power"):
-        driver.read()
-
-
-def test_recovering_waits_for_the_power_gives_up_in_time_and_can_be_asked_again(rig: Rig) -> None:
-    driver = rig.signed_on()
-    rig.arm.power_off()
-    with pytest.raises(SilentArmError):
-        driver.poll()
     start = rig.clock.now()
     with pytest.raises(SilentArmError, match="nothing answers the sign-on"):
         driver.recover(5.0)
@@ -225,7 +198,8 @@ def test_recovering_waits_for_the_power_gives_up_in_time_and_can_be_asked_again(
     assert driver.recover(30.0) == driver.identity
     assert rig.clock.now() - back < 2.0
     assert driver.poll().counts == UNIT.home
-    assert not driver.homed
+    with pytest.raises(NotHomedError, match="the arm fell silent: it may have lost its power"):
+        driver.read()
     driver.confirm_homed()
     driver.read()
 
@@ -250,41 +224,20 @@ def test_a_cable_that_is_pulled_is_noticed_and_back_within_two_seconds(rig: Rig)
     driver.read()
 
 
-def test_nothing_read_before_counts_as_read_after(rig: Rig) -> None:
-    driver = rig.signed_on()
-    rig.hand.point = POINT
-    rig.ear.late_s = 0.01
-    # a question is on its way: its answer is from the point
-    rig.clock.call_at(rig.clock.now() + 0.005, rig.ear.hosts[-1].hang_up)
-    with pytest.raises(LinkError):
-        driver.read()
-    rig.hand.point = None
-    driver.recover()
-    driver.confirm_homed()
-    assert driver.poll().counts == UNIT.home
-    assert np.hypot(*driver.read().tip_mm[:2]) == pytest.approx(75, abs=0.1)
-
-
-def test_another_arm_on_the_port_is_refused(rig: Rig) -> None:
+def test_what_is_refused_for_good_is_not_tried_again(rig: Rig) -> None:
     driver = rig.signed_on()
     port = rig.unplug()
     with pytest.raises(LinkError):
         driver.poll()
-    rig.plug_in(port, ArmEmulator(rig.hand, rig.clock, unit=renamed(serial_number="51234"), seed=1))
+    other = ArmEmulator(rig.hand, rig.clock, unit=renamed(serial_number="51234"), seed=1)
+    rig.plug_in(port, other)
+    start = rig.clock.now()
     for _ in range(2):
         with pytest.raises(AnotherArmError, match="arm 40937 was lost, and arm 51234 answers"):
-            driver.recover()
+            driver.recover(60.0)
         assert not driver.live
     assert driver.sign_on().serial_number == "51234"
-
-
-def test_what_is_refused_for_good_is_not_tried_again(rig: Rig) -> None:
-    driver = rig.signed_on()
-    rig.arm.power_cycle()
-    with pytest.raises(SilentArmError):
-        driver.poll()
-    rig.arm.faults.inject("IBOX")
-    start = rig.clock.now()
+    other.faults.inject("IBOX")
     with pytest.raises(UnusableArmError):
         driver.recover(60.0)
     assert rig.clock.now() - start < 2.0
@@ -316,7 +269,7 @@ def test_a_stream_is_asked_for_and_ended_as_the_sheet_says(rig: Rig) -> None:
 def test_the_same_session_goes_on_behind_a_stream(rig: Rig) -> None:
     driver = rig.signed_on()
     with driver.stream() as samples:
-        next(samples)
+        assert driver.position([next(samples)]).tip_mm[2] == pytest.approx(212.2005, abs=1e-3)
     rig.hand.point = POINT
     assert driver.homed
     asked = rig.clock.now()
@@ -325,29 +278,17 @@ def test_the_same_session_goes_on_behind_a_stream(rig: Rig) -> None:
     assert rig.clock.now() == asked
 
 
-def test_without_a_stamp_samples_take_the_hosts_time(rig: Rig) -> None:
-    driver = rig.signed_on()
-    with driver.stream(stamped=False) as samples:
-        sample = next(samples)
-        assert sample.t_s == rig.clock.now()
-        assert driver.position([sample]).tip_mm[2] == pytest.approx(212.2005, abs=1e-3)
-
-
-@pytest.mark.parametrize("lost", range(25))
-def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig, lost: int) -> None:
+def test_whichever_byte_of_the_request_is_lost_no_harm_is_done(rig: Rig) -> None:
     driver = rig.signed_on()
     rig.hand.point = POINT  # off the peg: homing would show
-    before = driver.poll().counts
-    rig.ear.lose = {lost}
-    with driver.stream() as samples:
-        got = list(itertools.islice(samples, 30))
-    assert all(
-        abs(a - b) < 20
-        for sample in got
-        for a, b in zip(sample.counts[:5], before[:5], strict=True)
-    )
-    assert rig.arm.eeprom_attempts == 0
-    driver.read()
+    before = driver.poll().counts[:5]
+    for lost in range(25):
+        rig.ear.lose = {lost}
+        with driver.stream() as samples:
+            got = np.array([sample.counts[:5] for sample in itertools.islice(samples, 30)])
+        assert np.abs(got - before).max() < 20
+        assert rig.arm.eeprom_attempts == 0
+        driver.read()
 
 
 def test_questions_within_a_stream_are_refused(rig: Rig) -> None:

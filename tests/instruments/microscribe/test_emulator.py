@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -86,8 +87,12 @@ def test_a_time_stamp_counts_ticks_of_the_clock(host: Host) -> None:
     ],
 )
 def test_words_in_a_live_session_are_commands_and_homing_off_the_peg_ruins_positions(
-    host: Host, words: str, answer: str, after: State, eeprom_attempts: int
+    fresh: Host, words: str, answer: str, after: State, eeprom_attempts: int
 ) -> None:
+    host = fresh
+    host.arm.faults.inject("old session alive", 1)
+    host.plug_in_again()
+    assert host.ask("03") == AT_REST
     host.hand.point = POINT
     assert host.counts() != UNIT.home
     assert host.ask(words.encode().hex()) == answer
@@ -106,15 +111,12 @@ def test_the_letter_o_swallows_24_bytes(host: Host) -> None:
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.binary(min_size=1, max_size=40), max_size=6))
 def test_whatever_it_receives_it_can_be_signed_on_again(noise: list[bytes]) -> None:
-    host = Host()
-    try:
+    with contextlib.closing(Host()) as host:
         for data in noise:
             host.ask(data.hex(), 0.001)
         host.ask("C5 " * 28)  # an unfinished stream command swallows 26 bytes
         host.session()
         assert len(host.counts()) == 6
-    finally:
-        host.close()
 
 
 # Streams
@@ -139,27 +141,17 @@ def stream(
 def test_without_delay_a_stream_is_as_fast_as_115200_baud(
     host: Host, command: str, rate_hz: float
 ) -> None:
-    assert len(host.packets(stream(0, command=command), 1.0)) == pytest.approx(rate_hz, abs=1)
+    got = len(host.packets(stream(0, command=command), 0.25))
+    assert got == pytest.approx(rate_hz / 4, abs=1)
 
 
-@pytest.mark.slow
-def test_differences_send_when_a_joint_has_moved_so_far_and_not_else(host: Host) -> None:
-    host.hand.point = POINT
+def test_by_differences_a_joint_or_a_pedal_sends_when_it_changes(host: Host) -> None:
     assert host.ask(stream(0, deltas=(20, 0, 0, 0, 0, 0)), 0.5) == "CF"
-    start, counts = host.counts()[0], []
-    host.ask(stream(0, deltas=(20, 0, 0, 0, 0, 0)))
-    for step in range(60):
-        host.hand.point = POINT + np.array([0.0, 0.5 * step, 0.0])
-        counts += [packet.counts[0] for packet in host.packets("", 0.002)]
-    moved = np.abs(np.diff([start, *counts]))
-    assert len(counts) == 6, "the base turns by 3.1 degrees: 142 counts"
-    assert (moved >= 20).all()
-    assert (moved < 20 + 4).all(), "a step of the hand is 0.5 mm, some 4 counts at most"
-    assert host.arm.state is State.STREAMING
-
-
-def test_a_pedal_of_the_mask_sends_when_it_changes(host: Host) -> None:
-    assert host.ask(stream(0, mask=0x01)) == "CF"
+    for point in (POINT, POINT + 50.0):
+        host.hand.point = point
+        assert len(host.packets("", 0.01)) == 1
+    host.hand.point = None
+    assert host.ask(stream(0, mask=0x01), 0.5).endswith("CF")
     seen = []
     for buttons in (1, 1, 0, 2, 3, 2, 0):
         host.arm.buttons = buttons
@@ -309,21 +301,11 @@ def test_a_fault_may_spare_the_first_answers(host: Host) -> None:
     assert whole == [True] * 3 + [False] * 2 + [True] * 2
 
 
-def test_an_old_session_takes_letters_as_commands(fresh: Host) -> None:
-    fresh.arm.faults.inject("old session alive", 1)
-    fresh.plug_in_again()
-    assert fresh.ask("03") == AT_REST
-    fresh.hand.point = POINT
-    assert fresh.ask("42 45 47 49 4E") == "C2 C5"
-    fresh.session()
-    assert np.abs(np.subtract(fresh.counts()[:5], UNIT.home[:5])).max() <= 3, "re-homed off the peg"
-
-
-@pytest.mark.parametrize("letter", ["43", "47", "C3", "C7", "D0", "D1", "50", "51"])
-def test_letters_that_start_an_eeprom_write_are_noticed(host: Host, letter: str) -> None:
-    assert host.ask(letter) == ""
-    assert host.arm.eeprom_attempts == 1
-    assert host.ask("03") == AT_REST
+def test_letters_that_start_an_eeprom_write_are_noticed(host: Host) -> None:
+    for number, letter in enumerate(["43", "47", "C3", "C7", "D0", "D1", "50", "51"], 1):
+        assert host.ask(letter) == ""
+        assert host.arm.eeprom_attempts == number
+        assert host.ask("03") == AT_REST
 
 
 def test_an_echo_only_after_repeats(fresh: Host) -> None:
@@ -336,17 +318,14 @@ def test_an_echo_only_after_repeats(fresh: Host) -> None:
     assert fresh.ask("C5 49 4D 4D 43") == "49 4D 4D 43"
 
 
-def test_power_goes_and_comes_back(host: Host) -> None:
+def test_power_goes_and_comes_back_with_the_home_counts_wherever_the_stylus_is(host: Host) -> None:
     host.arm.faults.inject("power loss")
-    assert host.ask("03") == ""
-    assert host.ask("C5 49 4D 4D 43") == ""
+    assert [host.ask("03"), host.ask("C5 49 4D 4D 43")] == ["", ""]
     host.hand.point = POINT
     host.arm.faults.clear("power loss")
     assert host.ask("03") == "", "the session is gone"
     host.session()
-    assert np.abs(np.subtract(host.counts()[:5], UNIT.home[:5])).max() <= 3, (
-        "home counts, wherever the stylus is"
-    )
+    assert np.abs(np.subtract(host.counts()[:5], UNIT.home[:5])).max() <= 3
 
 
 def test_an_arm_that_was_not_homed_gives_plausible_wrong_counts(host: Host) -> None:
@@ -389,18 +368,18 @@ def test_a_slow_adapter_holds_every_answer_back_and_keeps_their_order(host: Host
     assert host.link.read(10, 1.0) == b"\xc9MSCR\0\xcaDX\0"
 
 
-@pytest.mark.parametrize("passes", [0, 5, 14, 20])
-def test_the_cable_breaks_at_a_given_byte(host: Host, passes: int) -> None:
-    host.arm.faults.inject("disconnect", amount=passes)
-    got = b""
-    with pytest.raises(LinkError, match="hung up"):  # noqa: PT012 - until it breaks
-        for _ in range(3):
-            host.link.write(b"\x03")
-            got += host.link.read(min(14, passes - len(got)), 0.05)
-            host.link.drain(0.01)
-    assert got.hex(" ").upper() == (AT_REST + " " + AT_REST)[: passes * 3 - 1 if passes else 0]
-    host.plug_in_again()
-    assert host.ask("03") == AT_REST, "the arm kept its session, and the fault is over"
+def test_the_cable_breaks_at_a_given_byte(host: Host) -> None:
+    for passes in (0, 5, 14, 20):
+        host.arm.faults.inject("disconnect", amount=passes)
+        got = b""
+        with pytest.raises(LinkError, match="hung up"):  # noqa: PT012 - until it breaks
+            for _ in range(3):
+                host.link.write(b"\x03")
+                got += host.link.read(min(14, passes - len(got)), 0.05)
+                host.link.drain(0.01)
+        assert got == (REST * 2)[:passes]
+        host.plug_in_again()
+        assert host.ask("03") == AT_REST, "the arm kept its session, and the fault is over"
 
 
 def test_the_same_seed_gives_the_same_damage() -> None:
@@ -413,16 +392,18 @@ def test_the_same_seed_gives_the_same_damage() -> None:
     assert garbled(1) == garbled(1) != garbled(2)
 
 
-def test_a_fault_that_is_none_is_refused() -> None:
-    with pytest.raises(ValueError, match="no fault 'sick'; it has: silent, flipped bit"):
-        Faults(0).inject("sick")
-
-
-@pytest.mark.parametrize(("fault", "amount"), [("silent", 3.0), ("slow adapter", -0.1)])
-def test_an_amount_that_cannot_be_is_refused(fault: str, amount: float) -> None:
-    with pytest.raises(
-        ValueError, match=rf"'{fault}' has no amount {amount:g}.*slow adapter \(0.016\)"
-    ):
+@pytest.mark.parametrize(
+    ("fault", "amount", "why"),
+    [
+        ("sick", None, "no fault 'sick'; it has: silent, flipped bit"),
+        ("silent", 3.0, r"'silent' has no amount 3.*slow adapter \(0.016\)"),
+        ("slow adapter", -0.1, r"'slow adapter' has no amount -0.1.*slow adapter \(0.016\)"),
+    ],
+)
+def test_a_fault_or_an_amount_that_is_none_is_refused(
+    fault: str, amount: float | None, why: str
+) -> None:
+    with pytest.raises(ValueError, match=why):
         Faults(0).inject(fault, amount=amount)
 
 
@@ -465,30 +446,24 @@ def written(folder: Path, text: str) -> Path:
 def test_what_ships() -> None:
     assert [path.stem for path in SHIPPED.glob("*.toml")] == ["40937"]
     assert shipped_unit("40937") == UNIT
-    with pytest.raises(FileNotFoundError, match="under the serial number 1; there is 40937"):
-        shipped_unit("1")
-    with pytest.raises(
-        FileNotFoundError, match="no arm ships under the serial number 1; there is 40937"
-    ):
+    why = "no arm ships under the serial number 1; there is 40937"
+    with pytest.raises(FileNotFoundError, match=why):
         shipped_unit("1")
 
 
-def test_an_arm_of_six_encoders(tmp_path: Path) -> None:
-    host = Host(unit=load_unit(written(tmp_path, SIX)))
-    host.session()
-    assert host.ask("CB") == "CB 36 30 30 30 31 00"
-    assert host.ask("C6").endswith("3F FF 3F FF 3F FF 1F FF 1F FF 0F FF")
-    assert host.ask("D3") == "", "without Beta"
-    assert host.counts() == (0, 6238, 13736, 8196, 6386, 100)
-    host.arm.buttons = 3
-    assert host.ask("00") == "80 01", "one pedal"
-    host.close()
-
-
-def test_a_driver_reads_that_arm_where_the_hand_holds_it(
+def test_an_arm_of_six_encoders_is_read_where_the_hand_holds_it(
     tmp_path: Path, make: Callable[..., Rig]
 ) -> None:
-    rig = make(load_unit(written(tmp_path, SIX)), accuracy_mm=0.0)
+    unit = load_unit(written(tmp_path, SIX))
+    with contextlib.closing(Host(unit)) as host:
+        host.session()
+        assert host.ask("CB") == "CB 36 30 30 30 31 00"
+        assert host.ask("C6").endswith("3F FF 3F FF 3F FF 1F FF 1F FF 0F FF")
+        assert host.ask("D3") == "", "without Beta"
+        assert host.counts() == (0, 6238, 13736, 8196, 6386, 100)
+        host.arm.buttons = 3
+        assert host.ask("00") == "80 01", "one pedal"
+    rig = make(unit, accuracy_mm=0.0)
     driver = rig.signed_on()
     for point in ((-200.0, 260.0, 150.0), (300.0, 100.0, 200.0)):
         rig.hand.point = np.array(point)

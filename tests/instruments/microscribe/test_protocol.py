@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable
 from dataclasses import astuple
 from functools import partial
 
@@ -57,20 +56,14 @@ def test_packet_lengths_of_the_sheet(command: int, header: int, length: int) -> 
     assert len(data) - 1 == length == wire.payload_length(command)
 
 
-def test_a_time_stamp_and_analogs_come_before_the_encoders() -> None:
+def test_a_time_stamp_and_analogs_come_before_the_encoders_and_the_eighth_has_no_low_bit() -> None:
     # 0x25: stamp, two analogs, five encoders. Analog 0xFF is 7F and low bit 1, at bit 6; 0x80 is 40
     # and low bit 0.
     data = bytes.fromhex("A5 02 01 02 7F 40 40 00 01 00 02 00 03 00 04 00 05")
-    assert PacketDecoder().feed(data) == [
-        Packet(0x25, 2, (1, 2, 3, 4, 5), ticks=130, analogs=(0xFF, 0x80))
-    ]
-
-
-def test_the_eighth_analog_has_no_low_bit() -> None:
-    packet = Packet(0x0C, 0, (), analogs=(255,) * 8)
-    assert PacketDecoder().feed(wire.encode_packet(packet)) == [
-        Packet(0x0C, 0, (), analogs=(255,) * 7 + (254,))
-    ]
+    packet = Packet(0x25, 2, (1, 2, 3, 4, 5), ticks=130, analogs=(0xFF, 0x80))
+    assert PacketDecoder().feed(data) == [packet]
+    eight = wire.encode_packet(Packet(0x0C, 0, (), analogs=(255,) * 8))
+    assert PacketDecoder().feed(eight) == [Packet(0x0C, 0, (), analogs=(255,) * 7 + (254,))]
 
 
 def test_a_lost_byte_costs_one_packet_and_a_lost_header_also_the_one_before() -> None:
@@ -215,25 +208,21 @@ def test_a_parameter_block_of_another_length_is_refused_and_told_from_a_short_on
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "decode",
-    [
+@given(
+    st.sampled_from([b"", b"\xc6", b"\xc0", b"\xc0\x24", b"\xd3\x02", b"\xcf", b"\xc8"]),
+    st.binary(max_size=50),
+)
+def test_garbage_raises_nothing_but_ours(head: bytes, rest: bytes) -> None:
+    for decode in (
         conf.decode_maxima,
         conf.decode_parameters,
         conf.decode_stream,
         partial(conf.decode, Code.EXTENDED),
         partial(conf.decode, Code.HOME),
-    ],
-)
-@given(
-    st.sampled_from([b"", b"\xc6", b"\xc0", b"\xc0\x24", b"\xd3\x02", b"\xcf"]),
-    st.binary(max_size=50),
-)
-def test_garbage_raises_nothing_but_ours(
-    decode: Callable[[bytes], object], head: bytes, rest: bytes
-) -> None:
-    with contextlib.suppress(WireError):
-        decode(head + rest)
+        partial(conf.decode_name, 0xC8),
+    ):
+        with contextlib.suppress(WireError):
+            decode(head + rest)
 
 
 def test_the_stream_command_has_25_bytes_or_27() -> None:

@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from typing import Any
+from contextlib import ExitStack, closing
 
 import pytest
 
 from instruments.stage.emulator import CLASSIC, GRBL_HAL
-from tests.instruments.stage.board import Bench, Board, OnLink
+from tests.instruments.stage.board import Bench, Board
 
 
 @pytest.fixture(autouse=True)
@@ -25,38 +25,22 @@ def _no_thread_is_left() -> Iterator[None]:
 
 
 @pytest.fixture
-def _open() -> Iterator[list[OnLink]]:
-    opened: list[OnLink] = []
-    yield opened
-    for one in opened:
-        one.close()
+def make() -> Iterator[Callable[..., Bench]]:
+    """Benches with the arguments of `Bench`."""
+    with ExitStack() as stack:
+        yield lambda *given, **more: stack.enter_context(closing(Bench(*given, **more)))
 
 
 @pytest.fixture
-def make(_open: list[OnLink]) -> Callable[..., Bench]:
-    """Benches with the arguments of `Bench`."""
-
-    def one(*arguments: Any, **more: Any) -> Bench:
-        _open.append(bench := Bench(*arguments, **more))
-        return bench
-
-    return one
+def make_board() -> Iterator[Callable[..., Board]]:
+    """Boards with the arguments of `Board`."""
+    with ExitStack() as stack:
+        yield lambda *given, **more: stack.enter_context(closing(Board(*given, **more)))
 
 
 @pytest.fixture(params=[CLASSIC, GRBL_HAL], ids=["grbl", "grblHAL"])
 def bench(make: Callable[..., Bench], request: pytest.FixtureRequest) -> Bench:
     return make(dialect=request.param)
-
-
-@pytest.fixture
-def make_board(_open: list[OnLink]) -> Callable[..., Board]:
-    """Boards with the arguments of `Board`."""
-
-    def one(*arguments: Any, **more: Any) -> Board:
-        _open.append(board := Board(*arguments, **more))
-        return board
-
-    return one
 
 
 @pytest.fixture

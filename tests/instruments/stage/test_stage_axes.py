@@ -13,18 +13,12 @@ from instruments.errors import DeviceError, LimitError, ProtocolError
 from instruments.listener import Connection
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import GRBL_HAL
-from instruments.stage.settings import read_settings
-from tests.instruments.stage.board import GREETING, Bench, Parrot, meet
+from tests.instruments.stage.board import Bench
 
 Make = Callable[..., Bench]
-SETTINGS = {13: "0", 20: "1", 21: "0", 22: "1", 24: "25.000", 25: "500.000", 27: "1.000"} | {
-    first + axis: "100.000" for first in (100, 110, 120, 130) for axis in range(3)
-}
-OF_A = {103: "100.000", 113: "3600.000", 123: "360.000", 133: "360.000"}
-WITH_A = SETTINGS | OF_A | {44: "4", 45: "3", 46: "8"}
 
 
-def test_a_stage_with_all_four_axes_moves_them_together(make: Make) -> None:
+def test_a_stage_moves_the_axes_that_it_is_declared_with(make: Make) -> None:
     bench = make(dialect=GRBL_HAL, axes="XYZA")
     stage = bench.homed()
     assert stage.position() == pytest.approx([-1, -1, -1, -1])
@@ -35,20 +29,12 @@ def test_a_stage_with_all_four_axes_moves_them_together(make: Make) -> None:
     assert bench.emulator.position_mm() == pytest.approx([-100, -50, -20, -90])
     stage.move_to(-100, -60)
     assert bench.emulator.position_mm() == pytest.approx([-100, -60, -20, -90])
-
-
-def test_a_turntable_without_a_z(make: Make) -> None:
-    bench = make(dialect=GRBL_HAL, axes="XYA")
-    stage = bench.homed()
+    stage = bench.again(axes="XYA").homed()
     stage.move_to(-100, -50, a_deg=-200)
     assert stage.position() == pytest.approx([-100, -50, -1, -200])
     assert list(stage.limits) == ["X", "Y", "A"]
     with pytest.raises(LimitError, match=r"A = -361\.000 deg is outside the travel, -360 to 0 deg"):
         stage.move_to(-100, -50, a_deg=-361)
-
-
-def test_a_two_axis_stage_on_a_four_axis_controller(make: Make) -> None:
-    bench = make(dialect=GRBL_HAL, axes="XYA")
     stage = bench.again(axes="XY").homed()
     stage.move_to(-100, -50)
     assert stage.position() == pytest.approx([-100, -50, -1])
@@ -70,83 +56,41 @@ def test_an_axis_that_is_not_declared_is_refused(
         stage.jog(**more)
 
 
-def test_axes_that_no_stage_has(make: Make) -> None:
+def test_axes_that_no_stage_or_this_controller_has_not(make: Make) -> None:
     bench = make()
     with pytest.raises(LimitError, match=r"a stage has no axes 'XB'\. Declare XY, XYZ, XYA, XYZA"):
         Stage(bench.stage._link, bench.clock, "XB")
-
-
-def test_a_controller_without_a_fourth_axis_is_reported(make: Make) -> None:
-    bench = make(axes="XY").again(axes="XYA")
-    with pytest.raises(
-        DeviceError, match=r"no axis A: setting \$103 is missing.*grblHAL build with four axes"
-    ):
-        bench.stage.connect()
-
-
-def test_settings_of_four_axes() -> None:
-    settings = read_settings(WITH_A, who="stage", axes="XYA")
-    assert settings.travel_mm == (100.0, 100.0, 100.0, 360.0)
-    assert settings.rate_mm_min[3] == 3600.0
-    assert read_settings(WITH_A, who="stage", axes="XY").travel_mm == (100.0, 100.0, 100.0)
-
-
-@pytest.mark.parametrize(
-    ("axes", "changes", "error", "sentence"),
-    [
-        ("XYA", {133: "0.000"}, ProtocolError, r"setting \$133 is not usable"),
-        ("XYA", {46: "0"}, DeviceError, "homing leaves out A"),
-        ("XY", {22: "9"}, DeviceError, r"\$22 has bit 8 set.*\$22=1"),
-        ("XY", {13: "1"}, DeviceError, r"in inches.*\$13=0"),
-        ("XY", {45: "1"}, DeviceError, "homing leaves out Y"),
-        ("XY", {22: "yes"}, ProtocolError, r"setting \$22 is not usable"),
-    ],
-)
-def test_settings_that_a_stage_cannot_be_driven_with(
-    axes: str, changes: dict[int, str], error: type[Exception], sentence: str
-) -> None:
-    with pytest.raises(error, match=sentence):
-        read_settings(WITH_A | changes, who="stage", axes=axes)
+    missing = r"no axis A: setting \$103 is missing.*grblHAL build with four axes"
+    with pytest.raises(DeviceError, match=missing):
+        bench.again(axes="XYA").stage.connect()
 
 
 def test_unknown_fields_of_a_report_are_no_obstacle(make: Make) -> None:
-    bench = make()
-    bench.again(device=Spoiled(bench, rb"\|FS:", b"|H:1,7|A:S|Sx:?;-|TLR:0|FS:"))
-    stage = bench.homed()
+    stage = spoil(make(), rb"\|FS:", b"|H:1,7|A:S|Sx:?;-|TLR:0|FS:").homed()
     stage.move_to(-100, -50)
     assert stage.status().fields["Sx"] == "?;-"
 
 
-class Spoiled:
-    """The board, with something else in its reports."""
+def spoil(bench: Bench, what: bytes, instead: bytes) -> Bench:
+    """Plug the driver in again, with something else in the board's reports."""
+    board = bench.emulator
 
-    def __init__(self, bench: Bench, what: bytes, instead: bytes) -> None:
-        self._board = bench.emulator
-        self._what, self._instead = what, instead
+    class Spoiled:
+        receive, disconnect = board.receive, board.disconnect
 
-    def connect(self, connection: Connection) -> None:
-        honest = connection.send
+        def connect(self, connection: Connection) -> None:
+            honest = connection.send
+            connection.send = lambda data: honest(re.sub(what, instead, data))  # type: ignore[method-assign]
+            board.connect(connection)
 
-        def send(data: bytes) -> None:
-            honest(re.sub(self._what, self._instead, data))
-
-        connection.send = send  # type: ignore[method-assign]
-        self._board.connect(connection)
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        self._board.receive(connection, data)
-
-    def disconnect(self, connection: Connection) -> None:
-        self._board.disconnect(connection)
+    return bench.again(device=Spoiled())
 
 
 @pytest.mark.parametrize("text", [b"-100.020", b"-99.980", b"-1.000"])
 def test_a_move_that_is_read_back_elsewhere_is_not_finished_and_asks_for_homing(
     make: Make, text: bytes
 ) -> None:
-    bench = make()
-    bench.again(device=Spoiled(bench, rb"<Idle\|MPos:-100\.000", b"<Idle|MPos:" + text))
-    stage = bench.homed()
+    stage = spoil(make(), rb"<Idle\|MPos:-100\.000", b"<Idle|MPos:" + text).homed()
     with pytest.raises(
         DeviceError, match=rf"not at its target, X = -100\.000 \(got X = {float(text):.3f}"
     ):
@@ -158,16 +102,6 @@ def test_a_move_that_is_read_back_elsewhere_is_not_finished_and_asks_for_homing(
 
 def test_a_report_with_too_few_numbers_for_the_declared_axes(make: Make) -> None:
     bench = make(dialect=GRBL_HAL, axes="XYA")
-    bench.again(device=Spoiled(bench, rb"(MPos:[^,]+,[^,]+,[^,]+),[^|>]+", rb"\1"))
+    spoil(bench, rb"(MPos:[^,]+,[^,]+,[^,]+),[^|>]+", rb"\1")
     with pytest.raises(ProtocolError, match="3 numbers in a position, 4 are needed"):
         bench.homed().move_to(-5, -5)
-
-
-def test_alarm_10_is_another_thing_in_each_firmware() -> None:
-    hal = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
-    for greeting, sentence in (
-        (GREETING, "two motors of one axis"),
-        (hal, "emergency stop is pressed"),
-    ):
-        with pytest.raises(DeviceError, match=f"alarm 10: .*{sentence}"):
-            meet(Parrot(greeting, {b"$I\n": b"ALARM:10\r\n"}))

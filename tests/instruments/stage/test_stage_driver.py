@@ -3,13 +3,12 @@ moves, limits, jogs, hold, resume, stop and safe from every state; golden lines 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 
 from instruments.errors import DeviceError, LimitError, LinkError
-from instruments.stage import protocol
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import Fault
 from tests.instruments.stage.board import Bench
@@ -30,10 +29,6 @@ def test_connecting_tells_who_it_is_and_what_it_can_do(bench: Bench) -> None:
     assert not bench.stage.homed
 
 
-def test_a_fresh_eeprom_is_no_obstacle(make: Make) -> None:
-    assert make(fresh_eeprom=True).stage.connect().version == "1.1h"
-
-
 def test_nothing_works_before_connecting(bench: Bench) -> None:
     for call in (
         lambda: bench.stage.identity,
@@ -45,7 +40,8 @@ def test_nothing_works_before_connecting(bench: Bench) -> None:
             call()
 
 
-def test_homing_then_moving_ends_at_the_target(bench: Bench) -> None:
+def test_homing_then_moving_ends_at_the_target(make: Make) -> None:
+    bench = make()
     stage = bench.homed()
     assert stage.homed
     assert stage.position() == pytest.approx([-1, -1, -1])
@@ -53,55 +49,52 @@ def test_homing_then_moving_ends_at_the_target(bench: Bench) -> None:
         stage.move_to(x, y, feed_mm_min=2500)
         assert stage.position() == pytest.approx([x, y, -1.0], abs=0.003)
         assert bench.emulator.position_mm() == pytest.approx(stage.position(), abs=0.001)
-    stage.move_to(-20, -20, z_mm=-7.5)
-    assert stage.position() == pytest.approx([-20, -20, -7.5])
-    assert isinstance(stage.position(), np.ndarray)
-
-
-def test_a_move_takes_its_trapezoid_and_at_most_one_poll_more(bench: Bench) -> None:
-    stage = bench.homed()
-    stage.move_to(-100, -1)
+    stage.move_to(-100, -20, z_mm=-7.5)
+    assert stage.position() == pytest.approx([-100, -20, -7.5])
     start = bench.clock.now()
-    stage.move_to(-200, -1)
-    assert 2.25 <= bench.clock.now() - start <= 2.25 + 0.2 + 1e-9
+    stage.move_to(-200, -20)
+    took = bench.clock.now() - start
+    assert 2.25 <= took <= 2.25 + 0.2 + 1e-9, "its trapezoid, and one poll more"
 
 
-@pytest.mark.parametrize(
-    "place",
-    [
-        (0.001, -1.0),
-        (-300.001, -1.0),
-        (-1.0, -275.01),
-        (-1.0, 1e6),
-        (float("nan"), -1.0),
-        (-1.0, float("inf")),
-    ],
-)
-def test_a_target_beyond_the_travel_is_refused_before_sending(
-    make: Make, place: tuple[float, float]
-) -> None:
-    bench = make()
+REFUSED: list[tuple[dict[str, float], str]] = [
+    ({"x_mm": 0.001}, "outside the travel"),
+    ({"x_mm": -300.001}, "outside the travel"),
+    ({"y_mm": -275.01}, "outside the travel"),
+    ({"y_mm": 1e6}, "outside the travel"),
+    ({"x_mm": math.nan}, "can.t be sent"),
+    ({"y_mm": math.inf}, "can.t be sent"),
+    ({"feed_mm_min": 0.0}, "a feed has to be"),
+    ({"feed_mm_min": -1.0}, "a feed has to be"),
+    ({"feed_mm_min": math.nan}, "a feed has to be"),
+    ({"feed_mm_min": math.inf}, "can.t be sent"),
+    (
+        {"x_mm": 5.0},
+        r"X = 5\.000 mm is outside the travel, -300 to 0 mm \(asked G21G90G94G53G1X5Y-1F3000\)",
+    ),
+]
+JOGS_REFUSED: list[dict[str, float]] = [
+    {"x_mm": 1.001},
+    {"x_mm": -299.001},
+    {"y_mm": math.nan},
+    {"y_mm": math.inf},
+    {"z_mm": 5.0},
+    {},
+]
+
+
+def test_what_is_beyond_the_travel_or_no_feed_is_refused_before_sending(bench: Bench) -> None:
     stage = bench.homed()
-    with pytest.raises(LimitError):
-        stage.move_to(*place)
+    sent = Sent(bench)
+    for change, why in REFUSED:
+        with pytest.raises(LimitError, match=why):
+            stage.move_to(**({"x_mm": -1.0, "y_mm": -1.0} | change))
+    for way in JOGS_REFUSED:
+        with pytest.raises(LimitError):
+            stage.jog(**way)
+    assert set(sent) <= {b"?"}
     assert stage.homed
     assert stage.status().state == "Idle"
-
-
-@pytest.mark.parametrize("feed", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_feed_that_is_no_feed_is_refused(make: Make, feed: float) -> None:
-    with pytest.raises(LimitError):
-        make().homed().move_to(-5, -5, feed_mm_min=feed)
-
-
-def test_the_message_names_the_limit_and_the_line(make: Make) -> None:
-    with pytest.raises(
-        LimitError,
-        match=(
-            r"X = 5\.000 mm is outside the travel, -300 to 0 mm \(asked G21G90G94G53G1X5Y-5F3000\)"
-        ),
-    ):
-        make().homed().move_to(5, -5)
 
 
 def test_a_controller_without_homing_is_never_moved(make: Make) -> None:
@@ -123,8 +116,7 @@ def test_work_positions_are_turned_into_machine_positions(make: Make) -> None:
 
 
 def test_coarse_steps_are_not_taken_for_a_wrong_place(make: Make) -> None:
-    bench = make({100: 13.33, 101: 13.33})
-    stage = bench.homed()
+    stage = make({100: 13.33, 101: 13.33}).homed()
     stage.move_to(-100.03, -50.04)
     assert stage.position() == pytest.approx([-100.03, -50.04, -1], abs=0.04)
 
@@ -143,39 +135,25 @@ class Sent(list[bytes]):
         bench.links[-1].write = noted  # type: ignore[method-assign]
 
 
-def test_what_a_move_sends(bench: Bench) -> None:
+def test_what_homing_moves_jogs_stops_and_recovery_send(bench: Bench) -> None:
     bench.stage.connect()
     sent = Sent(bench)
     bench.stage.home()
     bench.stage.move_to(-1.5, -1, z_mm=-2.25, feed_mm_min=600)
-    assert sent == [
-        b"$H\n",
-        b"?",
-        b"?",
-        b"G21G90G94G53G1X-1.5Y-1Z-2.25F600\n",
-        b"?",
-        b"?",
-        b"G4P0\n",
-        b"?",
-    ]
-
-
-def test_what_jogs_holds_and_recovery_send(bench: Bench) -> None:
-    stage = bench.homed()
-    stage.move_to(-100, -100)
-    sent = Sent(bench)
-    stage.jog(x_mm=50, y_mm=-0.5, feed_mm_min=600)
-    stage.cancel_jog()
-    assert [data for data in sent if data != b"?"] == [b"$J=G21G91X50Y-0.5F600\n", b"\x85"]
+    move = [b"G21G90G94G53G1X-1.5Y-1Z-2.25F600\n", b"?", b"?", b"G4P0\n", b"?"]
+    assert sent == [b"$H\n", b"?", b"?", *move]
+    bench.stage.move_to(-100, -100)
     sent.clear()
-    stage.begin_move(-200, -100)
-    stage.hold()
-    stage.resume()
-    stage.recover()
+    bench.stage.jog(x_mm=50, y_mm=-0.5, feed_mm_min=600)
+    bench.stage.cancel_jog()
+    bench.stage.begin_move(-200, -100)
+    bench.stage.stop()
+    bench.stage.recover()
     assert [data for data in sent if data != b"?"] == [
+        b"$J=G21G91X50Y-0.5F600\n",
+        b"\x85",
         b"G21G90G94G53G1X-200Y-100F3000\n",
         b"!",
-        b"~",
         b"\x18",
     ]
 
@@ -195,18 +173,6 @@ def test_a_cancelled_jog_stands_and_keeps_the_position(bench: Bench) -> None:
     stage.move_to(-5, -5)
 
 
-@pytest.mark.parametrize("end", ["hold", "stop"])
-def test_hold_and_stop_end_a_jog(bench: Bench, end: str) -> None:
-    stage = bench.homed()
-    stage.jog(x_mm=-200)
-    bench.clock.sleep(1.0)
-    getattr(stage, end)()
-    assert stage.status().state == "Idle"
-    with pytest.raises(LimitError, match="nothing to resume"):
-        stage.resume()
-    stage.move_to(-5, -5)
-
-
 def test_a_jog_that_the_panel_ended_is_reported_and_keeps_the_position(bench: Bench) -> None:
     stage = bench.homed()
     stage.jog(x_mm=-200)
@@ -218,28 +184,6 @@ def test_a_jog_that_the_panel_ended_is_reported_and_keeps_the_position(bench: Be
         stage.finish_move()
     assert stage.homed
     stage.move_to(-5, -5)
-
-
-@pytest.mark.parametrize(
-    "way",
-    [
-        {"x_mm": 1.001},
-        {"x_mm": -299.001},
-        {"y_mm": float("nan")},
-        {"y_mm": float("inf")},
-        {"z_mm": 5.0},
-        {},
-    ],
-)
-def test_a_jog_beyond_the_travel_is_refused_before_sending(
-    bench: Bench, way: dict[str, float]
-) -> None:
-    stage = bench.homed()
-    sent = Sent(bench)
-    with pytest.raises(LimitError):
-        stage.jog(**way)
-    assert set(sent) <= {b"?"}
-    assert stage.homed
 
 
 def test_the_controllers_own_refusal_is_a_sentence_and_no_alarm(bench: Bench) -> None:
@@ -254,97 +198,35 @@ def test_the_controllers_own_refusal_is_a_sentence_and_no_alarm(bench: Bench) ->
     stage.finish_move()
 
 
-def test_no_jog_before_homing_or_on_top_of_a_move(bench: Bench) -> None:
+def test_one_move_at_a_time_and_none_before_homing(bench: Bench) -> None:
     stage = bench.stage
     stage.connect()
     with pytest.raises(LimitError, match="no move before homing"):
         stage.jog(x_mm=-1)
     stage.home()
-    stage.begin_move(-100, -1)
-    with pytest.raises(LimitError, match="still under way"):
-        stage.jog(x_mm=-1)
-    stage.finish_move()
-    stage.jog(x_mm=-100)
-    for call in (stage.home, lambda: stage.begin_move(-5, -5), lambda: stage.jog(y_mm=-1)):
-        with pytest.raises(LimitError, match="under way"):
-            call()
-
-
-def test_jog_lines() -> None:
-    assert protocol.jog_line({"X": 5}, 600) == "$J=G21G91X5F600"
-    assert protocol.jog_line({"Y": -0.0004, "A": 12.5}, 99.95) == "$J=G21G91Y0A12.5F99.95"
-    with pytest.raises(LimitError):
-        protocol.jog_line({"B": 1.0}, 100)
-
-
-def test_hold_resume_and_finish(bench: Bench) -> None:
-    stage = bench.homed()
-    stage.begin_move(-200, -1)
-    bench.clock.sleep(1.0)
-    stage.hold()
-    held = bench.emulator.position_mm()
-    assert stage.status().name == "Hold:0"
-    bench.clock.sleep(60)
-    assert bench.emulator.position_mm() == pytest.approx(held)
-    assert stage.position() == pytest.approx(held, abs=0.005)
-    with pytest.raises(LimitError, match="still under way"):
-        stage.move_to(-5, -5)
-    stage.resume()  # the first report still says that it is held
-    assert stage.status().state == "Run"
-    stage.finish_move()
-    assert bench.emulator.position_mm() == pytest.approx([-200, -1, -1])
-    assert stage.homed
-
-
-def test_a_resume_that_is_lost_is_reported(bench: Bench) -> None:
-    stage = bench.homed()
-    stage.begin_move(-200, -1)
-    bench.clock.sleep(1.0)
-    stage.hold()
-    start_s = bench.clock.now()
-    bench.emulator._controller._resume = lambda: None  # type: ignore[method-assign, union-attr]
-    with pytest.raises(DeviceError, match=r"the controller did not resume \(got Hold:0\)"):
-        stage.resume()
-    assert bench.clock.now() - start_s == pytest.approx(0.3)
-
-
-def test_resume_waits_until_the_stage_stands(bench: Bench) -> None:
-    stage = bench.homed()
-    stage.begin_move(-200, -1)
-    bench.clock.sleep(1.0)
-    stage._talk.write(b"!")
-    assert stage.status().name == "Hold:1"
-    stage.resume()
-    assert stage.status().state == "Run"
-    stage.finish_move()
-
-
-def test_resume_without_a_hold_is_refused(bench: Bench) -> None:
-    stage = bench.homed()
-    with pytest.raises(LimitError, match="nothing to resume"):
-        stage.resume()
     with pytest.raises(LimitError, match="no move is under way"):
         stage.finish_move()
-    stage.begin_move(-5, -5)
-    for call in (stage.home, lambda: stage.begin_move(-6, -6)):
-        with pytest.raises(LimitError, match="under way"):
-            call()
+    starts: list[Callable[[], None]]
+    starts = [lambda: stage.begin_move(-100, -1), lambda: stage.jog(x_mm=-100)]
+    for start in starts:
+        start()
+        for call in (stage.home, lambda: stage.begin_move(-5, -5), lambda: stage.jog(y_mm=-1)):
+            with pytest.raises(LimitError, match="under way"):
+                call()
+        stage.finish_move()
 
 
 def test_a_hold_at_the_panel_interrupts_the_move(bench: Bench) -> None:
-    stage = bench.homed()
-    stage.begin_move(-200, -1)
-    bench.clock.sleep(1.0)
+    stage = _moving(bench)
     stage._talk.write(b"!")
     with pytest.raises(DeviceError, match=r"the move was interrupted \(got Hold:[01]\)"):
         stage.finish_move()
-    stage.resume()
-    stage.finish_move()
+    with pytest.raises(LimitError, match=r"not idle \(.*got Hold:[01]\)\. Call recover"):
+        stage.move_to(-5, -5)
 
 
 def test_a_feed_override_that_makes_the_move_too_slow(bench: Bench) -> None:
-    stage = bench.homed()
-    stage.begin_move(-299, -1)
+    stage = _moving(bench)
     stage._talk.write(b"\x92" * 9)
     with pytest.raises(DeviceError, match="takes too long"):
         stage.finish_move()
@@ -361,6 +243,11 @@ def _moving(bench: Bench, for_s: float = 1.0) -> Stage:
     bench.homed().begin_move(-200, -200)
     bench.clock.sleep(for_s)
     return bench.stage
+
+
+def _jogging(bench: Bench) -> None:
+    bench.homed().jog(x_mm=-200)
+    bench.clock.sleep(1.0)
 
 
 def _homing(bench: Bench) -> None:
@@ -384,7 +271,8 @@ STATES: dict[str, Callable[[Bench], object]] = {
     "unhomed": _connected,
     "moving": _moving,
     "move over but not finished": lambda bench: _moving(bench, 61.0),
-    "held": lambda bench: _moving(bench).hold(),
+    "held": lambda bench: _moving(bench).stop(),
+    "jogging": _jogging,
     "braking": lambda bench: _moving(bench)._talk.write(b"!"),
     "door": lambda bench: _moving(bench)._talk.write(b"\x84"),
     "homing": _homing,
@@ -408,17 +296,3 @@ def test_safe_stops_from_every_state_and_may_be_called_again(bench: Bench, state
         bench.stage.recover()
         bench.stage.home()
         bench.stage.move_to(-7, -7)
-
-
-def test_ctrl_c_while_homing_ends_at_a_stand(bench: Bench) -> None:
-    bench.stage.connect()
-
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    bench.clock.call_at(bench.clock.now() + 3.0, interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        bench.stage.home()
-    bench.stage.safe()
-    assert not bench.stage.homed
-    assert bench.stage.status().state == "Alarm"

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -186,9 +185,12 @@ def test_faulty_answers(free: Board) -> None:
     assert free.state() == b"Idle"
 
 
-def test_a_lost_step_is_silent_and_stays_until_homing(board: Board) -> None:
-    board.answered_at(b"$H\n")
+def test_lost_steps_wait_for_a_motion_that_is_not_homing_and_stay_until_the_next(
+    board: Board,
+) -> None:
     board.emulator.inject(Fault.LOST_STEP, lost_mm=0.8)
+    board.answered_at(b"$H\n")
+    assert board.emulator.position_mm() == pytest.approx([-1, -1, -1])
     board.say(b"G53G1X-101Y-11F3000\n", 5.0)
     assert b"MPos:-101.000,-11.000,-1.000|" in board.say(b"?")
     assert board.emulator.position_mm() == pytest.approx([-100.2, -11, -1])
@@ -211,40 +213,22 @@ def test_lost_steps_are_lost_on_the_way_and_not_by_a_leap(board: Board) -> None:
         before = now
 
 
-def test_a_lost_step_waits_for_a_motion_that_is_not_homing(board: Board) -> None:
-    board.emulator.inject(Fault.LOST_STEP, lost_mm=2.0)
-    board.answered_at(b"$H\n")
-    assert board.emulator.position_mm() == pytest.approx([-1, -1, -1])
-    board.say(b"G53G1Y-50F3000\n", 5.0)
-    assert board.emulator.position_mm() == pytest.approx([-1, -48, -1])
-
-
 def test_play_is_taken_up_after_each_reversal(make_board: Make) -> None:
     board = make_board(play_mm=(0.3, 0.1, 0.0))
     board.answered_at(b"$H\n")
-    places = []
-    for target in (
-        b"X-50Y-50",
-        b"X-100Y-20",
-        b"X-60Y-20",
-        b"X-60.2Y-20",
-        b"X-60.4Y-20",
-        b"X-80Y-60",
-        b"X-79.8Y-60",
+    # homing ends by moving down, so that going down is exact and going up falls short by the play
+    for target, place in (
+        (b"X-50Y-50", (-50, -50)),
+        (b"X-100Y-20", (-100, -20.1)),
+        (b"X-60Y-20", (-60.3, -20.1)),
+        (b"X-60.2Y-20", (-60.3, -20.1)),
+        (b"X-60.4Y-20", (-60.4, -20.1)),
+        (b"X-80Y-60", (-80, -60)),
+        (b"X-79.8Y-60", (-80, -60)),
     ):
         board.say(b"G53G1" + target + b"F3000\n", 5.0)
         assert b"MPos:" + target[1:].replace(b"Y", b",")[:3] in board.say(b"?")
-        places.append(tuple(board.emulator.position_mm()[:2].round(6).tolist()))
-    # Homing ends by moving down, so that going down is exact and going up falls short by the play.
-    assert places == [
-        (-50, -50),
-        (-100, -20.1),
-        (-60.3, -20.1),
-        (-60.3, -20.1),
-        (-60.4, -20.1),
-        (-80, -60),
-        (-80, -60),
-    ]
+        assert board.emulator.position_mm()[:2] == pytest.approx(place, abs=1e-6)
 
 
 def test_play_of_an_axis_that_homes_to_its_far_end_is_on_the_other_side(make_board: Make) -> None:
@@ -257,12 +241,21 @@ def test_play_of_an_axis_that_homes_to_its_far_end_is_on_the_other_side(make_boa
     assert board.emulator.position_mm()[0] == pytest.approx(-149.7)
 
 
-def test_the_carriage_stops_at_the_rails_end_and_the_switch_tells(free: Board) -> None:
-    free.links[-1].write(b"G1X200F3000\n")  # count 0 is 150 mm from the switch
+@pytest.mark.parametrize(
+    ("lines", "after_s"),
+    [
+        (b"G1X200F3000\n", 150 / 50 + 50 / 400),  # count 0 is 150 mm from the switch
+        (b"G1X-50F3000\nG1X160\nG4P0\n", (50 / 50 + 0.25) + (200 / 50 + 0.125)),
+    ],
+    ids=["at once", "on the second leg"],
+)
+def test_a_switch_at_the_rails_end_closes_at_its_moment(
+    free: Board, lines: bytes, after_s: float
+) -> None:
+    free.links[-1].write(lines)
     start = free.clock.now()
-    said = free.links[-1].read_until(b"ALARM:1\r\n", 60.0)
-    assert said == b"ok\r\nALARM:1\r\n"
-    assert free.clock.now() - start == pytest.approx(150 / 50 + 50 / 400, abs=2e-3)
+    assert free.links[-1].read_until(b"ALARM:1\r\n", 60.0).endswith(b"ok\r\nALARM:1\r\n")
+    assert free.clock.now() - start == pytest.approx(after_s, abs=2e-3)
     assert free.emulator.position_mm()[0] == pytest.approx(0.0)
 
 
@@ -321,79 +314,50 @@ def test_a_drive_fed_in_pieces_of_straight_lines_ends_the_same(
         assert cut.place == pytest.approx(whole.place, abs=1e-9)
 
 
-def test_a_switch_on_the_second_leg_closes_at_its_moment(free: Board) -> None:
-    free.links[-1].write(b"G1X-50F3000\nG1X160\nG4P0\n")
-    start = free.clock.now()
-    free.links[-1].read_until(b"ALARM:1\r\n", 60.0)
-    assert free.clock.now() - start == pytest.approx(
-        (50 / 50 + 0.25) + (200 / 50 + 0.125), abs=2e-3
-    )
-    assert free.emulator.position_mm()[0] == pytest.approx(0.0)
-
-
 TRUE = Mounting("XYZA", (-150.0, -137.5, -50.0, -180.0))
 
 
-def test_at_its_reference_the_pose_is_zero_whatever_the_errors() -> None:
-    crooked = replace(
-        TRUE, scale_errors=(0.01, -0.01, 0.02, 0.03), squareness_rad=0.01, yaw_rad=-0.02
-    )
-    for mounting in (TRUE, crooked):
-        pose = mounting.pose((-150.0, -137.5, -50.0, -180.0))
-        assert (pose.x_mm, pose.y_mm, pose.z_mm, pose.yaw_rad) == pytest.approx((0, 0, 0, 0))
+CROOKED = replace(TRUE, scale_errors=(0.01, -0.01, 0.02, 0.03), squareness_rad=0.01, yaw_rad=-0.02)
+SCALED = replace(TRUE, scale_errors=(0.01, -0.02, 0.1, 0.001))
+REFERENCE = (-150.0, -137.5, -50.0, -180.0)
 
 
-def test_a_true_stage_carries_what_it_counts() -> None:
-    pose = TRUE.pose((-140.0, -150.0, -30.0, -90.0))
-    assert (pose.x_mm, pose.y_mm, pose.z_mm, pose.yaw_rad) == pytest.approx(
-        (10, -12.5, 20, math.pi / 2)
-    )
-
-
-def test_axes_that_are_not_declared_carry_nothing() -> None:
-    pose = replace(TRUE, axes="XY").pose((-140.0, -137.5, -1.0))
-    assert (pose.x_mm, pose.y_mm, pose.z_mm, pose.yaw_rad) == pytest.approx((10, 0, 0, 0))
-    pose = replace(TRUE, axes="XYA").pose((-140.0, -137.5, -1.0, -181.0))
-    assert (pose.z_mm, pose.yaw_rad) == pytest.approx((0, -math.radians(1)))
-
-
-def test_below_its_reference_the_plate_rests_on_the_table() -> None:
-    assert TRUE.pose((-150.0, -137.5, -50.1, -180.0)).z_mm == 0.0
-
-
-def test_scale_squareness_and_yaw_by_hand() -> None:
-    scaled = replace(TRUE, scale_errors=(0.01, -0.02, 0.1, 0.001))
-    pose = scaled.pose((-50.0, -37.5, -40.0, -80.0))
-    assert (pose.x_mm, pose.y_mm, pose.z_mm, pose.yaw_rad) == pytest.approx(
-        (101, 98, 11, math.radians(100.1))
-    )
-    pose = replace(TRUE, squareness_rad=0.01).pose((-50.0, -37.5, -50.0, -180.0))
-    assert (pose.x_mm, pose.y_mm) == pytest.approx(
-        (100 - 100 * math.sin(0.01), 100 * math.cos(0.01))
-    )
-    pose = replace(TRUE, yaw_rad=0.1).pose((-50.0, -137.5, -50.0, -180.0))
-    assert (pose.x_mm, pose.y_mm, pose.yaw_rad) == pytest.approx(
-        (100 * math.cos(0.1), 100 * math.sin(0.1), 0.0)
-    )
-
-
-@given(
-    st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(-0.02, 0.02), st.floats(-0.02, 0.02)
+@pytest.mark.parametrize(
+    ("mounting", "place", "pose"),
+    [
+        (TRUE, REFERENCE, (0, 0, 0, 0)),
+        (CROOKED, REFERENCE, (0, 0, 0, 0)),
+        (TRUE, (-140.0, -150.0, -30.0, -90.0), (10, -12.5, 20, math.pi / 2)),
+        # axes that are not declared carry nothing
+        (replace(TRUE, axes="XY"), (-140.0, -137.5, -1.0), (10, 0, 0, 0)),
+        (replace(TRUE, axes="XYA"), (-140.0, -137.5, -1.0, -181.0), (10, 0, 0, -math.radians(1))),
+        # below its reference the plate rests on the table
+        (TRUE, (-150.0, -137.5, -50.1, -180.0), (0, 0, 0, 0)),
+        (SCALED, (-50.0, -37.5, -40.0, -80.0), (101, 98, 11, math.radians(100.1))),
+        (
+            replace(TRUE, squareness_rad=0.01),
+            (-50.0, -37.5, -50.0, -180.0),
+            (100 - 100 * math.sin(0.01), 100 * math.cos(0.01), 0, 0),
+        ),
+        (
+            replace(TRUE, yaw_rad=0.1),
+            (-50.0, -137.5, -50.0, -180.0),
+            (100 * math.cos(0.1), 100 * math.sin(0.1), 0, 0),
+        ),
+        (
+            replace(SCALED, squareness_rad=0.02, yaw_rad=0.1),
+            (-50.0, -37.5, -50.0, -180.0),
+            (
+                101 * math.cos(0.1) - 98 * math.sin(0.12),
+                101 * math.sin(0.1) + 98 * math.cos(0.12),
+                0,
+                0,
+            ),
+        ),
+    ],
 )
-def test_the_errors_put_in_can_be_read_off_three_places(
-    squareness: float, yaw: float, scale_x: float, scale_y: float
+def test_the_plates_pose_by_hand(
+    mounting: Mounting, place: tuple[float, ...], pose: tuple[float, float, float, float]
 ) -> None:
-    mounting = replace(
-        TRUE, squareness_rad=squareness, yaw_rad=yaw, scale_errors=(scale_x, scale_y, 0.0, 0.0)
-    )
-
-    def at(x: float, y: float) -> np.ndarray:
-        pose = mounting.pose((x, y, -50.0, -180.0))
-        return np.array([pose.x_mm, pose.y_mm])
-
-    along_x, along_y = at(-50, -100) - at(-150, -100), at(-150, 0) - at(-150, -100)
-    assert np.linalg.norm(along_x) / 100 - 1 == pytest.approx(scale_x, abs=1e-12)
-    assert np.linalg.norm(along_y) / 100 - 1 == pytest.approx(scale_y, abs=1e-12)
-    assert math.atan2(along_x[1], along_x[0]) == pytest.approx(yaw, abs=1e-12)
-    angle = math.atan2(along_y[1], along_y[0]) - math.atan2(along_x[1], along_x[0])
-    assert angle - math.pi / 2 == pytest.approx(squareness, abs=1e-12)
+    got = mounting.pose(place)
+    assert (got.x_mm, got.y_mm, got.z_mm, got.yaw_rad) == pytest.approx(pose, abs=1e-12)

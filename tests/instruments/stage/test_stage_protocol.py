@@ -13,6 +13,8 @@ from instruments.stage import protocol
 from instruments.stage.protocol import (
     ALARMS,
     ERRORS,
+    FLUIDNC_ALARMS,
+    FLUIDNC_ERRORS,
     HAL_ALARMS,
     Alarm,
     Decoder,
@@ -24,8 +26,7 @@ from instruments.stage.protocol import (
     Setting,
     Status,
     Welcome,
-    alarm_meaning,
-    error_meaning,
+    meaning,
 )
 
 
@@ -132,7 +133,10 @@ def test_a_move_states_units_distance_mode_and_machine_coordinates() -> None:
     assert (
         protocol.move_line({"X": -0.0001, "Z": -0.1236}, 99.95) == "G21G90G94G53G1X0Z-0.124F99.95"
     )
+    assert protocol.jog_line({"X": 5}, 600) == "$J=G21G91X5F600"
+    assert protocol.jog_line({"Y": -0.0004, "A": 12.5}, 99.95) == "$J=G21G91Y0A12.5F99.95"
     assert protocol.encode("$H") == b"$H\n"
+    assert protocol.encode("G" * 79) == b"G" * 79 + b"\n"
 
 
 @pytest.mark.slow
@@ -163,8 +167,9 @@ def test_every_move_fits_the_controllers_line_buffer(
 def test_a_move_that_cannot_be_written_is_refused(
     target_mm: dict[str, float], feed_mm_min: float
 ) -> None:
-    with pytest.raises(LimitError):
-        protocol.move_line(target_mm, feed_mm_min)
+    for line in (protocol.move_line, protocol.jog_line):
+        with pytest.raises(LimitError):
+            line(target_mm, feed_mm_min)
 
 
 @pytest.mark.parametrize("text", ["G1X1?", "!", "~", "G1\nX2", "é", "G1" + "0" * 78])
@@ -173,20 +178,19 @@ def test_a_line_that_the_controller_would_mangle_is_refused(text: str) -> None:
         protocol.encode(text)
 
 
-def test_the_longest_line_has_79_characters() -> None:
-    assert protocol.encode("G" * 79) == b"G" * 79 + b"\n"
-
-
 def test_every_code_of_the_sheet_has_a_sentence_and_advice() -> None:
     assert {1, 2, 3, 5, 8, 9, 10, 11, 15, 20, 22, 33} <= ERRORS.keys()
     assert set(range(1, 11)) == ALARMS.keys()
-    alarms = (*ALARMS.values(), *HAL_ALARMS.values())
-    for meaning in (*ERRORS.values(), *alarms, error_meaning(999), alarm_meaning(999)):
-        assert meaning.what
-        assert meaning.do.endswith((".", ")."))
-    assert all(meaning.do.endswith("home().") for meaning in HAL_ALARMS.values())
-    assert all("home" in meaning.do for meaning in alarms)
-    assert "unknown" in error_meaning(999).what or "does not know" in error_meaning(999).what
+    alarms = (*ALARMS.values(), *HAL_ALARMS.values(), *FLUIDNC_ALARMS.values())
+    unknown = [meaning(ErrorReply(999)), meaning(Alarm(999))]
+    for what, do in (*ERRORS.values(), *FLUIDNC_ERRORS.values(), *alarms, *unknown):
+        assert what
+        assert do.endswith((".", ")."))
+    assert all(do.endswith("home().") for _, do in alarms)
+    assert [what.split(": an ")[0] for what, _ in unknown] == ["error 999", "alarm 999"]
+    assert all("does not know" in what for what, _ in unknown)
+    assert meaning(Alarm(10), "FluidNC").what != meaning(Alarm(10)).what
+    assert meaning(ErrorReply("said so"), "Marlin").what == "said so"
 
 
 def test_real_time_bytes_are_those_of_the_sheet() -> None:

@@ -9,8 +9,7 @@ it, and everything counts again.
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
@@ -18,10 +17,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from instruments.clock import VirtualClock
 from instruments.errors import InstrumentError, LimitError, LinkError
-from instruments.link import Link
-from instruments.listener import Listener
 from instruments.stage.driver import Stage
 from instruments.stage.emulator import (
     CLASSIC,
@@ -31,10 +27,9 @@ from instruments.stage.emulator import (
     ZABER,
     Dialect,
     Fault,
-    StageEmulator,
 )
-from instruments.stage.emulator.lines import LineController
-from tests.instruments.stage.board import motors_of, spoken_by
+from instruments.stage.emulator.grbl import GrblController
+from tests.instruments.stage.board import Bench
 
 TRAVEL = (300.0, 275.0, 50.0, 360.0)
 HOME = (-1.0, -1.0, -1.0, -1.0)
@@ -63,29 +58,19 @@ class StageRules(RuleBasedStateMachine):
         dialect, self.axes = board
         count = 4 if "A" in self.axes else 3
         self.play = PLAY if play else (0.0, 0.0, 0.0, 0.0)
-        self.clock = VirtualClock()
-        self.emulator = StageEmulator(
-            self.clock, dialect=dialect, axes=count, play_mm=self.play[:count]
-        )
-        self.listener = Listener(self.emulator, self.clock, lock=threading.RLock(), name="stage")
+        self.bench = Bench(dialect=dialect, axes=self.axes, play_mm=self.play[:count])
+        self.clock, self.emulator = self.bench.clock, self.bench.emulator
         self.unseen = False
         origin = (*self.emulator._origin_mm, 0.0)[:4]
         self.origin: Place = (origin[0], origin[1], origin[2], origin[3])
         self.from_low_end = dialect.from_low_end
         self.home_place = (0.0,) * 4 if self.from_low_end else HOME
-        self.plug_in()
         self.target: Place = self.home_place
-        self.stage.home()
+        self.bench.homed()
 
-    def plug_in(self) -> None:
-        self.stage = Stage(
-            Link(self.listener.url, self.clock, who="stage"),
-            self.clock,
-            self.axes,
-            dialect=spoken_by(self.emulator),
-            motors=motors_of(self.axes),
-        )
-        self.stage.connect()
+    @property
+    def stage(self) -> Stage:
+        return self.bench.stage
 
     def machine(self, place: Place) -> Place:
         """Of a place on the rails, 0 at their high ends."""
@@ -166,15 +151,7 @@ class StageRules(RuleBasedStateMachine):
     def let_time_pass(self, seconds: float) -> None:
         self.clock.sleep(seconds)
 
-    @rule()
-    def hold(self) -> None:
-        try:
-            self.stage.hold()
-        except InstrumentError:
-            return
-        self.stands()
-
-    @rule(call=st.sampled_from([Stage.cancel_jog, Stage.brake, Stage.resume]))
+    @rule(call=st.sampled_from([Stage.cancel_jog, Stage.brake]))
     def only_call(self, call: Callable[[Stage], None]) -> None:
         with suppress(InstrumentError):
             call(self.stage)
@@ -222,22 +199,19 @@ class StageRules(RuleBasedStateMachine):
     def repair_and_plug_in_again(self) -> None:
         for fault in Fault:
             self.emulator.cure(fault)
-        self.stage.close()
-        self.plug_in()
+        self.bench.again().stage.connect()
         assert not self.stage.homed
 
     @invariant()
     def within_the_travel(self) -> None:
         """The carriage itself, whatever the controller counts; and all that was ever planned."""
-        if hasattr(self, "emulator"):
+        if hasattr(self, "bench"):
             board, places = self.emulator._controller, self.emulator.position_mm()
-            planned: Sequence[float] = self.emulator._carriage.motion.target
-            if isinstance(board, LineController):
-                planned = board.target_mm()
+            planned = board.target_mm()
             for axis, (place, target) in enumerate(zip(places, planned, strict=True)):
                 low, high = self.origin[axis] - TRAVEL[axis] - 1e-6, self.origin[axis] + 1e-6
                 assert low <= place <= high
-                if not isinstance(board, LineController) or axis in board.homed:
+                if not isinstance(board, GrblController) or axis in board.homed:
                     assert low <= target <= high
 
     @invariant()
@@ -245,14 +219,13 @@ class StageRules(RuleBasedStateMachine):
         """As the board knows it itself, which it doesn't tell the driver (the classic one never
         does).
         """
-        if hasattr(self, "emulator"):
+        if hasattr(self, "bench"):
             board = self.emulator._controller
             assert board.homed or board.carriage.homing or not board.moving
 
     def teardown(self) -> None:
-        if hasattr(self, "stage"):
-            self.stage.close()
-            self.listener.close()
+        if hasattr(self, "bench"):
+            self.bench.close()
 
 
 StageRules.TestCase.settings = settings(

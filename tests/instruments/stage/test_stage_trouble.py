@@ -13,37 +13,13 @@ import pytest
 from instruments.clock import RealClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.link import Link
-from instruments.stage.driver import Stage
-from instruments.stage.emulator import Fault, StageEmulator
-from instruments.stage.emulator.controller import Controller
-from instruments.stage.emulator.gcode import Mode
+from instruments.stage.driver import Spoken, Stage
+from instruments.stage.emulator import CLASSIC, GRBL_HAL, Dialect, Fault, StageEmulator
+from instruments.stage.emulator.grbl import GrblController, Mode
 from instruments.stage.protocol import ALARMS, HAL_ALARMS
 from tests.instruments.stage.board import GREETING, Bench, Parrot, meet
 
 Make = Callable[..., Bench]
-
-
-def test_an_alarm_in_a_move_is_a_sentence_and_asks_for_recovery_and_homing(bench: Bench) -> None:
-    stage = bench.homed()
-    bench.emulator.inject(Fault.LIMIT_HIT, 0.7)
-    start = bench.clock.now()
-    with pytest.raises(
-        DeviceError, match=r"alarm 1: a limit switch was hit .*recover\(\) and home\(\)"
-    ):
-        stage.move_to(-200, -200)
-    assert bench.clock.now() - start == pytest.approx(0.7)
-    assert not stage.homed
-    with pytest.raises(LimitError, match="no move before homing"):
-        stage.move_to(-5, -5)
-    with pytest.raises(DeviceError, match="alarm 1"):
-        stage.home()
-    stage.stop()
-    stage.recover()
-    with pytest.raises(LimitError, match="no move before homing"):
-        stage.move_to(-5, -5)
-    stage.home()
-    stage.move_to(-5, -5)
-    assert bench.emulator.position_mm() == pytest.approx([-5, -5, -1])
 
 
 @pytest.mark.parametrize(("fault", "alarm"), [(Fault.NO_SWITCH, 9), (Fault.STUCK_SWITCH, 8)])
@@ -78,24 +54,20 @@ def test_the_controllers_own_soft_limit_is_an_alarm_too(make: Make) -> None:
     [
         (Fault.RESTART, DeviceError, "restarted by itself", "no move before homing"),
         (Fault.LOST_OK, LinkError, r"no answer \(asked G21.*after 2 s\)", "is still owed"),
-        (Fault.GARBAGE, ProtocolError, r"nonsense: .*FF 00 3C 52 75 7C 1B", ""),
+        (Fault.GARBAGE, ProtocolError, r"nonsense: .*FF 00 3C 52 75 7C 1B", "no move before"),
     ],
 )
-def test_after_a_fault_the_stage_is_recovered_and_homed(
-    bench: Bench, fault: Fault, error: type[InstrumentError], what: str, refusal: str
+def test_a_fault_in_a_move_is_a_sentence_and_asks_for_recovery(
+    make: Make, fault: Fault, error: type[InstrumentError], what: str, refusal: str
 ) -> None:
+    bench = make()
     stage = bench.homed()
     bench.emulator.inject(fault, 0.5)
     with pytest.raises(error, match=what):
         stage.move_to(-250, -250)
     assert stage.homed == (fault is Fault.LOST_OK)
-    if refusal:
-        with pytest.raises(InstrumentError, match=refusal):
-            stage.move_to(-5, -5) if fault is Fault.RESTART else stage.home()
-    stage.stop()
-    stage.recover()
-    stage.home()
-    stage.move_to(-5, -5)
+    with pytest.raises(InstrumentError, match=refusal):
+        stage.home() if fault is Fault.LOST_OK else stage.move_to(-5, -5)
 
 
 def test_a_late_answer_is_not_taken_for_another_lines(bench: Bench) -> None:
@@ -121,6 +93,15 @@ def test_silence_in_a_move(bench: Bench) -> None:
     assert not stage.homed
 
 
+SETTINGS = b"".join(
+    b"$%d=%s\r\n" % (n, b"100.000")
+    for n in (24, 25, 27, *range(100, 103), *range(110, 113), *range(120, 123), *range(130, 133))
+)
+FLAGS = b"$13=0\r\n$20=1\r\n$21=0\r\n$22=1\r\n$74=my network\r\nok\r\n"
+TOLD = {b"$I\n": b"ok\r\n", b"$$\n": SETTINGS + FLAGS}
+HAL = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
+
+
 @pytest.mark.parametrize(
     ("greeting", "answers", "error", "sentence"),
     [
@@ -130,25 +111,17 @@ def test_silence_in_a_move(bench: Bench) -> None:
         (b"\r\nGrbl 0.9j ['$' for help]\r\n", {}, DeviceError, "speaks another protocol"),
         (GREETING, {}, LinkError, r"no answer \(asked \$I"),
         (GREETING, {b"$I\n": b"error:3\r\n"}, DeviceError, "error 3"),
-        (
-            GREETING,
-            {b"$I\n": b"ok\r\n", b"$$\n": b"ok\r\n"},
-            ProtocolError,
-            r"setting \$\d+ is not usable",
-        ),
-        (
-            GREETING,
-            {b"$I\n": b"ok\r\nok\r\n", b"$$\n": b"ok\r\n"},
-            ProtocolError,
-            "nothing was asked for",
-        ),
+        (GREETING, TOLD | {b"$$\n": b"ok\r\n"}, ProtocolError, r"setting \$\d+ is not usable"),
+        (GREETING, TOLD | {b"$I\n": b"ok\r\nok\r\n"}, ProtocolError, "nothing was asked for"),
         (GREETING, {b"$I\n": b"[MSG:x]\r\n" + GREETING}, DeviceError, "restarted by itself"),
         (
             GREETING,
             {b"$I\n": b"ALARM:77\r\n"},
             DeviceError,
-            "alarm 77: an alarm that this program does not know",
+            "77: an alarm that this program does not",
         ),
+        (GREETING, {b"$I\n": b"ALARM:10\r\n"}, DeviceError, "10: .*two motors of one axis"),
+        (HAL, {b"$I\n": b"ALARM:10\r\n"}, DeviceError, "10: .*emergency stop is pressed"),
     ],
 )
 def test_other_devices_are_refused(
@@ -159,20 +132,15 @@ def test_other_devices_are_refused(
     assert str(caught.value).startswith("stage at socket://")
 
 
-def test_a_stale_boot_message_before_the_welcome_is_no_obstacle(make: Make) -> None:
-    settings = b"".join(
-        b"$%d=%s\r\n" % (n, b"100.000")
-        for n in (*range(100, 103), *range(110, 113), *range(120, 123), *range(130, 133))
-    )
-    flags = (
-        b"$13=0\r\n$20=1\r\n$21=0\r\n$22=1\r\n$24=25.000\r\n$25=500.000\r\n$27=1.000\r\n$74=my"
-        b" network\r\nok\r\n"
-    )
-    meet(
-        Parrot(
-            b"\xf0\xe0boot\r\nok\r\n" + GREETING, {b"$I\n": b"ok\r\n", b"$$\n": settings + flags}
-        )
-    )
+@pytest.mark.parametrize("said", [b"\xf0\xe0boot\r\nok\r\n", b"error:7\r\n$0=10\r\n$1=25\r\n"])
+def test_what_a_board_says_before_its_welcome_is_no_obstacle(said: bytes) -> None:
+    meet(Parrot(said + GREETING, TOLD))
+
+
+@pytest.mark.parametrize("dialect", ["marlin", "zaber"])
+def test_devices_that_speak_another_dialect_are_refused(dialect: Spoken) -> None:
+    with pytest.raises(InstrumentError, match=r"^stage at socket://"):
+        meet(Parrot(b"nothing of the kind\r\n", {}), dialect=dialect)
 
 
 FAST = (
@@ -182,20 +150,31 @@ FAST = (
 )
 
 
-@pytest.mark.parametrize("critical", [False, True], ids=["heard", "deaf"])
-@pytest.mark.parametrize("code", [*ALARMS, *HAL_ALARMS.keys() - ALARMS.keys()])
-def test_recovery_from_each_alarm_is_explicit(bench: Bench, code: int, critical: bool) -> None:
+@pytest.mark.parametrize(
+    ("dialect", "code", "critical"),
+    [
+        *((CLASSIC, code, code % 2 == 0) for code in ALARMS),
+        *((GRBL_HAL, code, code % 2 == 1) for code in ALARMS | HAL_ALARMS),
+    ],
+)
+def test_recovery_from_each_alarm_is_explicit(
+    make: Make, dialect: Dialect, code: int, critical: bool
+) -> None:
+    bench = make(dialect=dialect)
     stage = bench.homed()
     controller = bench.emulator._controller
-    assert isinstance(controller, Controller)
+    assert isinstance(controller, GrblController)
 
     def strike() -> None:
         controller.alarm(code, critical=critical)
         bench.emulator._settle()
 
-    bench.clock.call_at(bench.clock.now() + 1.0, strike)
-    with pytest.raises(DeviceError, match=f"alarm {code}: .*home"):
+    at_s = bench.clock.now() + 1.0
+    bench.clock.call_at(at_s, strike)
+    with pytest.raises(DeviceError, match=rf"alarm {code}: .*home\(\)"):
         stage.move_to(-250, -250)
+    assert bench.clock.now() == pytest.approx(at_s)
+    stage.stop()
     for refused in (stage.home, lambda: stage.move_to(-5, -5), lambda: stage.jog(x_mm=-1)):
         with pytest.raises((DeviceError, LimitError), match=f"alarm {code}|no move before homing"):
             refused()
@@ -238,5 +217,3 @@ def test_the_driver_works_on_a_pseudo_terminal() -> None:
             stage.begin_move(-290, -30, feed_mm_min=6000)
             stage.stop()
             assert stage.status().name == "Hold:0"
-            stage.resume()
-            stage.finish_move()
