@@ -267,7 +267,7 @@ def done_by(url: str, data: bytes, monkeypatch: pytest.MonkeyPatch) -> list[Any]
 
     monkeypatch.setattr("serial.serial_for_url", open_it)
     line = parse_line(url)
-    link = Link(line.url, RealClock(), who="bath", baud=line.baud or 0, port=line.port_settings)
+    link = Link(line.url, RealClock(), who="bath", baud=line.baud, port=line.serial)
     link.write(data)
     return [("given", given), *port.done]
 

@@ -22,6 +22,7 @@ from instruments.bath.transactions import FORGET_S, Transactions
 from instruments.clock import Clock, RealClock
 from instruments.errors import InstrumentError, LinkError, ProtocolError
 from instruments.listener import Listener
+from instruments.port_settings import PortSettings
 from tests.instruments.bath.devices import Stand
 from tests.instruments.bath.far_end import MARKERS, FarEnd, crc, linked, right, rtu, served, virtual
 
@@ -463,8 +464,7 @@ def test_the_far_end_of_these_tests_speaks_rtu_as_printed() -> None:
                 device="/dev/serial/by-id/usb-FTDI",
                 unit_id=12,
                 baud=19200,
-                parity="E",
-                stopbits=2,
+                serial=PortSettings(parity="E", stopbits=2),
             ),
         ),
         ("COM12?baud=9600", Line("serial", device="COM12", baud=9600)),
