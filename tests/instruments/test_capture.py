@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from instruments.captures.capture import NO_CAPTURE, CaptureError, CaptureFile, read_capture
+from instruments.captures.capture import CaptureError, CaptureFile, read_capture
 from instruments.clock import RealClock, VirtualClock
 from instruments.errors import LinkError
 from instruments.tap import Tap
@@ -217,11 +217,3 @@ def test_a_full_disk_ends_the_capture_and_not_the_run(tmp_path: Path) -> None:
     assert read.cut
     whole = len(read.links["arm"][0].exchanges[1].asked) // 10 + 1
     assert f"ends early, after {whole} events: File too large" in capture.fault
-
-
-def test_without_a_capture_there_is_a_tap_that_does_nothing() -> None:
-    tap = NO_CAPTURE.tap("arm", VirtualClock())
-    tap.opened("u")
-    tap.sent(b"x")
-    tap.received(b"y")
-    tap.closed("broke")

@@ -86,16 +86,6 @@ def test_the_first_request_is_raised_and_the_second_is_noted() -> None:
 
 
 @posix
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [("SIGINT", "Ctrl-C"), ("SIGTERM", "SIGTERM"), ("SIGHUP", "connection has gone")],
-)
-def test_each_request_says_who_asked(name: str, said: str) -> None:
-    with installed(), pytest.raises(Interrupted, match=said):
-        os.kill(os.getpid(), getattr(signal, name))
-
-
-@posix
 def test_nothing_is_raised_while_undisturbed_and_again_after() -> None:
     with installed() as exits:
         with undisturbed(), undisturbed():

@@ -17,7 +17,7 @@ from instruments.bath.profile import (
     RegisterProfile,
     load_register_profile,
 )
-from instruments.bath.registers import Row
+from instruments.bath.rows import Row
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LimitError, LinkError, ProtocolError
 from instruments.listener import Listener
@@ -119,17 +119,6 @@ def test_a_controller_of_another_family_is_refused_before_the_first_write(
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_look_comes_before_the_first_write(name: str) -> None:
-    with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock)) as bath:
-        bath.start(33.0)
-        writes = emulator.writes()
-        assert writes
-        before = [address for when, _, address in emulator.asked if when <= writes[0][0]]
-        for identity in profile.identity:
-            assert profile.row(identity.row).address in before
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_another_unit_is_silence(name: str) -> None:
     with met(name) as (emulator, url, profile, clock):
         with pytest.raises(LinkError, match="no answer"):
@@ -138,18 +127,6 @@ def test_another_unit_is_silence(name: str) -> None:
         emulator.unit_id = 2
         with closing(Bath(f"{url}?unit=2", profile, clock)) as bath:
             assert bath.read().temp_c == pytest.approx(20.0)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_port_that_drops_comes_back(name: str) -> None:
-    with met(name) as (emulator, url, profile, clock), closing(Bath(url, profile, clock)) as bath:
-        for _ in range(3):
-            emulator.pull_the_cable()
-            assert bath.read().temp_c == pytest.approx(20.0)
-        bath.start(33.0)
-        emulator.pull_the_cable()
-        bath.safe()
-        assert not emulator.plant.running
 
 
 # ---- unit

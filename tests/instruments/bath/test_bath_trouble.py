@@ -64,15 +64,6 @@ def test_a_power_cut_is_reported_once(stand: Stand) -> None:
     assert stand.plant.running
 
 
-def test_a_controller_switched_off_is_a_link_error(stand: Stand) -> None:
-    bath = stand.bath()
-    stand.listener.close()
-    with pytest.raises(LinkError, match="nothing took the connection"):
-        bath.read()
-    with pytest.raises(LinkError, match="nothing took the connection"):
-        bath.safe()
-
-
 def test_an_event_of_virtual_time_may_ask_while_an_answer_is_awaited(stand: Stand) -> None:
     bath = stand.bath()
     stand.emulator.fault("late answer")
@@ -83,40 +74,7 @@ def test_an_event_of_virtual_time_may_ask_while_an_answer_is_awaited(stand: Stan
     assert seen == [pytest.approx(20.0)]
 
 
-def test_an_interrupted_question_drops_the_link(stand: Stand) -> None:
-    bath = stand.bath()
-    bath.start(33.0)
-    stand.emulator.fault("late answer")
-
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    stand.clock.call_at(stand.clock.now() + 0.5, interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        bath.read()
-    stand.emulator.fault("late answer", on=False)
-    bath.safe()
-    assert not stand.plant.running
-    assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
-    # over a new link, looked at anew
-    assert [address for _, _, address in stand.emulator.asked].count(93) == 2
-
-
 # ---- safe
-
-
-@pytest.mark.parametrize(
-    "fault",
-    ["fahrenheit", "sensor break", "low level", "word order", "gaps refused", "stuck heater"],
-)
-def test_safe_is_standby_whatever_is_wrong(stand: Stand, fault: str) -> None:
-    bath = stand.bath()
-    bath.start(33.0)
-    stand.emulator.fault(fault)
-    stand.clock.sleep(1.0)
-    bath.safe()
-    bath.safe()
-    assert not stand.plant.running
 
 
 def test_safe_writes_even_what_seems_so_already(stand: Stand) -> None:
@@ -142,16 +100,6 @@ def test_safe_says_so_when_it_can_not(
     stand.emulator.fault(fault, on=False)
     bath.safe()
     assert not stand.plant.running
-
-
-def test_whoever_cleans_up_needs_no_look_at_the_controller(stand: Stand) -> None:
-    stand.bath().start(33.0)
-    stand.emulator.fault("fahrenheit")
-    other = stand.bath(identify=False)
-    other.safe()
-    assert not stand.plant.running
-    with pytest.raises(DeviceError, match="degC"):
-        other.read()
 
 
 # ---- a controller of another make: answers that pymodbus lets through
