@@ -149,6 +149,8 @@ class Server(Emulator):
     answer, "surplus" adds one. Raises ValueError for a framing that is none.
     """
 
+    framing: Framing
+
     def __init__(
         self,
         plant: Plant,

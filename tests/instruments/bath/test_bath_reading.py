@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
 
 from instruments.bath.profile import load_register_profile
@@ -23,7 +25,8 @@ def read(registers: str, *, order: Order = "ABCD", gaps: bool = True) -> BathRea
     profile = load_register_profile("julabo-presto")
     access = RegisterAccess("tcp://127.0.0.1:1", profile, VirtualClock(), who="bath")
     access.order = order
-    run, raw = RUN if gaps else RUN_APART, {}
+    run = RUN if gaps else RUN_APART
+    raw: dict[str, Sequence[int]] = {}
     for block, words in zip(blocks(profile, gaps=gaps), (run + registers).split("|"), strict=True):
         raw |= block.apart([int(word, 16) for word in words.split()])
     return access.reading(7.0, raw)
