@@ -14,14 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.rig.model import Limits
-from bench.safety.interlocks import RULES, Bath, Interlocks, InterlockTrip, bath_of, rule_named
-from instruments.bath.profile import CommsLoss, load_profile
+from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, rule_named
+from instruments.bath.profile import CommsLoss, Profile, load_profile
 from instruments.bath.reading import BathReading
 from tests.bench.safety.calm import CALM
 from tests.conftest import ROOT
 
 Series = Callable[[int], BathReading]
-PRESTO = bath_of(load_profile("julabo-presto"))
+PRESTO = load_profile("julabo-presto")
+
+
+def without(*names: str) -> Profile:
+    """A family that lacks these rows."""
+    rows = tuple(row for row in PRESTO.rows if row.name not in names)
+    return PRESTO.model_copy(update={"rows": rows})
 
 
 def readings(at: Series, seconds: int, start_s: float = 0.0) -> list[BathReading]:
@@ -37,7 +43,7 @@ def first_trip(
     at: Series,
     seconds: int = 600,
     *,
-    bath: Bath = PRESTO,
+    bath: Profile = PRESTO,
     pump_on: bool | None = None,
     start_s: float = 0.0,
 ) -> InterlockTrip | None:
@@ -206,7 +212,7 @@ def test_no_heat_while_the_pump_is_known_to_stand(pump_on: bool | None, rule: st
 
 
 def test_a_family_that_tells_no_output_has_rules_that_sleep_and_says_so() -> None:
-    silent = Interlocks(Limits(), Bath(tells=frozenset()))
+    silent = Interlocks(Limits(), without("power", "external", "safety"))
     assert set(silent.inactive) == {
         "heat without pump or level",
         "frozen reading",

@@ -17,7 +17,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.rig.loading import load_rig
 from bench.rig.opening import open_instruments
 from bench.safety.bath_monitor import BathMonitor
-from bench.safety.interlocks import Interlocks, InterlockTrip, bath_of, moving_of
+from bench.safety.interlocks import Interlocks, InterlockTrip, moving_of
 from bench.safety.stability import StabilityGate
 from instruments.bath.sequence import start_bath
 from instruments.clock import VirtualClock
@@ -85,7 +85,7 @@ def test_each_fault_of_the_bath_trips_its_rule_in_time(
         return True
 
     with open_instruments(rig, ("bath",), clock, seed=1) as devices:
-        interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+        interlocks = Interlocks(rig.rig.limits, rig.profile)
         gate, moving = StabilityGate(33.0), moving_of(rig.profile)
         watch = BathMonitor(
             devices.bath.read, clock, gate, interlocks, lambda _: None, act, moving=moving

@@ -17,7 +17,7 @@ from bench.config import ConfigError
 from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
 from bench.rig.model import Limits
 from bench.safety.bath_monitor import BathMonitor
-from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, bath_of, moving_of, rule_named
+from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, moving_of, rule_named
 from bench.safety.latch import (
     LatchedError,
     acknowledge,
@@ -130,7 +130,7 @@ def walked(walk: Walk) -> list[tuple[float, Exception]]:
     """
     clock, acts = VirtualClock(), list[tuple[float, Exception]]()
     profile = load_profile("julabo-presto")
-    interlocks = Interlocks(Limits(), bath_of(profile))
+    interlocks = Interlocks(Limits(), profile)
 
     def act(trip: Exception) -> bool:
         acts.append((clock.now(), trip))
@@ -233,7 +233,7 @@ def with_limits(folder: Path, **changed: str) -> LoadedRig:
 
 def first_trip(rig: LoadedRig, at: Callable[[int], BathReading]) -> tuple[str, int] | None:
     """The rule and the second of the first trip of a bath that was started at SET_C."""
-    interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+    interlocks = Interlocks(rig.rig.limits, rig.profile)
     interlocks.heating(SET_C)
     for t in range(400):
         trip = interlocks.add(replace(at(t), t_s=float(t), raw=(t,)))
@@ -286,7 +286,7 @@ def test_the_highest_plausible_temperature_holds_on_both_sides(tmp_path: Path) -
 @pytest.mark.parametrize("answered", [False, True])
 def test_the_silence_of_a_rig_file_holds_on_both_sides(answered: bool, tmp_path: Path) -> None:
     rig, gone = with_limits(tmp_path), LinkError("bath", "no answer")
-    interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+    interlocks = Interlocks(rig.rig.limits, rig.profile)
     assert interlocks.silent(9.0 - TINY, gone, answered=answered) is None
     trip = interlocks.silent(9.0, gone, answered=answered)
     assert trip is not None
