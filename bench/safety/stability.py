@@ -73,8 +73,8 @@ class State(StrEnum):
 
 @dataclass(slots=True, eq=False)
 class StabilityGate:
-    """Feed every reading to `add`; ask `state` and `reasons`. `window` has the figures, `near` those
-    of what came after the last heating. Limits are the script's.
+    """Feed every reading to `add`; ask `state` and `reasons`. `window` has the figures, `near`
+    those of what came after the last heating. Limits are the script's.
 
     `min_distinct` raw readings must differ within the window, and a raw reading may repeat for
     `frozen_s` at the most: a steady bath shows one value of a 0.01 K step for a while, a dead

@@ -26,10 +26,10 @@ from bench.safety.signals import (
     CTRL_CLOSE_EVENT,
     CTRL_LOGOFF_EVENT,
     CTRL_SHUTDOWN_EVENT,
+    Exits,
     Handler,
     Interrupted,
     current,
-    handler_for,
     installed,
     undisturbed,
     windows_register,
@@ -316,10 +316,9 @@ def test_what_ends_the_program_puts_the_bath_into_standby_while_the_main_thread_
 
 
 def test_ctrl_c_and_ctrl_break_are_left_to_python() -> None:
-    text: list[str] = []
-    for event in (CTRL_C_EVENT, CTRL_BREAK_EVENT):
-        assert handler_for(text.append)(event) is False
-    assert text == []
+    exits = Exits()
+    assert [exits.console_event(event) for event in (CTRL_C_EVENT, CTRL_BREAK_EVENT)] == [False] * 2
+    assert exits.asked == []
 
 
 @pytest.mark.slow
@@ -359,6 +358,6 @@ def test_elsewhere_a_closed_terminal_is_a_signal() -> None:
 def test_windows_takes_the_handler_and_gives_it_back() -> None:
     register = windows_register()
     assert register is not None
-    handler = handler_for(lambda _: None)
+    handler = Exits().console_event
     register(handler, True)
     register(handler, False)
