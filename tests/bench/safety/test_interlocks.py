@@ -233,23 +233,17 @@ def test_every_row_says_what_trips_what_resets_and_what_to_do() -> None:
 @pytest.mark.parametrize(
     ("rule", "reading", "word"),
     [
-        ("over-temperature", replace(CALM, temp_c=36.0), "cool below 36"),
-        ("over-temperature", replace(CALM, safety_c=38.0), "38.00"),
-        ("over-temperature", replace(CALM, temp_c=35.9), None),
-        ("heat without pump or level", replace(CALM, power_percent=1.0), "still asked for 1 %"),
-        ("heat without pump or level", replace(CALM, power_percent=0.0, alarm=1), "alarm 1"),
-        ("heat without pump or level", replace(CALM, power_percent=0.0), None),
-        ("implausible reading", replace(CALM, temp_c=-6.0), "no water bath"),
-        ("frozen reading", replace(CALM, power_percent=21.0), "21 %"),
-        ("frozen reading", CALM, None),
-        ("controller alarm", replace(CALM, alarm=3), "alarm 3"),
-        ("controller alarm", CALM, None),
+        (HOT, replace(CALM, temp_c=36.0), "cool below 36"),
+        (HOT, replace(CALM, safety_c=38.0), "38.00"),
+        (HOT, replace(CALM, temp_c=35.9), None),
+        (DRY, replace(CALM, power_percent=1.0), "still asked for 1 %"),
+        (DRY, replace(CALM, power_percent=0.0, alarm=1), "alarm 1"),
+        (BROKEN, replace(CALM, temp_c=-6.0), "no water bath"),
+        (FROZEN, replace(CALM, power_percent=21.0), "21 %"),
+        (ALARM, replace(CALM, alarm=3), "alarm 3"),
         ("communications lost", CALM, None),
         ("guardian lost", CALM, None),
-        ("changed at the controller", CALM, "still asked for 2 %"),
-        ("rate", replace(CALM, temp_c=-6.0), "no water bath"),
-        ("loop break", CALM, "still asked for 2 %"),
-        ("sensor disagreement", replace(CALM, power_percent=0.0), None),
+        *((rule, CALM, "still asked for 2 %") for rule in (CHANGED, LOOP, DIFFER, RATE)),
     ],
 )
 def test_what_resets_each_rule(rule: str, reading: BathReading, word: str | None) -> None:
@@ -272,15 +266,9 @@ def test_a_trip_has_the_readings_that_led_to_it() -> None:
         60.0,
         *(float(t) for t in range(81, 91)),
     ], "and one of half a minute before"
-    seen = {
-        "t_s": 90.0,
-        "temp_c": 37.5,
-        "external_c": None,
-        "safety_c": None,
-        "power_percent": 2.0,
-        "alarm": 0,
-    }
-    assert trip.values[-1] == seen | {"running": None, "set_point_c": None, "raw": [37500]}
+    untold = dict.fromkeys(("external_c", "safety_c", "running", "set_point_c"))
+    seen = {"t_s": 90.0, "temp_c": 37.5, "power_percent": 2.0, "alarm": 0, "raw": [37500]}
+    assert trip.values[-1] == seen | untold
 
 
 @given(

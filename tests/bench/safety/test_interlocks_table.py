@@ -86,11 +86,17 @@ def test_every_row_is_walked() -> None:
     assert list(WALKS) == [rule.name for rule in RULES]
 
 
+def written(folder: Path, change: Callable[[str], str] = str) -> LoadedRig:
+    """A lab's rig in ``folder``, its text changed."""
+    (folder / "calibration.toml").write_bytes((RIGS / "calibration.toml").read_bytes())
+    path = folder / "lab.example.toml"
+    path.write_text(change((RIGS / path.name).read_text(encoding="utf-8")), encoding="utf-8")
+    return load_rig(path)
+
+
 @pytest.fixture
 def lab(tmp_path: Path) -> LoadedRig:
-    for name in ("lab.example.toml", "calibration.toml"):
-        (tmp_path / name).write_text((RIGS / name).read_text(encoding="utf-8"), encoding="utf-8")
-    return load_rig(tmp_path / "lab.example.toml")
+    return written(tmp_path)
 
 
 @pytest.mark.parametrize("name", WALKS)
@@ -222,13 +228,9 @@ SET_C, TINY = 30.0, 2**-20  # exact in floating point, as all figures here: 1.87
 
 def with_limits(folder: Path, **changed: str) -> LoadedRig:
     """A rig file in ``folder`` none of whose limits is the default."""
-    for name in ("lab.example.toml", "calibration.toml"):
-        (folder / name).write_text((RIGS / name).read_text(encoding="utf-8"), encoding="utf-8")
-    path = folder / "lab.example.toml"
-    text = path.read_text(encoding="utf-8")
     keys = "\n".join(f"{key} = {value}" for key, value in (LIMITS | changed).items())
-    path.write_text(f"{text[: text.index('[limits]')]}[limits]\n{keys}\n", encoding="utf-8")
-    return load_rig(path)
+    limits = f"[limits]\n{keys}\n"
+    return written(folder, lambda text: f"{text[: text.index('[limits]')]}{limits}")
 
 
 def first_trip(rig: LoadedRig, at: Callable[[int], BathReading]) -> tuple[str, int] | None:
@@ -423,13 +425,13 @@ TODAY = date(2026, 11, 22)
 
 
 def with_bath(folder: Path, profile: str, tested: str) -> LoadedRig:
-    """The rig of the fixture ``lab`` in ``folder``, with another bath."""
-    path = folder / "lab.example.toml"
-    text = (RIGS / path.name).read_text(encoding="utf-8")
-    text = text.replace('"julabo-presto"', f'"{profile}"')
-    text = text.replace('cut_out_tested = ""', f'cut_out_tested = "{tested}"')
-    path.write_text(text, encoding="utf-8")
-    return load_rig(path)
+    """A lab's rig with another bath."""
+
+    def change(text: str) -> str:
+        text = text.replace('"julabo-presto"', f'"{profile}"')
+        return text.replace('cut_out_tested = ""', f'cut_out_tested = "{tested}"')
+
+    return written(folder, change)
 
 
 @pytest.mark.parametrize(("profile", "loss"), [("julabo-presto", "hold"), ("omega-cn7", "unknown")])

@@ -110,22 +110,11 @@ def test_a_row_that_the_family_lacks(stand: Stand) -> None:
         (
             "fahrenheit",
             DeviceError,
-            (
-                r"does not speak degC \(asked its unit, got f\)\. Set the controller to degrees"
-                r" Celsius"
-            ),
+            r"speak degC \(asked its unit, got f\)\. Set the controller to degrees Celsius",
         ),
-        (
-            "sensor break",
-            DeviceError,
-            r"has no temperature \(asked temperature, got alarm 5, working sensor",
-        ),
+        ("sensor break", DeviceError, r"no temperature \(asked temperature, got alarm 5, working"),
         ("silence", LinkError, r"no answer \(asked holding registers 93 to 93, after 2 s\)"),
-        (
-            "busy",
-            DeviceError,
-            r"refused: it is busy \(asked holding registers 93 to 93, got Modbus exception 6\)",
-        ),
+        ("busy", DeviceError, r"it is busy \(asked holding .* 93, got Modbus exception 6\)"),
         ("wrong length", ProtocolError, "0 registers were answered where 1 were asked"),
     ],
 )

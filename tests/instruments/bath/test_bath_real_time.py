@@ -45,7 +45,7 @@ def until(so: Callable[[], bool]) -> None:
 
 @pytest.mark.slow
 @pty
-@pytest.mark.parametrize("family", ["eurotherm-3200", "watlow-pm-map1", "omega-cn7"])
+@pytest.mark.parametrize("family", ["eurotherm-3200", "omega-cn7"])
 def test_a_serial_port_is_read_set_started_and_made_safe(family: str) -> None:
     with terminal(family) as (listener, emulator, clock):
         bath = Bath(f"{listener.url}?baud=19200", load_register_profile(family), clock)
