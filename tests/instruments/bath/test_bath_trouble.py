@@ -4,7 +4,6 @@ virtual time in the midst of another call on the same link, as interlocks do it.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,8 +15,8 @@ from instruments.bath.profile import load_register_profile
 from instruments.bath.session import BrokenError
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
-from instruments.listener import Connection, Listener
 from tests.instruments.bath.devices import Stand
+from tests.instruments.bath.far_end import Spoil, virtual
 
 # ---- trouble under way
 
@@ -105,28 +104,12 @@ def test_safe_says_so_when_it_can_not(
 # ---- a controller of another make: answers that pymodbus lets through
 
 
-class Liar:
-    """Answers every request with ``reply(request)``."""
-
-    def __init__(self, reply: Callable[[bytes], bytes]) -> None:
-        self.reply = reply
-
-    def connect(self, connection: Connection) -> None:
-        """Nothing unasked."""
-
-    def disconnect(self, connection: Connection) -> None:
-        """Nothing to forget."""
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        connection.send(self.reply(data))
-
-
 NO_ANSWER = "what came is no answer to this"
 
 
-def behind(answer: str, number: bytes = b"") -> Callable[[bytes], bytes]:
-    """Replies with ``answer``, under the question's number by default."""
-    return lambda asked: (number or asked[:2]) + bytes.fromhex(f"0000 0005 {answer}")
+def behind(answer: str, number: bytes = b"") -> Spoil:
+    """Another ``answer``, under the question's number by default."""
+    return lambda frame: (number or frame[:2]) + bytes.fromhex(f"0000 0005 {answer}")
 
 
 @pytest.mark.parametrize(
@@ -139,12 +122,11 @@ def behind(answer: str, number: bytes = b"") -> Callable[[bytes], bytes]:
         (lambda _: b"HTTP/1.1 400 Bad Request\r\n\r\n", f"{NO_ANSWER}.*got 48 54 54 50"),
     ],
 )
-def test_answers_that_are_none(reply: Callable[[bytes], bytes], message: str) -> None:
-    clock = VirtualClock()
-    listener = Listener(Liar(reply), clock, lock=threading.RLock(), name="liar")
-    with pytest.raises(ProtocolError, match=message):
-        Bath(f"tcp://127.0.0.1:{listener.port}", load_register_profile("julabo-presto"), clock)
-    listener.close()
+def test_answers_that_are_none(reply: Spoil, message: str) -> None:
+    with virtual("tcp") as (far_end, url):
+        far_end.spoils = [reply] * 9
+        with pytest.raises(ProtocolError, match=message):
+            Bath(url, load_register_profile("julabo-presto"), far_end.clock)
 
 
 CALLS: dict[str, Callable[[Bath], object]] = {
