@@ -23,15 +23,12 @@ class Clock(Protocol):
 
     def now(self) -> float:
         """Seconds since the clock was made; never goes back."""
-        ...
 
     def sleep(self, seconds: float) -> None:
         """Wait; with virtual time, run all that is planned for that while."""
-        ...
 
     def call_at(self, when_s: float, action: Callable[[], None]) -> None:
         """Run ``action`` once the clock shows ``when_s``, or at once when that has passed."""
-        ...
 
 
 def wall_time() -> datetime:

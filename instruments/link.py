@@ -23,7 +23,7 @@ from serial.tools import list_ports
 from instruments.clock import PATIENCE_S, Clock, VirtualClock, Wire
 from instruments.errors import LinkError
 from instruments.port_settings import PortSettings, with_lines
-from instruments.tap import NoTap, Tap
+from instruments.tap import Tap
 
 SLICE_S = 1.0
 LOOK_S = 0.002
@@ -53,7 +53,7 @@ class Link:
         self.connected = False  # until a break is noticed, or ``close``
         self._settings = port
         self._connect_timeout_s = connect_timeout_s
-        self._tap: Tap = tap or NoTap()
+        self._tap = tap or Tap()
         self._open()
 
     def reopen(self) -> None:
@@ -220,9 +220,8 @@ class _TcpPort:
             if not host or not port:
                 raise ValueError("host or port is missing")
         except ValueError as error:
-            raise LinkError(
-                who, f"not a link: {error}", hint="Write socket://host:port."
-            ) from error
+            what, hint = f"not a link: {error}", "Write socket://host:port."
+            raise LinkError(who, what, hint=hint) from error
         try:
             self._socket = socket.create_connection((host, port), timeout=connect_timeout_s)
         except OSError as error:
@@ -302,27 +301,16 @@ class _SerialPort:
             what = f"the port can't be opened: {error}"
             raise LinkError(who, what, hint=_port_hint(url, error)) from error
 
-    def _character_s(self) -> float:
-        s = self._settings
-        return (1 + s.bytesize + (s.parity != "N") + s.stopbits) / float(self._serial.baudrate)
-
-    def _first(self, timeout_s: float) -> bytes:
-        self._serial.timeout = timeout_s
-        return bytes(self._serial.read(1))
-
-    def _first_far(self, timeout_s: float) -> bytes:
-        until_s = monotonic() + timeout_s
-        while not (first := bytes(self._serial.read(1))) and monotonic() < until_s:
-            sleep(LOOK_S)
-        return first
-
     def read_some(self, timeout_s: float) -> bytes:
+        until_s = monotonic() + timeout_s
         with _hang_up_is_os_error():
-            first = self._first_far(timeout_s) if self._far else self._first(timeout_s)
-            if not first:
-                return b""
-            rest: bytes = self._serial.read(self._serial.in_waiting)
-            return first + rest
+            if not self._far:
+                self._serial.timeout = timeout_s
+            while not (first := bytes(self._serial.read(1))):
+                if not self._far or monotonic() >= until_s:
+                    return b""
+                sleep(LOOK_S)
+            return first + bytes(self._serial.read(self._serial.in_waiting))
 
     def write(self, data: bytes) -> None:
         with _hang_up_is_os_error():
@@ -333,7 +321,8 @@ class _SerialPort:
             self._serial.rts = True
             try:
                 # an adapter says that it has sent when it has only taken the bytes
-                sent_s = monotonic() + len(data) * self._character_s()
+                character_s = self._settings.character_bits / float(self._serial.baudrate)
+                sent_s = monotonic() + len(data) * character_s
                 self._serial.write(data)
                 self._serial.flush()
                 sleep(max(0.0, sent_s - monotonic()))

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from instruments.clock import Clock, VirtualClock, Wire
-from instruments.pacing import Pacer, Port, check_pace, pacer_for
+from instruments.pacing import Pacer, Port, check_pace
 
 
 class Device(Protocol):
@@ -24,19 +24,18 @@ class Device(Protocol):
 
     def connect(self, connection: Connection) -> None:
         """A host has connected; what the device says unasked is sent here."""
-        ...
 
     def receive(self, connection: Connection, data: bytes) -> None:
         """Bytes came, cut anywhere."""
-        ...
 
     def disconnect(self, connection: Connection) -> None:
         """The cable is out."""
-        ...
 
 
 class Connection:
-    """One host's connection to a device: the device's way to answer."""
+    """One host's connection to a device: the device's way to answer. ``pace``: baud and latency,
+    as of `Listener`.
+    """
 
     def __init__(
         self,
@@ -45,13 +44,13 @@ class Connection:
         lock: threading.RLock,
         *,
         wire: Wire | None = None,
-        pacer: Pacer | None = None,
+        pace: tuple[int | None, float] = (None, 0.0),
     ) -> None:
         self._port = port
         self._clock = clock
         self._lock = lock
         self._wire = wire
-        self._pacer = pacer
+        self._pacer = None if pace == (None, 0.0) else Pacer(port, clock, *pace)
         self.open = True
 
     def send(self, data: bytes) -> None:
@@ -115,17 +114,14 @@ class Connection:
             if self._pacer:
                 self._pacer.run(lambda data: self._receive(device, data))
             else:
-                self._pump(device)
+                while data := self._read():
+                    self._receive(device, data)
         finally:
             with self._lock:
                 self.open = False
                 device.disconnect(self)
             if self._wire:
                 self._wire.closed()
-
-    def _pump(self, device: Device) -> None:
-        while data := self._read():
-            self._receive(device, data)
 
     def _read(self) -> bytes:
         try:
@@ -213,8 +209,7 @@ class Listener:
                 if self._closing:
                     return
                 port = _TcpPort(sock)
-                pacer = pacer_for(port, self._clock, *self._pace)
-                connection = Connection(port, self._clock, self._lock, wire=wire, pacer=pacer)
+                connection = Connection(port, self._clock, self._lock, wire=wire, pace=self._pace)
                 self._connections.add(connection)
             try:
                 connection.serve(self._device)

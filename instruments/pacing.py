@@ -30,44 +30,31 @@ class Port(Protocol):
 
     def fileno(self) -> int:
         """What `select` waits for."""
-        ...
 
     def ready(self) -> bool:
         """Whether anything has come, or the host has gone."""
-        ...
 
     def take(self, count: int) -> bytes:
         """As ``read``, but never waits: raises BlockingIOError where there is nothing after all."""
-        ...
 
     def read(self, count: int) -> bytes:
         """At most ``count`` bytes, waiting for the first; empty or OSError at the end."""
-        ...
 
     def write(self, data: bytes) -> None:
         """Hand all of ``data`` to the host. Raises OSError when it has gone."""
-        ...
 
     def hang_up(self) -> None:
         """Break the cable: wakes whoever reads. Called from any thread, more than once too."""
-        ...
 
     def baud(self) -> int | None:
         """The rate that the host has set its end to; None where that can't be known."""
-        ...
-
-
-def pacer_for(port: Port, clock: Clock, baud: int | None, latency_s: float) -> Pacer | None:
-    """What paces ``port``; None where nothing is asked for."""
-    return Pacer(port, clock, baud, latency_s) if baud is not None or latency_s else None
 
 
 def check_pace(clock: Clock, baud: int | None, latency_s: float) -> None:
     """Raise ValueError for a pace that no line has, and for one under virtual time."""
     if baud is not None and baud < 1:
-        raise ValueError(
-            f"a line's rate is 1 baud at least, not {baud}; leave it out for one that is not paced"
-        )
+        what = f"a line's rate is 1 baud at least, not {baud}"
+        raise ValueError(f"{what}; leave it out for one that is not paced")
     if not 0.0 <= latency_s < math.inf:
         raise ValueError(f"an adapter's latency is 0 s or more, not {latency_s}")
     if isinstance(clock, VirtualClock) and (baud is not None or latency_s):

@@ -20,6 +20,11 @@ class PortSettings:
     rts: bool | None = None
     rs485: bool = False
 
+    @property
+    def character_bits(self) -> int:
+        """Start, data, parity, stop."""
+        return 1 + self.bytesize + (self.parity != "N") + self.stopbits
+
 
 LINES = {"on": True, "off": False}
 
@@ -36,5 +41,4 @@ def with_lines(url: str, settings: PortSettings) -> tuple[str, PortSettings]:
             what = f'"{pair}" is no setting of this port'
             raise ValueError(f'{what}; write "?dtr=off&rts=off", each on or off, and once')
         lines[key] = LINES[word]
-    dtr, rts = lines.get("dtr", settings.dtr), lines.get("rts", settings.rts)
-    return place, replace(settings, dtr=dtr, rts=rts)
+    return place, replace(settings, **lines)  # type: ignore[arg-type]

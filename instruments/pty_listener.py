@@ -15,7 +15,7 @@ import threading
 
 from instruments.clock import Clock, VirtualClock
 from instruments.listener import Connection, Device
-from instruments.pacing import check_pace, pacer_for
+from instruments.pacing import check_pace
 
 _CLOSE = 0x08 | 0x10  # inotify(7): IN_CLOSE_WRITE, IN_CLOSE_NOWRITE
 _FLAGS = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
@@ -58,10 +58,8 @@ class PtyListener:
         latency_s: float = 0.0,
     ) -> None:
         if isinstance(clock, VirtualClock):
-            raise ValueError(
-                f"{name}: a pseudo-terminal keeps real time and can't be had under virtual time;"
-                " take a Listener"
-            )
+            what = "a pseudo-terminal keeps real time and can't be had under virtual time"
+            raise ValueError(f"{name}: {what}; take a Listener")
         check_pace(clock, baud, latency_s)
         self.name = name
         self._device = device
@@ -108,8 +106,7 @@ class PtyListener:
         with self._lock:
             if self._closing.is_set():
                 return
-            pacer = pacer_for(terminal, self._clock, *self._pace)
-            self._connection = Connection(terminal, self._clock, self._lock, pacer=pacer)
+            self._connection = Connection(terminal, self._clock, self._lock, pace=self._pace)
         self._connection.serve(self._device)
         with self._lock:
             self._connection = None
@@ -210,13 +207,11 @@ class _Terminal:
         """The rate that the host has set; a terminal takes any."""
         import termios
 
-        codes = {
-            code: rate for rate in RATES if (code := getattr(termios, f"B{rate}", None)) is not None
-        }
         try:
-            return codes.get(termios.tcgetattr(self._master)[5])
+            code = termios.tcgetattr(self._master)[5]
         except termios.error:
             return None
+        return next((rate for rate in RATES if code == getattr(termios, f"B{rate}", None)), None)
 
     def close(self) -> None:
         """The terminal is gone, for its host too."""

@@ -30,6 +30,4 @@ def ball_centre_mm(end_mm: ArrayLike, axis: ArrayLike, radius_mm: float) -> Floa
 
 def end_under_ball_mm(centres_mm: ArrayLike, axis: ArrayLike, radius_mm: float) -> Floats:
     """Teat ends (n, 3) or (3,) under ball tips of that radius, 0 for a point tip."""
-    return np.asarray(
-        np.asarray(centres_mm, dtype=np.float64) - radius_mm * np.asarray(axis, dtype=np.float64)
-    )
+    return ball_centre_mm(centres_mm, axis, -radius_mm)

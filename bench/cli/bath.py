@@ -30,7 +30,7 @@ from bench.rig.opening import open_instruments, rig_of
 from bench.safety.interlocks import moving_of
 from bench.safety.latch import acknowledge as acknowledge_latch
 from bench.safety.latch import latch_path, read_latch
-from bench.safety.stability import StabilityGate, StabilityReport, State
+from bench.safety.stability import StabilityGate, State
 from instruments.bath.access import NOT_READ
 from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
@@ -172,25 +172,23 @@ def open_bath(
         yield devices.bath, devices.clock
 
 
-def seconds_to_stable(
-    report: StabilityReport, window_s: float, leave_k: float, rate_k_per_s: float | None
-) -> float | None:
+def seconds_to_stable(gate: StabilityGate, rate_k_per_s: float | None) -> float | None:
     """How long at the least until the gate opens; None where the bath doesn't come nearer to its
     set point.
 
     While heating that is the way at the present rate, and a window behind it; while settling what
     is missing of the window.
     """
-    if report.state is State.STABLE:
+    if gate.state is State.STABLE:
         return 0.0
-    if report.pv_c is None:
+    if gate.last_c is None:
         return None
-    if report.state is State.SETTLING:
-        return max(0.0, window_s - report.near_s) or PERIOD_S
-    away_k = report.set_point_c - report.pv_c
+    if gate.state is State.SETTLING:
+        return max(0.0, gate.window_s - gate.near.span_s) or PERIOD_S
+    away_k = gate.set_point_c - gate.last_c
     if not rate_k_per_s or away_k * rate_k_per_s <= 0.0:
         return None
-    return (abs(away_k) - leave_k) / abs(rate_k_per_s) + window_s
+    return (abs(away_k) - gate.leave_k) / abs(rate_k_per_s) + gate.window_s
 
 
 def rate_k_per_s(samples: Sequence[BathReading]) -> float | None:
@@ -276,8 +274,8 @@ class BathView:
         if not self._samples:
             return self.problem or "no reading yet"
         reading = self._samples[-1]
-        report, gate = self._gate.report, self._gate
-        left_s = seconds_to_stable(report, gate.window_s, gate.leave_k, rate_k_per_s(self._samples))
+        gate = self._gate
+        left_s = seconds_to_stable(gate, rate_k_per_s(self._samples))
         output = "not told" if reading.power_percent is None else f"{reading.power_percent:.0f} %"
         parts = [
             f"{reading.temp_c:.2f} degC",
@@ -288,7 +286,7 @@ class BathView:
         when = {None: "not getting nearer", 0.0: "stable now"}.get(
             left_s, f"stable in {minutes}:{seconds:02d} min at the earliest"
         )
-        parts += [report.state.value, when] if self._started else ["in standby"]
+        parts += [gate.state.value, when] if self._started else ["in standby"]
         parts += [f"alarm {reading.alarm}"] if reading.alarm else []
         return ", ".join(filter(None, [*parts, self.problem]))
 
@@ -299,9 +297,7 @@ class BathView:
             yield from filter(None, [output_strip(self._samples)])
         yield self.line()
         yield from (
-            f"  {reason}"
-            for reason in self._gate.report.reasons
-            if self._gate.state is not State.HEATING
+            f"  {reason}" for reason in self._gate.reasons if self._gate.state is not State.HEATING
         )
 
 

@@ -26,7 +26,6 @@ from bench.rig.model import Stage as StageTable
 from bench.rig.opening import ALL, conversion_of, open_camera, open_instruments, rig_of
 from bench.rig.urls import ELSEWHERE, EMULATED
 from instruments.bath.profile import PUMP
-from instruments.bath.sequence import has_own_pump
 from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
 from instruments.camera.genicam import load_aravis
@@ -309,7 +308,7 @@ def _arm(arm: Any) -> Iterator[tuple[str, str]]:
 def _bath(bath: Any) -> Iterator[tuple[str, str]]:
     reading = bath.read()
     yield "temperature", f"{reading.temp_c:.2f} degC, output {reading.power_percent} %"
-    if has_own_pump(bath):
+    if bath.pump == "own":
         yield "pump", bath.profile.row(PUMP).label(bath.get(PUMP))
     elif bath.pump == "none":
         yield "pump", "not fitted to the controller"

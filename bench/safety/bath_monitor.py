@@ -23,7 +23,6 @@ from bench.safety.interlocks import (
     GUARDIAN,
     Interlocks,
     InterlockTrip,
-    bath_of,
     moving_of,
     rule_named,
 )
@@ -73,7 +72,7 @@ class BathMonitor:
 
     @property
     def why_not_stable(self) -> str:
-        return "; ".join(self.gate.report.reasons)
+        return "; ".join(self.gate.reasons)
 
     def stable_in_s(self, expected_s: float) -> float:
         """How long until the gate opens, expected ``expected_s`` after heating began."""
@@ -201,7 +200,7 @@ class TripHandler:
         self._told = self._held = False
         self.on_event: Callable[[str, str], None] = lambda _kind, _text: None
         self.seen: Callable[[], None] = lambda: None
-        interlocks = self._interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+        interlocks = self._interlocks = Interlocks(rig.rig.limits, rig.profile)
 
         def record(reading: Row) -> None:
             store.bath(reading)

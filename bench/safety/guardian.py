@@ -33,7 +33,7 @@ from typing import Any
 
 from instruments.bath.driver import Bath, PumpAt
 from instruments.bath.profile import PUMP, ProfileError, load_profile, load_relay
-from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of, has_own_pump
+from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of
 from instruments.clock import RealClock, stopwatch_s, wall_time
 from instruments.errors import InstrumentError, LinkError
 
@@ -133,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     record |= {"wall_last_sign": _text(noticed - silent), "wall_noticed": _text(noticed)}
     hung = given.bench if cause == "hung" else None
     reached = _make_safe(bath, clock, given.record, record, bench=hung)
-    if reached and has_own_pump(bath):
+    if reached and bath.pump == "own":
         _run_pump_on(bath, clock, given.record, record, given.overrun_s)
     bath.close()
     return 0 if reached else 1

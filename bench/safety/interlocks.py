@@ -29,15 +29,6 @@ SAME_SET_POINT_K = 0.06  # a controller may show tenths
 
 
 @dataclass(frozen=True, slots=True)
-class Bath:
-    """What the rules have to know of the bath: what its family reports, and its alarms."""
-
-    tells: frozenset[str] = frozenset({"output", "other sensor"})
-    low_level: Callable[[int], bool] = lambda _: False
-    alarm_text: Callable[[int], str] = lambda code: f"alarm {code}"
-
-
-@dataclass(frozen=True, slots=True)
 class Look:
     """One reading in its context.
 
@@ -54,7 +45,7 @@ class Look:
     pump_on: bool | None
     settled: bool
     limits: Limits
-    bath: Bath
+    profile: Profile
 
 
 def too_hot(look: Look) -> str | None:
@@ -73,13 +64,10 @@ def dry_heat(look: Look) -> str | None:
     output = look.now.power_percent
     if not output or output <= 0.0:
         return None
-    if look.bath.low_level(look.now.alarm):
+    if look.profile.means(look.now.alarm, "level"):
         return f"the heater is asked for {output:.0f} % while the level is low"
-    return (
-        f"the heater is asked for {output:.0f} % while the pump stands"
-        if look.pump_on is False
-        else None
-    )
+    stands = look.pump_on is False
+    return f"the heater is asked for {output:.0f} % while the pump stands" if stands else None
 
 
 def implausible_c(now: BathReading, limits: Limits) -> str | None:
@@ -103,11 +91,8 @@ def too_fast(look: Look) -> str | None:
     if earlier is None:
         return None
     rate = 60.0 * (now.temp_c - earlier.temp_c) / (now.t_s - earlier.t_s)
-    return (
-        f"the bath changed by {rate:+.1f} K/min"
-        if abs(rate) > look.limits.bath_rate_k_per_min
-        else None
-    )
+    fast = abs(rate) > look.limits.bath_rate_k_per_min
+    return f"the bath changed by {rate:+.1f} K/min" if fast else None
 
 
 def loop_broken(look: Look) -> str | None:
@@ -170,7 +155,7 @@ class Rule:
 
     ``wrong`` says what is wrong at this moment, or gives None; it trips ``after_s`` after the last
     reading that was right. ``not_yet`` says why a latched trip can't be reset, or gives None.
-    ``needs`` names what the family has to tell, or the rule sleeps.
+    ``needs`` are rows: a family that has none of them can't tell, and the rule sleeps.
     """
 
     name: str
@@ -180,9 +165,10 @@ class Rule:
     not_yet: Callable[[BathReading, Limits], str | None]
     then: str
     after_s: float = 0.0
-    needs: str = ""
+    needs: tuple[str, ...] = ()
 
 
+OUTPUT = ("power",)
 COLD_AND_PLAUSIBLE = "a plausible reading, and output 0 %"
 COMMUNICATIONS, IMPLAUSIBLE, GUARDIAN = (
     "communications lost",
@@ -207,7 +193,7 @@ RULES = (
         "output 0 % and no alarm",
         lambda now, limits: still_heating(now, limits) or still_alarmed(now, limits),
         "Fill the bath, see that the pump turns, then clear the alarm at the controller.",
-        needs="output",
+        needs=OUTPUT,
     ),
     Rule(
         IMPLAUSIBLE,
@@ -225,7 +211,7 @@ RULES = (
         lambda now, limits: still_heating(now, limits, FROZEN_OUTPUT_PERCENT),
         "Switch the controller off and on; check the sensor.",
         after_s=FROZEN_S,
-        needs="output",
+        needs=OUTPUT,
     ),
     Rule(
         "rate",
@@ -244,7 +230,7 @@ RULES = (
         not_cold_and_plausible,
         "Check heater, its relay and fuse, and that the sensor hangs in the water.",
         after_s=LOOP_BREAK_S,
-        needs="output",
+        needs=OUTPUT,
     ),
     Rule(
         "sensor disagreement",
@@ -254,13 +240,13 @@ RULES = (
         not_cold_and_plausible,
         "Check that the pump turns, that both sensors are in their places, and the hoses.",
         after_s=DISAGREE_S,
-        needs="other sensor",
+        needs=("external", "safety"),
     ),
     Rule(
         "controller alarm",
         "the controller's alarm code is not 0",
         lambda look: (
-            f"the controller reports {look.bath.alarm_text(look.now.alarm)}"
+            f"the controller reports {look.profile.alarm_text(look.now.alarm)}"
             if look.now.alarm
             else None
         ),
@@ -333,10 +319,11 @@ class InterlockTrip(Exception):  # noqa: N818 - the field's word
 class Interlocks:
     """Holds the table against each reading. ``t_s`` of the readings has to advance."""
 
-    def __init__(self, limits: Limits, bath: Bath) -> None:
+    def __init__(self, limits: Limits, profile: Profile) -> None:
         self._limits = limits
-        self._bath = bath
-        self._awake = [rule for rule in RULES if not rule.needs or rule.needs in bath.tells]
+        self._profile = profile
+        told = {row.name for row in profile.rows}
+        self._awake = [rule for rule in RULES if not rule.needs or told & set(rule.needs)]
         self._since: dict[str, BathReading] = {}
         self._recent: deque[BathReading] = deque()
         self._near_since_s = math.nan
@@ -358,9 +345,8 @@ class Interlocks:
         earlier = self._earlier(now)
         for rule in self._awake:
             since = self._since.setdefault(rule.name, now)
-            why = rule.wrong(
-                Look(now, since, earlier, self._asked_c, pump_on, settled, self._limits, self._bath)
-            )
+            seen = (now, since, earlier, self._asked_c, pump_on, settled)
+            why = rule.wrong(Look(*seen, self._limits, self._profile))
             if why is None:
                 self._since[rule.name] = now
             elif now.t_s - since.t_s >= rule.after_s:
@@ -407,17 +393,6 @@ class Interlocks:
             elif math.isnan(self._near_since_s):
                 self._near_since_s = now.t_s
         return not math.isnan(self._near_since_s) and now.t_s - self._near_since_s >= SETTLED_S
-
-
-def bath_of(profile: Profile) -> Bath:
-    """What the rules have to know of a family."""
-    rows = {"output": ("power",), "other sensor": ("external", "safety")}
-    tells = {what for what, names in rows.items() if any(profile.find(name) for name in names)}
-
-    def low_level(alarm: int) -> bool:
-        return profile.means(alarm, "level")
-
-    return Bath(frozenset(tells), low_level, profile.alarm_text)
 
 
 def moving_of(profile: Profile) -> Callable[[BathReading], Hashable]:

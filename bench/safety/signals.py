@@ -37,21 +37,6 @@ Handler = Callable[[int], bool]
 Register = Callable[[Handler, bool], None]
 
 
-def handler_for(ends: Callable[[str], None]) -> Handler:
-    """What Windows calls: ``ends`` gets what ends the program, and has made safe when it returns.
-    True where the event is dealt with; of Ctrl-C and Ctrl-Break Python makes signals.
-    """
-
-    def handler(event: int) -> bool:
-        word = ENDINGS.get(event)
-        if word is None:
-            return False
-        ends(word)
-        return True
-
-    return handler
-
-
 if sys.platform == "win32":
     import ctypes
     from ctypes import wintypes
@@ -123,7 +108,7 @@ class Exits:
         if self._held or (self._raised_s is not None and now - self._raised_s < ON_THE_WAY_S):
             return
         self._raised_s = now
-        raise Interrupted(f"the run was interrupted ({ASKED_BY.get(name, name)})")
+        raise _interrupted(name)
 
     def hold(self) -> None:
         """From now on requests are noted and not raised. Each call needs its ``let_go``."""
@@ -137,19 +122,26 @@ class Exits:
         """Raise what came while requests were held, where the bench has not ended for it."""
         if self.asked and self._raised_s is None:
             self._raised_s = stopwatch_s()
-            raise Interrupted(
-                f"the run was interrupted ({ASKED_BY.get(self.asked[0], self.asked[0])})"
-            )
+            raise _interrupted(self.asked[0])
 
-    def console_closed(self, how: str = "console closed") -> None:
-        """Windows ends the program: make safe in this thread, for the main one may be waiting for
-        input for ever.
+    def console_event(self, event: int) -> bool:
+        """What Windows calls: what ends the program makes safe in this thread, for the main one may
+        be waiting for input for ever. False for Ctrl-C and Ctrl-Break: Python makes signals of
+        them.
         """
+        how = ENDINGS.get(event)
+        if how is None:
+            return False
         self.asked.append(how)
         if self.at_close is not None:
             work = threading.Thread(target=self.at_close, name="console closed", daemon=True)
             work.start()
             work.join(CLOSE_S)
+        return True
+
+
+def _interrupted(name: str) -> Interrupted:
+    return Interrupted(f"the run was interrupted ({ASKED_BY.get(name, name)})")
 
 
 @contextmanager
@@ -161,14 +153,9 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
     if threading.current_thread() is not threading.main_thread():
         yield exits
         return
-    names = [name for name in ASKED_BY if hasattr(signal, name)]
-    numbers = [
-        getattr(signal, name)
-        for name in names
-        if signal.getsignal(getattr(signal, name)) is not signal.SIG_IGN
-    ]
-    before = {number: signal.signal(number, exits) for number in numbers}
-    register, handler = register or windows_register(), handler_for(exits.console_closed)
+    heard = [number for number in _numbers() if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, exits) for number in heard}
+    register, handler = register or windows_register(), exits.console_event
     try:
         if register:
             register(handler, True)
@@ -184,10 +171,13 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
 
 def current() -> Exits:
     """Whoever is installed; one that takes no signal where none is."""
-    handlers = (
-        signal.getsignal(getattr(signal, name)) for name in ASKED_BY if hasattr(signal, name)
-    )
+    handlers = map(signal.getsignal, _numbers())
     return next((handler for handler in handlers if isinstance(handler, Exits)), Exits())
+
+
+def _numbers() -> list[signal.Signals]:
+    """The signals of this system that ask for an end."""
+    return [getattr(signal, name) for name in ASKED_BY if hasattr(signal, name)]
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Hashable, Iterator
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from math import isfinite
 
@@ -71,35 +71,10 @@ class State(StrEnum):
     STABLE = "stable"
 
 
-@dataclass(frozen=True, slots=True)
-class StabilityReport:
-    """The window as it stands. Figures are None before the first reading (the slope before the
-    second); `near_s`: near the set point without a gap, at most the window; `reasons`: what is not
-    fulfilled.
-    """
-
-    state: State
-    set_point_c: float
-    t_s: float | None
-    pv_c: float | None
-    n: int
-    window_s: float
-    mean_c: float | None
-    half_range_k: float | None
-    slope_k_per_min: float | None
-    distinct: int
-    frozen: bool
-    near_s: float
-    reasons: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain numbers, text and None."""
-        return {**asdict(self), "state": self.state.value, "reasons": list(self.reasons)}
-
-
 @dataclass(slots=True, eq=False)
 class StabilityGate:
-    """Feed every reading to `add`; ask `state` and `report`. Limits are the script's.
+    """Feed every reading to `add`; ask `state` and `reasons`. `window` has the figures, `near`
+    those of what came after the last heating. Limits are the script's.
 
     `min_distinct` raw readings must differ within the window, and a raw reading may repeat for
     `frozen_s` at the most: a steady bath shows one value of a 0.01 K step for a while, a dead
@@ -122,9 +97,8 @@ class StabilityGate:
     _raw: Hashable = field(default=None, init=False, repr=False)
     _raw_since_s: float = field(default=0.0, init=False, repr=False)
     _alarm: bool = field(default=False, init=False, repr=False)
-    _window: Window = field(default_factory=Window, init=False, repr=False)
-    # of the window, what came after the last heating
-    _near: Window = field(default_factory=Window, init=False, repr=False)
+    window: Window = field(default_factory=Window, init=False, repr=False)
+    near: Window = field(default_factory=Window, init=False, repr=False)
     _teats: Window = field(default_factory=Window, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -152,7 +126,7 @@ class StabilityGate:
         self._state = State.HEATING
         self._last, self._raw, self._raw_since_s = None, None, 0.0
         self._alarm = False
-        self._window, self._near, self._teats = Window(), Window(), Window()
+        self.window, self.near, self._teats = Window(), Window(), Window()
 
     def change_set_point(self, set_point_c: float) -> None:
         """A new set point restarts the gate; the same one again doesn't."""
@@ -187,23 +161,23 @@ class StabilityGate:
             self._raw, self._raw_since_s = value, t_s
         self._last, self._alarm = (t_s, temp_c), alarm
         if gap or alarm or self.frozen:
-            self._window, self._near, self._teats = Window(), Window(), Window()
+            self.window, self.near, self._teats = Window(), Window(), Window()
             self._state = State.SETTLING
         if not alarm and not self.frozen:
-            self._window.add(t_s, temp_c - self.set_point_c, value, self.window_s)
+            self.window.add(t_s, temp_c - self.set_point_c, value, self.window_s)
             if teat_c is None or not isfinite(teat_c):
                 self._teats = Window()  # a sensor that has gone asks for nothing any more
             else:
                 self._teats.add(t_s, teat_c - self.set_point_c, teat_c, self.window_s)
         if abs(temp_c - self.set_point_c) > self.leave_k:
-            self._state, self._near = State.HEATING, Window()
+            self._state, self.near = State.HEATING, Window()
         elif self._state is not State.STABLE:
-            w = self._window
+            w = self.window
             full = w.span_s >= self.window_s - TIME_SLACK_S
             stable = full and not any(failed for failed, *_ in self._criteria(w))
             self._state = State.STABLE if stable else State.SETTLING
         if self._state is not State.HEATING and not alarm and not self.frozen:
-            self._near.add(t_s, temp_c - self.set_point_c, value, self.window_s)
+            self.near.add(t_s, temp_c - self.set_point_c, value, self.window_s)
         return self._state
 
     @property
@@ -219,31 +193,13 @@ class StabilityGate:
     @property
     def at_least_s(self) -> float:
         """How long it takes at the least until it opens; 0 where it is open."""
-        return (
-            0.0
-            if self._state is State.STABLE
-            else max(self.max_gap_s, self.window_s - self._near.span_s)
-        )
+        left_s = max(self.max_gap_s, self.window_s - self.near.span_s)
+        return 0.0 if self._state is State.STABLE else left_s
 
     @property
-    def report(self) -> StabilityReport:
-        """The window's figures and what is still missing."""
-        w, last = self._window, self._last
-        return StabilityReport(
-            state=self._state,
-            set_point_c=self.set_point_c,
-            t_s=last[0] if last else None,
-            pv_c=last[1] if last else None,
-            n=len(w),
-            window_s=w.span_s,
-            mean_c=self.set_point_c + w.mean if len(w) else None,
-            half_range_k=w.half_range if len(w) else None,
-            slope_k_per_min=60.0 * w.slope if len(w) > 1 else None,
-            distinct=w.distinct,
-            frozen=self.frozen,
-            near_s=self._near.span_s,
-            reasons=tuple(self._unfulfilled()),
-        )
+    def last_c(self) -> float | None:
+        """The last reading; None before the first."""
+        return self._last[1] if self._last else None
 
     def _criteria(self, w: Window) -> Iterator[tuple[bool, str, float]]:
         """Of each criterion but the span: whether ``w`` fails it, what was seen, and the limit."""
@@ -258,9 +214,12 @@ class StabilityGate:
         limit = self.teat_slope_k_per_min
         yield abs(slope) > limit, f"slope at the teats {slope:+.3f} K/min", limit
 
-    def _unfulfilled(self) -> list[str]:
-        """By the readings near the set point; those of the way there show nothing of it."""
-        w, last = self._near, self._last
+    @property
+    def reasons(self) -> list[str]:
+        """What is still missing, by the readings near the set point; those of the way there show
+        nothing of it.
+        """
+        w, last = self.near, self._last
         if self._alarm:
             return ["the bath has an alarm"]
         if self.frozen:
@@ -280,8 +239,6 @@ class StabilityGate:
 
 def _of(span_s: float, window_s: float) -> str:
     """``4 of 10 min``."""
-    return (
-        f"{span_s:.0f} of {window_s:g} s"
-        if window_s < 120.0
-        else f"{span_s // 60:.0f} of {window_s / 60:g} min"
-    )
+    if window_s < 120.0:
+        return f"{span_s:.0f} of {window_s:g} s"
+    return f"{span_s // 60:.0f} of {window_s / 60:g} min"

@@ -1,23 +1,23 @@
 """A controller's rows over the wire, whatever it speaks: read one by one or in a poll, written on
 change, spaced, and read back.
 
-What a protocol has to bring: how a row is read and written (``value``, ``write``), how the
-controller is identified (``look``) and polled (``readings``).
+What a protocol has to bring: how a row is asked for (``ask``, ``decode``) and written (``write``),
+how the controller is greeted and how a poll is fetched.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from functools import cached_property
+from typing import ClassVar, Generic, TypeVar, cast
 
-from instruments.bath.profile import Device, Identity
-from instruments.bath.quantity import Quantity
-from instruments.bath.reading import BathReading
+from instruments.bath.profile import Device, Identity, Profile
+from instruments.bath.reading import Assembler, BathReading
+from instruments.bath.rows import Quantity
 from instruments.bath.session import BrokenError, RefusedError, Session
-from instruments.clock import Clock
 from instruments.errors import (
     DeviceError,
     InstrumentError,
@@ -30,7 +30,8 @@ from instruments.errors import (
 POLL_S = 4.0
 NOT_READ = "only written"
 
-D = TypeVar("D", bound=Device, covariant=True)
+R = TypeVar("R", bound=Quantity)
+Raw = Sequence[int] | str  # registers, or a line
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,65 +45,145 @@ class Tried:
     said: str
 
 
-class Access(ABC, Generic[D]):
-    """The rows of one device, for one thread, over ``wire``, which is not opened yet."""
+class Access(ABC, Generic[R]):
+    """The rows of one device, for one thread, over ``wire``, which is not opened yet. ``known``:
+    whether it was looked at, so that it can be polled. ``remote`` is what a controller's panel
+    calls control by us, ``SHOWN`` the rows that say what it is.
+    """
+
+    remote: ClassVar[str]
+    SHOWN: ClassVar[tuple[str, ...]]
 
     def __init__(
-        self, profile: D, wire: Session, clock: Clock, *, who: str, allow_inferred: bool
+        self, url: str, profile: Device, wire: Session, *, who: str, allow_inferred: bool
     ) -> None:
+        self.url = url
         self.profile = profile
         self.wire = wire
+        self.clock = wire.clock
         self.who = who
         self.allow_inferred = allow_inferred
-        self.clock = clock
+        self.known = False
         self._set_at = -math.inf
+
+    @abstractmethod
+    def greet(self) -> None:
+        """Learn how the controller speaks. Raises ProtocolError or DeviceError where it makes no
+        sense.
+        """
 
     @property
     @abstractmethod
-    def known(self) -> bool:
-        """Whether it was looked at, so that it can be polled."""
+    def learnt(self) -> Mapping[str, str]:
+        """What that showed of the controller."""
 
     @abstractmethod
-    def forget(self) -> None:
-        """It has to be looked at anew."""
+    def first_poll(self) -> BathReading:
+        """As `poll`; which questions are answered is not known yet."""
 
     @abstractmethod
+    def fetch(self, start_s: float) -> Mapping[str, Raw]:
+        """What came for each row of a poll that began at ``start_s``."""
+
+    @abstractmethod
+    def ask(self, row: R) -> Raw:
+        """What came for ``row``."""
+
+    @abstractmethod
+    def decode(self, row: R, raw: Raw) -> float:
+        """The value of ``row`` in its unit; not-a-number where there is none."""
+
+    @abstractmethod
+    def show(self, rows: Sequence[R]) -> Iterator[str]:
+        """What each of ``rows`` says of the controller, for a person."""
+
+    @abstractmethod
+    def guesses(self, raw: Raw) -> Iterator[str]:
+        """What else an implausible temperature may mean."""
+
+    @abstractmethod
+    def write(self, row: R, value: float, *, urgent: bool) -> None:
+        """Send ``value``; ``urgent``: at once, whatever late answer is still under way."""
+
+    @abstractmethod
+    def asking(self, row: R) -> str:
+        """How ``row`` is asked for, for a person."""
+
+    @abstractmethod
+    def try_row(self, row: R) -> str:
+        """What came for ``row`` and what it means, for a person; asked before any identification.
+        Raises InstrumentError.
+        """
+
     def look(self) -> tuple[BathReading, Mapping[str, str]]:
         """Identify the controller: its first reading, and what it shows of itself.
 
         Raises DeviceError when it is another family, is in another unit, or has no temperature, and
         ProtocolError when what it shows makes no sense.
         """
+        self.greet()
+        for identity in cast(Profile, self.profile).identity:
+            self._check(identity)
+        reading = self.first_poll()
+        rows = [self.row(name) for name in self.SHOWN if self.profile.find(name)]
+        rows = [row for row in rows if self.may_ask(row)]
+        shown = dict(zip((row.name for row in rows), self.show(rows), strict=True))
+        self.known = True
+        return reading, {"family": self.profile.family, "url": self.url, **self.learnt, **shown}
 
-    @abstractmethod
     def poll(self) -> BathReading:
         """One poll, at the time of its start. Raises LinkError when it takes longer than POLL_S,
         and BrokenError before ``look``.
         """
+        if not self.known:  # an event of virtual time has dropped the link meanwhile
+            raise self.wire.broken("the link is down")
+        return self.poll_now()
 
-    @abstractmethod
-    def value(self, row: Quantity) -> float:
+    def poll_now(self) -> BathReading:
+        """One poll, whether it was looked at or not."""
+        start_s = self.clock.now()
+        return self.reading(start_s, self.fetch(start_s))
+
+    def reading(self, t_s: float, raw: Mapping[str, Raw]) -> BathReading:
+        """The reading in what came for each row. Raises as `Assembler.reading`."""
+        rows = [self.row(name) for name in raw]
+        values = {row.name: self.decode(row, raw[row.name]) for row in rows}
+        alarms = (self.alarm_of(row, values[row.name], raw[row.name]) for row in rows)
+        alarm, temperature = next(filter(None, alarms), 0), raw["temperature"]
+        guess = " ".join(self.guesses(temperature))
+        if isinstance(temperature, str):
+            temperature = tuple(temperature.encode("ascii", errors="replace"))
+        return self.assembler.reading(t_s, rows, values, temperature, alarm=alarm, guess=guess)
+
+    @cached_property
+    def assembler(self) -> Assembler:
+        """Makes readings of the profile's rows."""
+        return Assembler(cast(Profile, self.profile), self.who)
+
+    def alarm_of(self, row: R, value: float, raw: Raw) -> int:  # noqa: ARG002 - codes are values
+        """The alarm that ``row`` shows; 0 for none."""
+        return self.assembler.alarm_of(row, value)
+
+    def may_ask(self, row: R) -> bool:
+        """Whether it is read, and surely there or allowed by the rig."""
+        return row.access != "w" and (row.evidence != "INFERRED" or self.allow_inferred)
+
+    def value(self, row: R) -> float:
         """The value of ``row`` in its unit."""
+        if row.access == "w":
+            raise LimitError(self.who, f"{row.name} is a command, and can't be read")
+        return self.decode(row, self.ask(row))
 
-    @abstractmethod
-    def write(self, row: Quantity, value: float, *, urgent: bool) -> None:
-        """Send ``value``; ``urgent``: at once, whatever late answer is still under way."""
+    def as_written(self, row: R, value: float) -> float:  # noqa: ARG002 - registers round it
+        """What ``row`` can hold of ``value``."""
+        return value
 
-    @abstractmethod
-    def stands(self, row: Quantity, value: float, seen: float) -> bool:
+    def stands(self, row: R, value: float, seen: float) -> bool:
         """Whether a row that shows ``seen`` was set to ``value``."""
+        wanted = self.as_written(row, value)
+        return seen == wanted or abs(seen - wanted) <= max(row.tolerance, 1e-9)
 
-    @abstractmethod
-    def asking(self, row: Quantity) -> str:
-        """How ``row`` is asked for, for a person."""
-
-    @abstractmethod
-    def try_row(self, row: Quantity) -> str:
-        """What came for ``row`` and what it means, for a person; asked before any identification.
-        Raises InstrumentError.
-        """
-
-    def tried(self, row: Quantity) -> Tried:
+    def tried(self, row: R) -> Tried:
         """Ask for ``row``, whatever its evidence; writes nothing. Raises BrokenError."""
         if row.access == "w":
             return Tried(row.name, row.evidence, NOT_READ, answered=False, said="not tried")
@@ -115,7 +196,7 @@ class Access(ABC, Generic[D]):
             answered, said = False, f"{error.what} (got {seen})" if error.seen else error.what
         return Tried(row.name, row.evidence, self.asking(row), answered, said)
 
-    def shown(self, row: Quantity, value: float) -> str:
+    def shown(self, row: R, value: float) -> str:
         """``value`` with its label or unit. Raises ProtocolError for a code that it hasn't."""
         if math.isnan(value):
             return "no value now"
@@ -124,24 +205,23 @@ class Access(ABC, Generic[D]):
             raise ProtocolError(self.who, f"{value:g} is none of {labels}", asked=row.name)
         return f"{row.label(value)} {row.unit}".strip()
 
-    def row(self, name: str) -> Quantity:
+    def row(self, name: str) -> R:
         """The row called ``name``. Raises LimitError where the family has none."""
         row = self.profile.find(name)
         if row is None:
             names = ", ".join(sorted(known.name for known in self.profile.rows))
             what = f"{self.profile.family} has no '{name}'"
             raise LimitError(self.who, what, hint=f"It has: {names}.")
-        return row
+        return cast(R, row)
 
-    def allowed(self, row: Quantity, value: float | str) -> float:
+    def allowed(self, row: R, value: float | str) -> float:
         """The number to write. Raises LimitError when the profile does not allow it."""
         if isinstance(value, str):
             if value not in row.values:
                 hint = f"There are: {', '.join(row.values) or 'none'}."
                 raise LimitError(self.who, f"{row.name} has no value '{value}'", hint=hint)
             value = row.values[value]
-        refusal = row.refusal(value)
-        if refusal:
+        if refusal := row.refusal(value):
             raise LimitError(self.who, f"not written: {refusal}", asked=f"{row.name} = {value:g}")
         if row.evidence == "INFERRED" and not self.allow_inferred:
             what = f"not written: the profile only infers where {row.name} is"
@@ -151,31 +231,33 @@ class Access(ABC, Generic[D]):
             raise LimitError(self.who, what, hint=hint)
         return value
 
-    def set(self, row: Quantity, value: float) -> None:
+    def set(self, row: R, value: float) -> None:
         """Write ``value`` where ``row`` has another, and read it back; a command in any case."""
         if row.access == "w" or not self.stands(row, value, self.value(row)):
             self.send(row, value)
 
-    def send(self, row: Quantity, value: float, *, urgent: bool = False) -> None:
+    def send(self, row: R, value: float, *, urgent: bool = False) -> None:
         """Write when the last write is long enough ago, and read back; ``urgent`` as in `write`."""
         self.clock.sleep(self._set_at + row.spacing_s - self.clock.now())
         try:
             self.write(row, value, urgent=urgent)
         finally:
             self._set_at = self.clock.now()
-        if row.access == "w":
+        if row.access == "w" or self.stands(row, value, seen := self.value(row)):
             return
-        seen = self.value(row)
-        if not self.stands(row, value, seen):
-            raise DeviceError(
-                self.who,
-                "it confirmed a write and did not do it",
-                asked=f"{row.name} = {row.label(value)}",
-                seen=f"{row.name} = {row.label(seen)}",
-                hint=self._why_not(),
-            )
+        hint = "Switch it at the controller."
+        if remote := self.profile.find("remote"):
+            shown = f"Its remote control is '{remote.label(self.value(cast(R, remote)))}'"
+            hint = f"{shown}: set it to {self.remote} at the controller, or switch it by hand."
+        raise DeviceError(
+            self.who,
+            "it confirmed a write and did not do it",
+            asked=f"{row.name} = {row.label(value)}",
+            seen=f"{row.name} = {row.label(seen)}",
+            hint=hint,
+        )
 
-    def check(self, identity: Identity) -> None:
+    def _check(self, identity: Identity) -> None:
         """Raise DeviceError where a row shows another family."""
         row = self.row(identity.row)
         what = f"it is no {self.profile.family}"
@@ -184,16 +266,12 @@ class Access(ABC, Generic[D]):
         try:
             value = self.value(row)
         except RefusedError as error:
-            if not self.lacks(error):
+            if not error.no_row:
                 raise
             raise DeviceError(self.who, what, asked=row.name, seen=error.seen, hint=hint) from error
         if not identity.fits(row, value):
             seen = f"{value:g} (hexadecimal {int(value) & 0xFFFFFFFF:04X})"
             raise DeviceError(self.who, what, asked=row.name, seen=seen, hint=hint)
-
-    @abstractmethod
-    def lacks(self, refused: RefusedError) -> bool:
-        """Whether a refusal says that there is no such row."""
 
     def in_time(self, start_s: float, questions: int) -> None:
         """Raises LinkError where a poll of ``questions`` that began at ``start_s`` lasts too
@@ -203,15 +281,3 @@ class Access(ABC, Generic[D]):
         if took_s > POLL_S:
             asked = f"{questions} questions of a poll"
             raise LinkError(self.who, "it answers too slowly", asked=asked, seconds=took_s)
-
-    def _why_not(self) -> str:
-        remote = self.profile.find("remote")
-        if remote is None:
-            return "Switch it at the controller."
-        shown = f"Its remote control is '{remote.label(self.value(remote))}'"
-        return f"{shown}: set it to {self.remote} at the controller, or switch it by hand."
-
-    @property
-    @abstractmethod
-    def remote(self) -> str:
-        """What a controller's panel calls control by us."""

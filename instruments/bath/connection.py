@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 from urllib.parse import parse_qsl, urlsplit
 
-from instruments.port_settings import PortSettings
+from instruments.port_settings import LINES, PortSettings
 
 Kind = Literal["tcp", "rtu+tcp", "serial", "rfc2217"]
 
@@ -28,38 +28,17 @@ SCHEMES: tuple[Kind, ...] = ("tcp", "rtu+tcp", "rfc2217")
 OTHER_WORDS = dict.fromkeys(("socket", "rtu", "serial"), "rtu+tcp") | {"modbus": "tcp"}
 MODBUS_PORT = 502
 BAUD = 9600  # where neither the URL nor a profile says
-# 255 is "no unit" on TCP
-MOST_UNIT: Mapping[Kind, int] = {"tcp": 255, "rtu+tcp": 254, "serial": 254, "rfc2217": 254}
+MOST_UNIT, MOST_UNIT_TCP = 254, 255  # 255 is "no unit" on TCP
 ON_TCP = ("unit", "gap_ms")
 ON_SERIAL = (*ON_TCP, "baud", "parity", "stopbits", "bytesize", "handshake", "dtr", "rts", "rs485")
-NUMBERS = {
-    "gap_ms": (0, 1000),
-    "baud": (300, 921600),
-    "stopbits": (1, 2),
-    "bytesize": (7, 8),
-}
+NUMBERS = {"gap_ms": (0, 1000), "baud": (300, 921600), "stopbits": (1, 2), "bytesize": (7, 8)}
 WORDS: Mapping[str, Mapping[str, Any]] = {
     "parity": {"N": "N", "E": "E", "O": "O"},
     "handshake": {"none": "none", "rtscts": "rtscts", "xonxoff": "xonxoff"},
-    "dtr": {"on": True, "off": False},
-    "rts": {"on": True, "off": False},
-    "rs485": {"on": True, "off": False},
+    **dict.fromkeys(("dtr", "rts", "rs485"), LINES),
 }
 ALLOWED_WORDS = {name: " and ".join(words) for name, words in WORDS.items()}
 ALLOWED_WORDS |= {"parity": "N (none), E (even) and O (odd)"}
-
-
-class Defaults(Protocol):
-    """What a profile says of a serial port."""
-
-    @property
-    def baud(self) -> int: ...
-    @property
-    def parity(self) -> Literal["N", "E", "O"]: ...
-    @property
-    def stopbits(self) -> Literal[1, 2]: ...
-    @property
-    def bytesize(self) -> Literal[7, 8]: ...
 
 
 class LineError(ValueError):
@@ -68,22 +47,18 @@ class LineError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One device: ``host`` and ``port``, or ``device``. None: the URL leaves it open."""
+    """One device: ``host`` and ``port``, or ``device``; ``serial`` and ``baud`` are a serial
+    port's. None: the URL leaves it open.
+    """
 
     kind: Kind
     host: str = ""
     port: int = 0
     device: str = ""
     unit_id: int | None = None
-    baud: int | None = None
     gap_s: float | None = None
-    parity: Literal["N", "E", "O"] | None = None
-    stopbits: Literal[1, 2] | None = None
-    bytesize: Literal[7, 8] | None = None
-    handshake: Literal["none", "rtscts", "xonxoff"] | None = None
-    dtr: bool | None = None
-    rts: bool | None = None
-    rs485: bool = False
+    baud: int = BAUD
+    serial: PortSettings = field(default_factory=PortSettings)
 
     @property
     def is_rtu(self) -> bool:
@@ -102,24 +77,8 @@ class Line:
 
     @property
     def character_s(self) -> float:
-        """How long one character takes on the wire: start, data, parity, stop; 0 over TCP."""
-        if not self.is_port:
-            return 0.0
-        bits = 1 + (self.bytesize or 8) + (self.parity in ("E", "O")) + (self.stopbits or 1)
-        return bits / (self.baud or BAUD)
-
-    @property
-    def port_settings(self) -> PortSettings:
-        """What a serial port is set to, beside its rate."""
-        return PortSettings(
-            parity=self.parity or "N",
-            stopbits=self.stopbits or 1,
-            bytesize=self.bytesize or 8,
-            handshake=self.handshake or "none",
-            dtr=self.dtr,
-            rts=self.rts,
-            rs485=self.rs485,
-        )
+        """How long one character takes on the wire; 0 over TCP."""
+        return self.serial.character_bits / self.baud if self.is_port else 0.0
 
     @property
     def url(self) -> str:
@@ -127,35 +86,33 @@ class Line:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return self.device or f"{self.kind}://{host}:{self.port}"
 
-    def filled(
-        self, profile: Defaults, handshake: Literal["none", "rtscts", "xonxoff"] = "none"
-    ) -> Line:
-        """With the profile's settings where the URL names none."""
-        return replace(
-            self,
-            baud=self.baud or profile.baud,
-            parity=self.parity or profile.parity,
-            stopbits=self.stopbits or profile.stopbits,
-            bytesize=self.bytesize or profile.bytesize,
-            handshake=self.handshake or handshake,
-        )
 
-
-def parse_line(url: str, *, port: int | None = MODBUS_PORT) -> Line:
-    """The line that ``url`` names; ``port`` is TCP's where it names none. Raises LineError."""
+def parse_line(
+    url: str,
+    *,
+    port: int | None = MODBUS_PORT,
+    baud: int = BAUD,
+    serial: PortSettings = PortSettings(),  # noqa: B008 - frozen
+) -> Line:
+    """The line that ``url`` names; where it names none, ``port`` is TCP's, and ``baud`` and
+    ``serial`` are a serial port's. Raises LineError.
+    """
     place, _, query = url.partition("?")
-    if re.fullmatch(r"/dev/\S+|COM\d+", place):
-        return Line("serial", device=place, **_settings(query, "serial"))
     scheme, found, _ = place.partition("://")
-    if not found:
+    if re.fullmatch(r"/dev/\S+|COM\d+", place):
+        line = Line("serial", device=place)
+    elif not found:
         raise LineError(f"not a link to a device{_near(place, scheme)}; allowed: {ALLOWED}")
-    if scheme not in SCHEMES:
+    elif scheme not in SCHEMES:
         word = OTHER_WORDS.get(scheme.lower(), scheme.lower())
         meant = _nearest(word, SCHEMES, "://")
         raise LineError(f'"{scheme}://" is no link to a device{meant}; allowed: {ALLOWED}')
-    kind = next(known for known in SCHEMES if known == scheme)
-    host, its_port = _host_and_port(place, kind, port)
-    return Line(kind, host, its_port, **_settings(query, kind))
+    else:
+        kind = next(known for known in SCHEMES if known == scheme)
+        line = Line(kind, *_host_and_port(place, kind, port))
+    settings = _settings(query, line)
+    own = {name: settings.pop(name) for name in ("unit_id", "gap_s", "baud") if name in settings}
+    return replace(line, **{"baud": baud, **own}, serial=replace(serial, **settings))
 
 
 def _host_and_port(place: str, kind: Kind, usual: int | None) -> tuple[str, int]:
@@ -173,8 +130,8 @@ def _host_and_port(place: str, kind: Kind, usual: int | None) -> tuple[str, int]
     return host, port or usual or 0
 
 
-def _settings(query: str, kind: Kind) -> dict[str, Any]:
-    known = ON_SERIAL if kind in ("serial", "rfc2217") else ON_TCP
+def _settings(query: str, line: Line) -> dict[str, Any]:
+    known = ON_SERIAL if line.is_port else ON_TCP
     try:
         pairs = parse_qsl(query, strict_parsing=bool(query), keep_blank_values=True)
     except ValueError as error:
@@ -183,28 +140,27 @@ def _settings(query: str, kind: Kind) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for name, value in pairs:
         if name not in known:
-            where = "a serial port" if known is ON_SERIAL else f"{kind}://"
+            where = "a serial port" if line.is_port else f"{line.kind}://"
             meant, allowed = _nearest(name, known), ", ".join(known)
             raise LineError(f'"{name}" is no setting of {where}{meant} (allowed: {allowed})')
-        key = {"unit": "unit_id", "gap_ms": "gap_s"}.get(name, name)
-        settings[key] = _setting(name, value, kind)
+        if words := WORDS.get(name):
+            word = value.upper() if name == "parity" else value.lower()
+            if word not in words:
+                raise LineError(f"{name}={value}: allowed are {ALLOWED_WORDS[name]}")
+            settings[name] = words[word]
+            continue
+        units = (1, MOST_UNIT if line.is_rtu else MOST_UNIT_TCP)
+        low, high = units if name == "unit" else NUMBERS[name]
+        if not re.fullmatch(r"\d{1,7}", value) or not low <= int(value) <= high:
+            raise LineError(f"{name}={value}: a whole number from {low} to {high} is needed")
+        named = {"unit": ("unit_id", int(value)), "gap_ms": ("gap_s", int(value) / 1000.0)}
+        key, number = named.get(name, (name, int(value)))
+        settings[key] = number
     return settings
 
 
-def _setting(name: str, value: str, kind: Kind) -> Any:
-    if words := WORDS.get(name):
-        word = value.upper() if name == "parity" else value.lower()
-        if word not in words:
-            raise LineError(f"{name}={value}: allowed are {ALLOWED_WORDS[name]}")
-        return words[word]
-    low, high = (1, MOST_UNIT[kind]) if name == "unit" else NUMBERS[name]
-    if not re.fullmatch(r"\d{1,7}", value) or not low <= int(value) <= high:
-        raise LineError(f"{name}={value}: a whole number from {low} to {high} is needed")
-    return int(value) / 1000.0 if name == "gap_ms" else int(value)
-
-
-def _nearest(word: str, known: Sequence[str], end: str = "") -> str:
-    near = difflib.get_close_matches(word, known, n=1)
+def _nearest(word: str, known: Iterable[str], end: str = "") -> str:
+    near = difflib.get_close_matches(word, list(known), n=1)
     return f'; did you mean "{near[0]}{end}"?' if near else ""
 
 

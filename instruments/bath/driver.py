@@ -12,13 +12,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
-from instruments.bath.access import Tried
-from instruments.bath.profile import PUMP, Profile, RelayProfile
-from instruments.bath.quantity import Quantity
+from instruments.bath.access import Access, Tried
+from instruments.bath.line_access import LineAccess
+from instruments.bath.profile import PUMP, LineProfile, Profile, RegisterProfile, RelayProfile
 from instruments.bath.reading import BathReading, ChangedError
-from instruments.bath.rows import Relay, Rows, open_relay, open_rows
+from instruments.bath.register_access import RegisterAccess
+from instruments.bath.rows import Quantity
 from instruments.bath.session import BrokenError
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError
@@ -27,6 +28,7 @@ from instruments.tap import Tap
 SAFE_TRIES = 3
 
 T = TypeVar("T")
+Rows = Access[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,19 +73,18 @@ class Bath:
         self.profile = _with_pump(profile, pump.profile) if pump else profile
         self.who = f"bath at {url}"
         self._lock = threading.RLock()
-        self._rows = open_rows(
-            url, profile, clock, who=self.who, allow_inferred=allow_inferred, tap=tap
-        )
+        given: dict[str, Any] = {"who": self.who, "allow_inferred": allow_inferred, "tap": tap}
+        match profile:
+            case LineProfile():
+                self._rows: Rows = LineAccess(url, profile, clock, **given)
+            case RegisterProfile():
+                self._rows = RegisterAccess(url, profile, clock, **given)
         self._wire = self._rows.wire
-        self._relay = pump and open_relay(
-            pump.url,
-            pump.profile,
-            clock,
-            who=f"pump at {pump.url}",
-            allow_inferred=allow_inferred,
-            tap=pump.tap,
-            beside=self._rows,
-        )
+        self._relay: RegisterAccess | None = None
+        if pump:  # on the controller's link where it is on the same line, and that is Modbus
+            beside = self._rows.wire if isinstance(self._rows, RegisterAccess) else None
+            given |= {"who": f"pump at {pump.url}", "tap": pump.tap}
+            self._relay = RegisterAccess(pump.url, pump.profile, clock, shared=beside, **given)
         self._identity: Mapping[str, str] = {}
         self._started = False
         self._times_made_safe = 0
@@ -124,9 +125,7 @@ class Bath:
         """
         with self._lock:
             for row in self._rows.profile.rows:
-                if not self._wire.connected:
-                    self._rows.forget()
-                    self._wire.connect()
+                self._connect()
                 yield self._rows.tried(row)
 
     def set(self, name: str, value: float | str) -> None:
@@ -199,9 +198,7 @@ class Bath:
             self._started = False
             self._times_made_safe += 1
             for tries_left in reversed(range(SAFE_TRIES)):
-                if not self._wire.connected:
-                    self._rows.forget()
-                    self._wire.connect()
+                self._connect()
                 try:  # whoever it is: a wrong unit or an alarm must not keep the heater on
                     self._rows.send(run, run.values["standby"], urgent=True)
                 except InstrumentError:
@@ -218,7 +215,13 @@ class Bath:
             if self._relay:
                 self._relay.wire.close()
 
-    def _switch(self, relay: Relay, value: float | str) -> None:
+    def _connect(self) -> None:
+        """Open the link where it is down; whoever is there then has to be looked at anew."""
+        if not self._wire.connected:
+            self._rows.known = False
+            self._wire.connect()
+
+    def _switch(self, relay: RegisterAccess, value: float | str) -> None:
         pump, run = relay.row(PUMP), self._rows.row("run")
         wanted = relay.allowed(pump, value)
         with self._lock:
@@ -230,7 +233,7 @@ class Bath:
                     raise LimitError(self.who, what, hint="Put the controller into standby first.")
             self._switched(lambda: relay.set(pump, wanted), relay)
 
-    def _switched(self, work: Callable[[], T], relay: Relay) -> T:
+    def _switched(self, work: Callable[[], T], relay: RegisterAccess) -> T:
         """``work``, on a link of the relay's own once more when that breaks."""
         if relay.shares:
             return self._do(work)
@@ -254,21 +257,19 @@ class Bath:
                 self._meet()
                 return work()
             except ChangedError:
-                self._rows.forget()
+                self._rows.known = False
                 raise
 
     def _meet(self) -> None:
         """Connect and identify; the link is closed where the controller does not fit."""
-        self._rows.forget()
-        wire = self._wire
-        if not wire.connected:
-            wire.connect()
+        self._rows.known = False
+        self._connect()
         try:
             reading, self._identity = self._rows.look()
             self._see_that_it_runs(reading)
         except BaseException:
-            self._rows.forget()
-            wire.close()
+            self._rows.known = False
+            self._wire.close()
             raise
 
     def _read(self) -> BathReading:

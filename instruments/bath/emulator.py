@@ -8,39 +8,148 @@ registers mean, where they are, and a family's rules: `register_semantics`.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import cycle
 from typing import ClassVar, Literal, get_args
 
 from instruments.bath import protocol
+from instruments.bath.line_dialects import Dialect
 from instruments.bath.profile import PUMP, RegisterProfile, RelayProfile, Wiring
 from instruments.bath.protocol import Exchange, Frame, Plain, Read, Refused, Write
 from instruments.bath.register_semantics import Cells, Controller, Manners, Values, manners_of
-from instruments.bath.registers import Row
+from instruments.bath.rows import Row
 from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.world.plant import Plant
 
 Framing = Literal["tcp", "rtu"]
 
-WIRE_FAULTS = ("silence", "busy", "wrong length", "surplus", "late answer", "garbage", "bad CRC")
 GARBAGE = (0x00, 0xFF, 0x01, 0x03)  # ahead of an answer, one byte each time (fact sheet, P6)
 LATE_S = 1.5
-POWER_CUT = "power cut"
+POWER_CUT, RESET = "power cut", "controller reset"
+WIRE_FAULTS = ("silence", "busy", "wrong length", "surplus", "late answer", "garbage", "bad CRC")
 RELAY_FAULTS = (*WIRE_FAULTS, POWER_CUT)
+SETTING_FAULTS = {"fahrenheit": "fahrenheit", "word order": "turned", "manual mode": "manual_mode"}
+LOW_LEVEL = "low level"
+PLANT_FAULTS = {
+    "sensor break": "broken_sensor",
+    "frozen sensor": "frozen_sensor",
+    "stuck heater": "stuck_heater",
+    "dead heater": "dead_heater",
+    "pump stopped": "stopped_pump",
+}
+FAULTS = (*WIRE_FAULTS, "gaps refused", RESET, *SETTING_FAULTS, *PLANT_FAULTS, LOW_LEVEL)
 
 
-class Server:
+class Emulator:
+    """A device over ``plant`` that can be broken: at its wire, in the plant, at the settings of its
+    ``panel``, by an ``outage``, during which it has no power, for ``reset_s``. A late answer takes
+    ``late_s``; a serial device never answers out of order.
+    """
+
+    kind: ClassVar[str] = "bath"
+    whose_faults: ClassVar[str] = ""
+    known_faults: ClassVar[tuple[str, ...]]
+    outage: ClassVar[str] = RESET
+    settings: ClassVar[Mapping[str, str]] = {}
+    framing: Literal["tcp", "rtu", "line"]
+
+    def __init__(self, plant: Plant, clock: Clock, panel: Values | Dialect, reset_s: float) -> None:
+        self.plant = plant
+        self.panel = panel
+        self.reset_s = reset_s
+        self.late_s = LATE_S
+        self.silent_until_s = -math.inf
+        self._clock = clock
+        self._faults: set[str] = set()
+        self._hosts: list[Connection] = []
+        self._last_answer_s: dict[Connection | None, float] = {}
+
+    @property
+    def faults(self) -> frozenset[str]:
+        """What is broken at the moment."""
+        outage = {self.outage} if self._without_power else set()
+        settings = {name for name, at in self.settings.items() if getattr(self.panel, at)}
+        return frozenset(self._faults | outage | settings)
+
+    def fault(self, name: str, *, on: bool = True) -> None:
+        """Break something, or mend it. Raises ValueError as `check_fault` does."""
+        self.check_fault(name)
+        if name == self.outage:
+            self.cut_power(on)
+        elif name in self.settings:
+            setattr(self.panel, self.settings[name], on)
+        else:
+            (self._faults.add if on else self._faults.discard)(name)
+        if name in PLANT_FAULTS:
+            setattr(self.plant, PLANT_FAULTS[name], on)
+        elif name == LOW_LEVEL:
+            k = self.plant.constants
+            self.plant.fill(k.volume_min_l - 0.5 if on else k.volume_l)
+
+    def check_fault(self, name: str) -> None:
+        """Raise ValueError for an unknown fault, or one that this framing can't have."""
+        if name not in self.known_faults:
+            there = ", ".join(self.known_faults)
+            raise ValueError(f"no fault '{name}'{self.whose_faults}; there are {there}")
+        if name == "bad CRC" and self.framing == "tcp":
+            what = f"the {self.kind} speaks Modbus TCP, which has no check sum"
+            raise ValueError(f"{what}: it can't have the fault 'bad CRC'")
+
+    def cut_power(self, on: bool) -> None:
+        """The fault ``outage`` begins, or ends."""
+        self.silent_until_s = self._clock.now() + (self.reset_s if on else 0.0)
+        if on:
+            self.panel.reset()
+            self.hang_up()
+
+    def connect(self, connection: Connection) -> None:
+        """A host has connected; nothing is said unasked."""
+        self._hosts.append(connection)
+
+    def disconnect(self, connection: Connection) -> None:
+        """The host has gone; the device carries on as it is."""
+        if connection in self._hosts:
+            self._hosts.remove(connection)
+            self._last_answer_s.pop(connection, None)
+
+    def hang_up(self) -> None:
+        """Lose all hosts, as without power on a network; RTU's line has no connections."""
+        if self.framing != "rtu":
+            for connection in list(self._hosts):
+                connection.hang_up()
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether nothing is answered just now."""
+        return "silence" in self._faults or self._without_power
+
+    @property
+    def _without_power(self) -> bool:
+        return self._clock.now() < self.silent_until_s
+
+    def send(self, connection: Connection, answer: bytes) -> None:
+        """Late where that fault is on."""
+        now_s = self._clock.now()
+        at_s = now_s + (self.late_s if "late answer" in self._faults else 0.0)
+        if self.framing != "tcp":
+            line = connection if self.framing == "rtu" else None
+            at_s = self._last_answer_s[line] = max(at_s, self._last_answer_s.get(line, at_s))
+        if at_s > now_s:
+            connection.after(at_s - now_s, lambda: connection.send(answer))
+        else:
+            connection.send(answer)
+
+
+class Server(Emulator):
     """A Modbus device over ``plant`` that answers for ``unit_id`` (the profile's by default) alone.
 
     ``framing``: "tcp" for Modbus TCP, "rtu" for RTU on a pty or over TCP; by default what the
     family has, TCP first. Of its faults, "wrong length" leaves a register (or eight bits) out of an
-    answer, "surplus" adds one, a "late answer" takes ``late_s``; during ``outage`` it has no power.
-    Raises ValueError for a framing that is none.
+    answer, "surplus" adds one. Raises ValueError for a framing that is none.
     """
 
-    kind: ClassVar[str]
-    known_faults: ClassVar[tuple[str, ...]]
-    outage: ClassVar[str]
+    framing: Framing
 
     def __init__(
         self,
@@ -52,62 +161,25 @@ class Server:
         unit_id: int | None,
         framing: Framing | None,
     ) -> None:
+        super().__init__(plant, clock, values, manners.reset_s)
         if framing is not None and framing not in get_args(Framing):
             raise ValueError(f"no framing '{framing}'; there are tcp and rtu")
-        self.plant = plant
         self.profile = profile
         self.framing = framing or ("tcp" if "tcp" in profile.transports else "rtu")
         self.unit_id = unit_id or profile.unit_id
-        self.late_s = LATE_S
-        self.silent_until_s = -math.inf
-        self._clock = clock
         self._manners = manners
-        self._cells = Cells(profile, manners, values)
-        self._faults: set[str] = set()
+        self._cells = Cells(profile, manners, values, self._faults)
         self._garbage = cycle(GARBAGE)
         self._readers: dict[Connection, protocol.FrameReader | protocol.RtuReader] = {}
-        self._last_answer_s: dict[Connection, float] = {}
-
-    @property
-    def faults(self) -> frozenset[str]:
-        """What is broken at the moment."""
-        return frozenset(self._faults | ({self.outage} if self._without_power else set()))
-
-    def fault(self, name: str, *, on: bool = True) -> None:
-        """Break something, or mend it. Raises ValueError as `check_fault` does."""
-        self.check_fault(name)
-        if name == self.outage:
-            self.cut_power(on)
-        else:
-            (self._faults.add if on else self._faults.discard)(name)
-
-    def check_fault(self, name: str) -> None:
-        """Raise ValueError for an unknown fault, or one that this framing can't have."""
-        if name not in self.known_faults:
-            raise ValueError(f"no fault '{name}'; there are {', '.join(self.known_faults)}")
-        if name == "bad CRC" and self.framing == "tcp":
-            what = f"the {self.kind} speaks Modbus TCP, which has no check sum"
-            raise ValueError(f"{what}: it can't have the fault 'bad CRC'")
-
-    def cut_power(self, on: bool) -> None:
-        """The fault ``outage`` begins, or ends."""
-        raise NotImplementedError
 
     def connect(self, connection: Connection) -> None:
-        """A host has connected; Modbus says nothing unasked."""
+        super().connect(connection)
         tcp = self.framing == "tcp"
         self._readers[connection] = protocol.FrameReader() if tcp else protocol.RtuReader()
 
     def disconnect(self, connection: Connection) -> None:
-        """The host has gone; the device carries on as it is."""
+        super().disconnect(connection)
         self._readers.pop(connection, None)
-        self._last_answer_s.pop(connection, None)
-
-    def hang_up(self) -> None:
-        """Lose all hosts, as without power on a network; a serial line has no connections."""
-        if self.framing == "tcp":
-            for connection in list(self._readers):
-                connection.hang_up()
 
     def receive(self, connection: Connection, data: bytes) -> None:
         """Answer every request that ``data`` completes; hang up on what is no Modbus TCP."""
@@ -121,15 +193,9 @@ class Server:
         """The PDU that answers functions 7 and 8. Raises Refused."""
         raise Refused(protocol.ILLEGAL_FUNCTION)
 
-    @property
-    def _without_power(self) -> bool:
-        return self._clock.now() < self.silent_until_s
-
     def _serve(self, connection: Connection, frame: Frame) -> None:
         to_all = self.framing == "rtu" and frame.unit == protocol.BROADCAST
-        if "silence" in self._faults or self._without_power:
-            return
-        if frame.unit != self.unit_id and not to_all:
+        if self.is_silent or (frame.unit != self.unit_id and not to_all):
             return
         self.plant.advance_to(self._clock.now())
         pdu = self._answer(frame.pdu)
@@ -140,20 +206,7 @@ class Server:
             answer = answer[:-1] + bytes((answer[-1] ^ 0xFF,))
         if "garbage" in self._faults:
             answer = bytes((next(self._garbage),)) + answer
-        self._send(connection, answer)
-
-    def _send(self, connection: Connection, answer: bytes) -> None:
-        """Late where that fault is on. A serial device never answers out of order."""
-        now_s = self._clock.now()
-        at_s = now_s + (self.late_s if "late answer" in self._faults else 0.0)
-        if self.framing == "rtu":
-            at_s = self._last_answer_s[connection] = max(
-                at_s, self._last_answer_s.get(connection, at_s)
-            )
-        if at_s > now_s:
-            connection.after(at_s - now_s, lambda: connection.send(answer))
-        else:
-            connection.send(answer)
+        self.send(connection, answer)
 
     def _answer(self, pdu: bytes) -> bytes:
         """The PDU to answer with; empty for none."""
@@ -191,18 +244,6 @@ class Server:
         return values[:-byte_or_word] if "wrong length" in self._faults else values
 
 
-OWN_FAULTS = ("gaps refused", "controller reset")
-SETTING_FAULTS = {"fahrenheit": "fahrenheit", "word order": "turned", "manual mode": "manual_mode"}
-PLANT_FAULTS = {
-    "sensor break": "broken_sensor",
-    "frozen sensor": "frozen_sensor",
-    "stuck heater": "stuck_heater",
-    "dead heater": "dead_heater",
-    "pump stopped": "stopped_pump",
-}
-FAULTS = (*WIRE_FAULTS, *OWN_FAULTS, *SETTING_FAULTS, *PLANT_FAULTS, "low level")
-
-
 class BathEmulator(Server):
     """Serves ``plant`` as a controller of ``profile``'s family; else as `Server`.
 
@@ -212,10 +253,10 @@ class BathEmulator(Server):
     also be changed over the wire, where the family allows it.
     """
 
-    kind: ClassVar[str] = "bath"
     known_faults: ClassVar[tuple[str, ...]] = FAULTS
-    outage: ClassVar[str] = "controller reset"
+    settings: ClassVar[Mapping[str, str]] = SETTING_FAULTS
     profile: RegisterProfile
+    panel: Controller
 
     def __init__(
         self,
@@ -228,33 +269,10 @@ class BathEmulator(Server):
         as_shipped: bool = False,
     ) -> None:
         manners = manners_of(profile)
-        self._controller = Controller(plant, profile, manners, unit_id or profile.unit_id)
-        self._controller.fahrenheit = as_shipped and manners.fahrenheit_as_shipped
-        super().__init__(plant, profile, clock, manners, self._controller, unit_id, framing)
+        panel = Controller(plant, profile, manners, unit_id or profile.unit_id)
+        panel.fahrenheit = as_shipped and manners.fahrenheit_as_shipped
+        super().__init__(plant, profile, clock, manners, panel, unit_id, framing)
         plant.fit(circulator=profile.capabilities.pump == "with run")
-
-    @property
-    def faults(self) -> frozenset[str]:
-        settings = SETTING_FAULTS.items()
-        return super().faults | {name for name, at in settings if getattr(self._controller, at)}
-
-    def fault(self, name: str, *, on: bool = True) -> None:
-        if name in SETTING_FAULTS:
-            setattr(self._controller, SETTING_FAULTS[name], on)
-            return
-        super().fault(name, on=on)
-        if name == "low level":
-            k = self.plant.constants
-            self.plant.fill(k.volume_min_l - 0.5 if on else k.volume_l)
-        elif name in PLANT_FAULTS:
-            setattr(self.plant, PLANT_FAULTS[name], on)
-        self._cells.gaps_refused = "gaps refused" in self._faults
-
-    def cut_power(self, on: bool) -> None:
-        self.silent_until_s = self._clock.now() + (self._manners.reset_s if on else 0.0)
-        if on:
-            self._controller.reset()
-            self.hang_up()
 
     def plain(self, request: Plain) -> bytes:
         """The status byte, or the loopback's echo."""
@@ -263,7 +281,7 @@ class BathEmulator(Server):
                 raise Refused(protocol.ILLEGAL_VALUE)
             return bytes((request.function,)) + request.body
         status = self.profile.find("status")
-        return bytes((request.function, self._controller.words(status)[0] & 0xFF if status else 0))
+        return bytes((request.function, self.panel.words(status)[0] & 0xFF if status else 0))
 
 
 class Contacts(Values):
@@ -272,6 +290,7 @@ class Contacts(Values):
     def __init__(self, plant: Plant, profile: RelayProfile) -> None:
         super().__init__(profile)
         self._plant = plant
+        self.reset()
 
     def number(self, row: Row) -> float:
         if row.name == PUMP:
@@ -282,6 +301,10 @@ class Contacts(Values):
         super().take(row, value)
         if row.name == PUMP:
             self._plant.pump = "on" if value == row.values["on"] else "off"
+
+    def reset(self) -> None:
+        super().reset()
+        self._plant.pump = "off"  # a relay holds by its coil
 
 
 class RelayEmulator(Server):
@@ -304,14 +327,11 @@ class RelayEmulator(Server):
         unit_id: int | None = None,
         framing: Framing | None = None,
     ) -> None:
-        self._contacts, manners = Contacts(plant, profile), Manners(alike=profile.alike)
-        super().__init__(plant, profile, clock, manners, self._contacts, unit_id, framing)
-        plant.pump = "off"
+        manners = Manners(alike=profile.alike, reset_s=math.inf)
+        contacts = Contacts(plant, profile)
+        super().__init__(plant, profile, clock, manners, contacts, unit_id, framing)
 
     def cut_power(self, on: bool) -> None:
-        self.silent_until_s = math.inf if on else -math.inf
         if on:
             self.plant.advance_to(self._clock.now())
-            self._contacts.memory.clear()
-            self.plant.pump = "off"  # a relay holds by its coil
-            self.hang_up()
+        super().cut_power(on)

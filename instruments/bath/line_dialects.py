@@ -5,8 +5,8 @@ each a table of commands. What a manual is silent about is chosen to be hard on 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from typing import ClassVar
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
 
 from instruments.world.plant import Plant
 
@@ -17,10 +17,21 @@ LEAST_C, MOST_C = -50.0, 300.0
 class Dialect:
     """A circulator's panel over ``plant``: ``manual_mode`` (operated by hand) and ``fahrenheit``
     are its settings; ``end`` ends a command, ``reply_end`` a reply.
+
+    ``READS`` are its questions. ``RUNS`` are the commands that start and stop it, and ``SETS``
+    begins the one that gives it a set point: ``DONE`` is said to these, ``WRONG`` to a set point
+    that is none, ``OUTSIDE`` to one that it can't have, ``UNKNOWN`` to anything else.
     """
 
     end: bytes = b"\r"
-    reply_end: bytes = b"\r\n"
+    reply_end: bytes = b"\r"
+    READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {}
+    RUNS: ClassVar[Mapping[str, bool]] = {}
+    SETS: ClassVar[str] = ""
+    DONE: ClassVar[str] = "OK"
+    WRONG: ClassVar[str | None] = None
+    OUTSIDE: ClassVar[str | None] = None
+    UNKNOWN: ClassVar[str | None] = None
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
@@ -30,7 +41,24 @@ class Dialect:
 
     def answer(self, command: str) -> str | None:
         """The reply to a command without its end; None for silence."""
-        raise NotImplementedError
+        if read := self.READS.get(command):
+            return read(self)
+        if command in self.RUNS:
+            self.run(on=self.RUNS[command])
+            return self.DONE
+        value = command.removeprefix(self.SETS)
+        if value == command:
+            return self.UNKNOWN
+        if not NUMBER.fullmatch(value):
+            return self.WRONG
+        return self.DONE if self.set_point(self.meant_c(float(value))) else self.OUTSIDE
+
+    def set_point(self, temp_c: float) -> bool:
+        """Whether it takes the set point."""
+        takes = LEAST_C <= temp_c <= MOST_C
+        if takes:
+            self.plant.set_point_c = temp_c
+        return takes
 
     def reset(self) -> None:
         """Power off and on: in standby, with the set point as shipped."""
@@ -49,6 +77,19 @@ class Dialect:
 
     def meant_c(self, shown: float) -> float:
         return (shown - 32.0) / 1.8 if self.fahrenheit else shown
+
+    @property
+    def bath(self) -> float:
+        """The bath's temperature as the display has it; then the teats' and the set point."""
+        return self.shown(self.temperature_c())
+
+    @property
+    def teats(self) -> float:
+        return self.shown(float(self.plant.teat_c.mean()))
+
+    @property
+    def aim(self) -> float:
+        return self.shown(self.plant.set_point_c)
 
     def run(self, *, on: bool) -> None:
         """Start, at the present set point, or stand by."""
@@ -69,6 +110,7 @@ class Julabo(Dialect):
         "sensor": "-05 WORKING SENSOR ALARM",
         "over-temperature": "-14 TEMPERATURE/LEVEL ALARM",
     }
+    reply_end = b"\r\n"
     STATES: ClassVar[dict[tuple[bool, bool], str]] = {  # by hand, started
         (True, False): "00 MANUAL STOP",
         (True, True): "01 MANUAL START",
@@ -77,15 +119,15 @@ class Julabo(Dialect):
     }
     INVALID, NOT_NOW = "-08 INVALID COMMAND", "-09 COMMAND NOT ALLOWED IN CURRENT OPERATING MODE"
     TOO_SMALL, TOO_LARGE = "-10 VALUE TOO SMALL", "-11 VALUE TOO LARGE"
-    READS: ClassVar[dict[str, Callable[[Julabo], str]]] = {
+    READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
         "version": lambda on: on.VERSION,
         "status": lambda on: on.status(),
-        "in_pv_00": lambda on: f"{on.shown(on.temperature_c()):.2f}",
+        "in_pv_00": lambda on: f"{on.bath:.2f}",
         "in_pv_01": lambda on: f"{on.plant.power_percent:.0f}",
-        "in_pv_02": lambda on: f"{on.shown(float(on.plant.teat_c.mean())):.2f}",
+        "in_pv_02": lambda on: f"{on.teats:.2f}",
         "in_pv_03": lambda on: f"{on.shown(on.plant.bath_c):.2f}",
         "in_pv_04": lambda on: f"{on.shown(on.plant.constants.cut_out_c):.1f}",
-        "in_sp_00": lambda on: f"{on.shown(on.plant.set_point_c):.2f}",
+        "in_sp_00": lambda on: f"{on.aim:.2f}",
         "in_sp_07": lambda on: f"{on.stage}",
         "in_mode_04": lambda _: "0",
         "in_mode_05": lambda on: f"{int(on.plant.running)}",
@@ -119,10 +161,8 @@ class Julabo(Dialect):
             return self.NOT_NOW
         value = float(parameter)
         if word == "out_sp_00":
-            temp_c = self.meant_c(value)
-            if not LEAST_C <= temp_c <= MOST_C:
+            if not self.set_point(temp_c := self.meant_c(value)):
                 return self.TOO_LARGE if temp_c > MOST_C else self.TOO_SMALL
-            self.plant.set_point_c = temp_c
         elif word == "out_sp_07":
             if not 1 <= value <= 4:
                 return self.TOO_LARGE if value > 4 else self.TOO_SMALL
@@ -140,40 +180,25 @@ class Lauda(Dialect):
     an answer; a blank may stand for an underscore. Chosen: the keys have no effect on it.
     """
 
-    end = b"\r"
-    OK, WRONG_COMMAND, SYNTAX, NOT_ALLOWED = "OK", "ERR_3", "ERR_5", "ERR_6"
-    READS: ClassVar[dict[str, Callable[[Lauda], str]]] = {
+    reply_end = b"\r\n"
+    RUNS: ClassVar[Mapping[str, bool]] = {"START": True, "STOP": False}
+    SETS, UNKNOWN, WRONG, OUTSIDE = "OUT_SP_00_", "ERR_3", "ERR_5", "ERR_6"
+    READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
         "TYPE": lambda _: "RP845",
         "VERSION_R": lambda _: "1.30",
         "STATUS": lambda on: "-1" if on.plant.alarm else "0",
         "STAT": lambda on: on.stat(),
-        "IN_PV_00": lambda on: on.fixed(on.temperature_c()),
-        "IN_PV_03": lambda on: on.fixed(float(on.plant.teat_c.mean())),
-        "IN_SP_00": lambda on: on.fixed(on.plant.set_point_c),
-        "IN_SP_03": lambda on: on.fixed(on.plant.constants.cut_out_c),
+        "IN_PV_00": lambda on: on.fixed(on.bath),
+        "IN_PV_03": lambda on: on.fixed(on.teats),
+        "IN_SP_00": lambda on: on.fixed(on.aim),
+        "IN_SP_03": lambda on: on.fixed(on.shown(on.plant.constants.cut_out_c)),
         "IN_MODE_02": lambda on: "0" if on.plant.running else "1",
     }
 
-    def answer(self, command: str) -> str:
-        word = command.strip("\n").replace(" ", "_").upper()
-        if read := self.READS.get(word):
-            return read(self)
-        if word in ("START", "STOP"):
-            self.run(on=word == "START")
-            return self.OK
-        if not word.startswith("OUT_SP_00_"):
-            return self.WRONG_COMMAND
-        value = word.removeprefix("OUT_SP_00_")
-        if not NUMBER.fullmatch(value):
-            return self.SYNTAX
-        temp_c = self.meant_c(float(value))
-        if not LEAST_C <= temp_c <= MOST_C:
-            return self.NOT_ALLOWED
-        self.plant.set_point_c = temp_c
-        return self.OK
+    def answer(self, command: str) -> str | None:
+        return super().answer(command.strip("\n").replace(" ", "_").upper())
 
-    def fixed(self, temp_c: float) -> str:
-        shown = self.shown(temp_c)
+    def fixed(self, shown: float) -> str:
         return f"{'-' if shown < 0 else ''}{abs(shown):06.2f}"
 
     def stat(self) -> str:
@@ -188,11 +213,11 @@ class Huber(Dialect):
     answered with the value as it is then, also where it was not taken. Chosen: the errors' numbers.
     """
 
-    end = b"\r\n"
+    end = reply_end = b"\r\n"
     NOTHING, NO_SENSOR = 0x7FFF, -15100
     ERRORS: ClassVar[dict[str, int]] = {"level": -2, "sensor": -5, "over-temperature": -1331}
     COMMAND = re.compile(r"\{M([0-9A-F]{2})(\*{4}|[0-9A-F]{4})", re.IGNORECASE)
-    READS: ClassVar[dict[int, Callable[[Huber], int]]] = {
+    VALUES: ClassVar[Mapping[int, Callable[[Huber], int]]] = {
         0x00: lambda on: round(100 * on.plant.set_point_c),
         0x01: lambda on: round(100 * on.temperature_c()),
         0x05: lambda on: on.ERRORS[on.plant.alarm] if on.plant.alarm else 0,
@@ -210,12 +235,12 @@ class Huber(Dialect):
         address = int(asked[1], 16)
         if "*" not in asked[2] and not self.manual_mode:
             self._set(address, (int(asked[2], 16) ^ 0x8000) - 0x8000)
-        read = self.READS.get(address)
+        read = self.VALUES.get(address)
         return f"{{S{address:02X}{(read(self) if read else self.NOTHING) & 0xFFFF:04X}"
 
     def _set(self, address: int, value: int) -> None:
-        if address == 0x00 and LEAST_C <= value / 100.0 <= MOST_C:
-            self.plant.set_point_c = value / 100.0
+        if address == 0x00:
+            self.set_point(value / 100.0)
         elif address == 0x14 and value in (0, 1):
             self.run(on=value == 1)
 
@@ -225,34 +250,20 @@ class Thermo(Dialect):
     driver that runs). Chosen: what is not understood has no answer.
     """
 
-    reply_end = b"\r"
-    READS: ClassVar[dict[str, Callable[[Thermo], str]]] = {
-        "RT": lambda on: on.shown_as(on.temperature_c()),
-        "RT2": lambda on: on.shown_as(float(on.plant.teat_c.mean())),
-        "RS": lambda on: on.shown_as(on.plant.set_point_c),
+    RUNS: ClassVar[Mapping[str, bool]] = {"SO 1": True, "SO 0": False}
+    SETS = "SS "
+    READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
+        "RT": lambda on: on.with_unit(on.bath),
+        "RT2": lambda on: on.with_unit(on.teats),
+        "RS": lambda on: on.with_unit(on.aim),
         "RO": lambda on: f"{int(on.plant.running)}",
         "RTU": lambda on: "F" if on.fahrenheit else "C",
         "RVER": lambda _: "082100.14C",
         "RUFS": lambda on: on.faults(),
     }
 
-    def answer(self, command: str) -> str | None:
-        if read := self.READS.get(command):
-            return read(self)
-        word, _, value = command.partition(" ")
-        if word == "SO" and value in ("0", "1"):
-            self.run(on=value == "1")
-            return "OK"
-        if word != "SS" or not NUMBER.fullmatch(value):
-            return None
-        temp_c = self.meant_c(float(value))
-        if not LEAST_C <= temp_c <= MOST_C:
-            return None
-        self.plant.set_point_c = temp_c
-        return "OK"
-
-    def shown_as(self, temp_c: float) -> str:
-        return f"{self.shown(temp_c):.2f}{'F' if self.fahrenheit else 'C'}"
+    def with_unit(self, shown: float) -> str:
+        return f"{shown:.2f}{'F' if self.fahrenheit else 'C'}"
 
     def faults(self) -> str:
         alarm = self.plant.alarm
@@ -263,29 +274,16 @@ class Thermo(Dialect):
 class Haake(Dialect):
     """HAAKE's commands, as a driver that runs has them. Chosen: no trailing $ after an error."""
 
-    reply_end = b"\r"
-    READS: ClassVar[dict[str, Callable[[Haake], str]]] = {
+    RUNS: ClassVar[Mapping[str, bool]] = {"W TS 1": True, "W TS 0": False}
+    SETS, DONE, OUTSIDE = "W SW ", "$", "F123"
+    UNKNOWN = WRONG = "F001"
+    READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
         "R V1": lambda _: "2P/H PhoenixII 1.31$",
-        "R T1": lambda on: f"T1{on.shown(on.temperature_c()):.2f}$",
-        "R T3": lambda on: f"T3{on.shown(float(on.plant.teat_c.mean())):.2f}$",
-        "R SW": lambda on: f"SW{on.shown(on.plant.set_point_c):.2f}$",
+        "R T1": lambda on: f"T1{on.bath:.2f}$",
+        "R T3": lambda on: f"T3{on.teats:.2f}$",
+        "R SW": lambda on: f"SW{on.aim:.2f}$",
         "R BS": lambda on: on.status(),
     }
-
-    def answer(self, command: str) -> str:
-        if read := self.READS.get(command):
-            return read(self)
-        if command in ("W TS 0", "W TS 1"):
-            self.run(on=command.endswith("1"))
-            return "$"
-        value = command.removeprefix("W SW ")
-        if value == command or not NUMBER.fullmatch(value):
-            return "F001"
-        temp_c = self.meant_c(float(value))
-        if not LEAST_C <= temp_c <= MOST_C:
-            return "F123"
-        self.plant.set_point_c = temp_c
-        return "$"
 
     def status(self) -> str:
         alarm = self.plant.alarm
@@ -297,30 +295,17 @@ class Haake(Dialect):
 class PolyScience(Dialect):
     """PolyScience's commands (LS manual: CR alone ends both; "!" is done, "?" is not)."""
 
-    reply_end = b"\r"
-    READS: ClassVar[dict[str, Callable[[PolyScience], str]]] = {
-        "RT": lambda on: f"{on.shown(on.temperature_c()):+.2f}",
-        "RR": lambda on: f"{on.shown(float(on.plant.teat_c.mean())):+.2f}",
-        "RS": lambda on: f"{on.shown(on.plant.set_point_c):+.2f}",
+    RUNS: ClassVar[Mapping[str, bool]] = {"SO1": True, "SO0": False}
+    SETS, DONE = "SS", "!"
+    UNKNOWN = WRONG = OUTSIDE = "?"
+    READS: ClassVar[Mapping[str, Callable[[Any], str]]] = {
+        "RT": lambda on: f"{on.bath:+.2f}",
+        "RR": lambda on: f"{on.teats:+.2f}",
+        "RS": lambda on: f"{on.aim:+.2f}",
         "RO": lambda on: f"{int(on.plant.running)}",
         "RF": lambda on: f"{int(bool(on.plant.alarm))}",
         "RU": lambda on: "F" if on.fahrenheit else "C",
     }
-
-    def answer(self, command: str) -> str:
-        if read := self.READS.get(command):
-            return read(self)
-        if command in ("SO0", "SO1"):
-            self.run(on=command == "SO1")
-            return "!"
-        value = command.removeprefix("SS")
-        if value == command or not NUMBER.fullmatch(value):
-            return "?"
-        temp_c = self.meant_c(float(value))
-        if not LEAST_C <= temp_c <= MOST_C:
-            return "?"
-        self.plant.set_point_c = temp_c
-        return "!"
 
 
 DIALECTS: dict[str, type[Dialect]] = {

@@ -7,22 +7,21 @@ its own profile, for a rehearsal: that proves nothing about its commands.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import ClassVar, Literal
 
-from instruments.bath.emulator import LATE_S, PLANT_FAULTS
+from instruments.bath.emulator import LOW_LEVEL, PLANT_FAULTS, RESET, SETTING_FAULTS, Emulator
 from instruments.bath.line_dialects import DIALECTS, Dialect
-from instruments.bath.lines import LineRow
 from instruments.bath.profile import LineProfile
+from instruments.bath.rows import LineRow
 from instruments.clock import Clock
 from instruments.listener import Connection
 from instruments.world.plant import Plant
 
 WIRE_FAULTS = ("silence", "late answer", "garbage", "cut answer", "doubled answer")
-OUTAGE, RESET_S = "controller reset", 5.0
-SETTINGS = ("fahrenheit", "manual mode")
-LINE_FAULTS = (*WIRE_FAULTS, OUTAGE, *SETTINGS, *PLANT_FAULTS, "low level")
+SETTINGS = {name: SETTING_FAULTS[name] for name in ("fahrenheit", "manual mode")}
+LINE_FAULTS = (*WIRE_FAULTS, RESET, *SETTINGS, *PLANT_FAULTS, LOW_LEVEL)
+RESET_S = 5.0
 LONGEST = 256  # bytes of a command, then they are dropped
 
 Damage = Callable[[bytes], bytes]
@@ -33,98 +32,46 @@ DAMAGES: Mapping[str, Damage] = {
 }
 
 
-class LineEmulator:
+class LineEmulator(Emulator):
     """Serves ``plant`` as a circulator of ``profile``'s family, at the bytes of its serial port or
-    of a socket. A late answer takes ``late_s``; the fault "controller reset" ends by itself.
+    of a socket.
     """
 
-    kind: ClassVar[str] = "bath"
-    framing: ClassVar[Literal["line"]] = "line"
+    whose_faults: ClassVar[str] = " of a bath that speaks lines of ASCII"
     known_faults: ClassVar[tuple[str, ...]] = LINE_FAULTS
+    settings: ClassVar[Mapping[str, str]] = SETTINGS
+    framing: Literal["line"]
+    panel: Dialect
 
     def __init__(self, plant: Plant, profile: LineProfile, clock: Clock) -> None:
-        self.plant = plant
+        super().__init__(plant, clock, dialect_of(profile)(plant), RESET_S)
+        self.framing = "line"
         self.profile = profile
-        self.late_s = LATE_S
-        self.silent_until_s = -math.inf
-        self.dialect: Dialect = dialect_of(profile)(plant)
-        self._clock = clock
-        self._faults: set[str] = set()
         self._buffers: dict[Connection, bytes] = {}
-        self._last_answer_s = 0.0
         plant.fit(circulator=profile.capabilities.pump == "with run")
 
-    @property
-    def faults(self) -> frozenset[str]:
-        """What is broken at the moment."""
-        return frozenset(self._faults | ({OUTAGE} if self._without_power else set()))
-
-    def check_fault(self, name: str) -> None:
-        """Raise ValueError for an unknown fault, or one that lines can't have."""
-        if name not in LINE_FAULTS:
-            what = f"no fault '{name}' of a bath that speaks lines of ASCII"
-            raise ValueError(f"{what}; there are {', '.join(LINE_FAULTS)}")
-
-    def fault(self, name: str, *, on: bool = True) -> None:
-        """Break something, or mend it. Raises ValueError as `check_fault` does."""
-        self.check_fault(name)
-        if name == OUTAGE:
-            self.silent_until_s = self._clock.now() + (RESET_S if on else 0.0)
-            if on:
-                self.dialect.reset()
-                self.hang_up()
-            return
-        (self._faults.add if on else self._faults.discard)(name)
-        if name in SETTINGS:
-            setattr(self.dialect, name.replace(" ", "_"), on)
-        elif name in PLANT_FAULTS:
-            setattr(self.plant, PLANT_FAULTS[name], on)
-        elif name == "low level":
-            k = self.plant.constants
-            self.plant.fill(k.volume_min_l - 0.5 if on else k.volume_l)
-
     def connect(self, connection: Connection) -> None:
-        """A host has connected; nothing is said unasked."""
+        super().connect(connection)
         self._buffers[connection] = b""
 
     def disconnect(self, connection: Connection) -> None:
-        """The host has gone; the device carries on as it is."""
+        super().disconnect(connection)
         self._buffers.pop(connection, None)
-
-    def hang_up(self) -> None:
-        """Lose all hosts, as without power."""
-        for connection in list(self._buffers):
-            connection.hang_up()
 
     def receive(self, connection: Connection, data: bytes) -> None:
         """Answer every command that ``data`` completes."""
-        buffer = self._buffers.get(connection, b"") + data
-        end = self.dialect.end
-        *commands, rest = buffer.split(end)
+        *commands, rest = (self._buffers.get(connection, b"") + data).split(self.panel.end)
         self._buffers[connection] = rest[-LONGEST:]
         for command in commands:
-            if "silence" in self._faults or self._without_power:
+            if self.is_silent:
                 continue
             self.plant.advance_to(self._clock.now())
-            answer = self.dialect.answer(command.decode("ascii", errors="replace").strip("\r\n"))
+            answer = self.panel.answer(command.decode("ascii", errors="replace").strip("\r\n"))
             if answer is not None:
-                self._send(connection, answer.encode("ascii") + self.dialect.reply_end)
-
-    @property
-    def _without_power(self) -> bool:
-        return self._clock.now() < self.silent_until_s
-
-    def _send(self, connection: Connection, line: bytes) -> None:
-        for name, damage in DAMAGES.items():
-            if name in self._faults:
-                line = damage(line)
-        now_s = self._clock.now()
-        at_s = now_s + (self.late_s if "late answer" in self._faults else 0.0)
-        at_s = self._last_answer_s = max(at_s, self._last_answer_s)  # never out of order
-        if at_s > now_s:
-            connection.after(at_s - now_s, lambda: connection.send(line))
-        else:
-            connection.send(line)
+                line = answer.encode("ascii") + self.panel.reply_end
+                for name, damage in DAMAGES.items():
+                    line = damage(line) if name in self._faults else line
+                self.send(connection, line)
 
 
 def dialect_of(profile: LineProfile) -> Callable[[Plant], Dialect]:
@@ -160,7 +107,7 @@ class ByProfile(Dialect):
     def _said(self, row: LineRow) -> str:
         value = self._value(row)
         for label, forms in row.shows.items():
-            if {**row.seen, **row.values}[label] == value:
+            if row.codes[label] == value:
                 return forms[0].replace("<text>", "OK").replace("<number>", f"{value:g}")
         raw = value / row.scale
         decimals = 0 if row.values or row.alarm else row.decimals

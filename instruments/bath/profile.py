@@ -11,15 +11,17 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError, model_validator
 
-from instruments.bath.lines import LineRow
-from instruments.bath.quantity import Evidence, Quantity, Strict
-from instruments.bath.registers import Order, Row, Table
+from instruments.bath.connection import MODBUS_PORT, Line, LineError, parse_line
+from instruments.bath.rows import Evidence, LineRow, Order, Quantity, Row, Strict, Table
+from instruments.errors import LinkError
+from instruments.port_settings import PortSettings
 
 PUMP = "pump"  # the row of a pump that is switched by itself
 ReadFunction = Literal[1, 2, 3, 4]
@@ -31,6 +33,11 @@ READERS: dict[Table, tuple[ReadFunction, ...]] = {
     "input": (4,),
     "coil": (1, 2),
     "discrete": (2,),
+}
+REACHED_BY = {  # a transport, as a URL
+    "tcp": "tcp://host:port",
+    "rtu": "rtu+tcp://host:port or a serial port",
+    "serial": "a serial port, or rfc2217://host:port",
 }
 
 Made = TypeVar("Made", bound="Device")
@@ -74,6 +81,11 @@ class Device(Strict):
     timeout_s: Annotated[float, Field(ge=0.05, le=10.0)] = 1.0
     quiet_s: Annotated[float, Field(ge=0.05, le=10.0)] = 0.5
     rows: Annotated[tuple[Quantity, ...], Field(min_length=1)]
+
+    @property
+    def serial(self) -> PortSettings:
+        """Its serial port, where a URL does not say otherwise."""
+        return PortSettings(self.parity, self.stopbits, self.bytesize)
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -135,23 +147,25 @@ class Wiring(Device):
 
     def _unreachable(self, row: Row) -> Iterator[str]:
         known = ", ".join(map(str, self.functions))
-        if "r" in row.access and self.read_function(row.table) is None:
+        if "r" in row.access and not set(READERS[row.table]) & set(self.functions):
             yield f"none of the functions {known} reads table {row.table}"
-        if "w" in row.access and self.write_function(row) is None:
+        if "w" in row.access and not set(_writers(row)) & set(self.functions):
             yield f"none of the functions {known} writes {row.type}"
         pairs = self.pairs_from
         if pairs is not None and row.address >= pairs and (row.address % 2 or row.words != 2):
             yield f"from {pairs} on, rows take two registers at an even address"
 
-    def read_function(self, table: Table) -> ReadFunction | None:
-        """The function that reads ``table``, or None where the family has none."""
-        return next((function for function in READERS[table] if function in self.functions), None)
+    def read_function(self, table: Table) -> ReadFunction:
+        """The function that reads ``table``, where a row to be read is."""
+        return next(function for function in READERS[table] if function in self.functions)
 
-    def write_function(self, row: Row) -> WriteFunction | None:
-        """The function that writes ``row``, or None where the family has none."""
-        wanted: tuple[WriteFunction, ...] = (6, 16) if row.words == 1 else (16,)
-        wanted = (5,) if row.type == "bit" else wanted
-        return next((function for function in wanted if function in self.functions), None)
+    def write_function(self, row: Row) -> WriteFunction:
+        """The function that writes ``row``, which may be written."""
+        return next(function for function in _writers(row) if function in self.functions)
+
+
+def _writers(row: Row) -> tuple[WriteFunction, ...]:
+    return (5,) if row.type == "bit" else (6, 16) if row.words == 1 else (16,)
 
 
 class RelayProfile(Wiring):
@@ -221,9 +235,12 @@ class Identity(Strict):
 
 
 class Profile(Device):
-    """One family of temperature controllers, whatever it speaks."""
+    """One family of temperature controllers, whatever it speaks. ``panel_rows`` say how the
+    controller speaks, and may be changed at its panel; ``remote_label`` is the value of the row
+    ``remote`` while it obeys us.
+    """
 
-    remote_label: ClassVar[str] = "remote"  # of the row ``remote``: it obeys us
+    remote_label: ClassVar[str] = "remote"
     comms_loss: CommsLoss
     comms_loss_evidence: Evidence
     plausible_c: tuple[float, float] = (-5.0, 60.0)
@@ -232,6 +249,10 @@ class Profile(Device):
     # row -> label to be seen before heating, written where it is another
     before_start: dict[str, str] = Field(default_factory=dict)
     alarms: tuple[AlarmCode, ...] = ()
+
+    @property
+    def panel_rows(self) -> set[str]:
+        return {"unit"}
 
     def alarm_text(self, code: int) -> str:
         """What an alarm (``BathReading.alarm``) means, with a note where that is inferred."""
@@ -254,35 +275,29 @@ class Profile(Device):
 
     def faults(self) -> Faults:
         yield from super().faults()
-        names = [row.name for row in self.rows]
+        at = {row.name: f"rows.{index}" for index, row in enumerate(self.rows)}
         for name in ("temperature", "set_point", "run"):
-            if name not in names:
+            if name not in at:
                 yield "rows", f"the row '{name}' is missing"
-        for name in {"run", "set_point"} & set(names):
+        for name in {"run", "set_point"} & set(at):
             if self.row(name).access != "rw":
-                at = f"rows.{names.index(name)}.access"
-                yield at, f"{name}: the bench has to read and write it, so access must be 'rw'"
-        for name in self.panel_rows() & set(names):
+                what = "the bench has to read and write it, so access must be 'rw'"
+                yield f"{at[name]}.access", f"{name}: {what}"
+        for name in self.panel_rows & set(at):
             if not self.row(name).poll:
-                at = f"rows.{names.index(name)}"
-                yield at, f"{name}: it may be changed at the panel, so it has to be polled"
+                yield at[name], f"{name}: it may be changed at the panel, so it has to be polled"
         pump, run = self.find(PUMP), self.find("run")
         if self.capabilities.pump == "own" and not (pump and _is_switch(pump)):
             what = "an own pump needs a row 'pump' with access 'rw' and the labels 'on' and 'off'"
             yield "capabilities.pump", what
         if run is not None and not {"standby", "started"} <= set(run.values):
-            at = f"rows.{names.index('run')}.values"
-            yield at, "run: the labels 'standby' and 'started' are needed"
+            yield f"{at['run']}.values", "run: the labels 'standby' and 'started' are needed"
         yield from self._reference_faults()
 
-    def panel_rows(self) -> set[str]:
-        """Rows that say how the controller speaks and may be changed at its panel."""
-        return {"unit"}
-
     def _reference_faults(self) -> Faults:
-        for at, identity in enumerate(self.identity):
+        for index, identity in enumerate(self.identity):
             if self.find(identity.row) is None:
-                yield f"identity.{at}.row", f"there is no row '{identity.row}'"
+                yield f"identity.{index}.row", f"there is no row '{identity.row}'"
         for name, label in self.before_start.items():
             setting = self.find(name)
             if setting is None or label not in setting.values or setting.access != "rw":
@@ -296,20 +311,21 @@ class RegisterProfile(Wiring, Profile):
     remote_label: ClassVar[str] = "modbus"
     order_from: OrderFrom | None = None
 
+    @property
+    def panel_rows(self) -> set[str]:
+        return super().panel_rows | ({self.order_from.row} if self.order_from else set())
+
     def order_for(self, code: int) -> Order | None:
         """The order that a code of the ``order_from`` row means; None for an unknown code."""
         return self.order_from.codes.get(str(code)) if self.order_from else self.order
 
-    def panel_rows(self) -> set[str]:
-        return super().panel_rows() | ({self.order_from.row} if self.order_from else set())
-
-    def _reference_faults(self) -> Faults:
+    def faults(self) -> Faults:
+        yield from super().faults()
         if source := self.order_from:
             row = self.find(source.row)
             if row is None or row.order is None:
                 what = f"there is no row '{source.row}' with an order of its own"
                 yield "order_from.row", what
-        yield from super()._reference_faults()
 
 
 class LineProfile(Profile):
@@ -340,9 +356,13 @@ class LineProfile(Profile):
         def find(self, name: str) -> LineRow | None: ...
         def row(self, name: str) -> LineRow: ...
 
+    @property
+    def serial(self) -> PortSettings:
+        return replace(super().serial, handshake=self.handshake)
+
     def faults(self) -> Faults:
         yield from super().faults()
-        marker = next((row for row in self.rows if row.name == self.marker), None)
+        marker = self.find(self.marker)
         if marker is None or not marker.ask:
             yield "marker", f"there is no row '{self.marker}' that can be asked"
         elif marker.is_number:
@@ -352,44 +372,67 @@ class LineProfile(Profile):
                 yield key, "a carriage return, a line feed or both are needed"
 
 
+def line_to(url: str, profile: Device, who: str) -> Line:
+    """The line that ``url`` names, with the profile's settings where it names none. Raises
+    LinkError for one that the family can't have.
+    """
+    lines = profile if isinstance(profile, LineProfile) else None
+    port = lines.port if lines else MODBUS_PORT
+    try:
+        line = parse_line(url, port=port, baud=profile.baud, serial=profile.serial)
+    except LineError as error:
+        raise LinkError(who, str(error)) from error
+    what, hint = "", ""
+    if ("serial" if lines and line.is_port else line.transport) not in profile.transports:
+        spoken = "lines of ASCII there" if lines else f"Modbus {line.transport.upper()}"
+        what = f"{profile.family} does not speak {spoken}"
+        hint = f"It has: {'; '.join(REACHED_BY[transport] for transport in profile.transports)}."
+    elif lines and line.unit_id is not None:
+        what, hint = "a line of ASCII has no unit", "Leave '?unit=' out of the URL."
+    elif not lines and line.serial.bytesize == 7:
+        what = "Modbus RTU has 8 data bits, and the URL says 7"
+        hint = "Leave bytesize out of the URL, or set it to 8."
+    if what:
+        raise LinkError(who, what, hint=hint)
+    return line
+
+
 def load_profile(name_or_path: str | Path) -> Profile:
     """A shipped profile by its name, or any by its path (``*.toml``). Raises ProfileError."""
-    path, content = _shipped(name_or_path)
-    return _checked(path, content, LineProfile if "kind" in content else RegisterProfile)
+    return _load(name_or_path, SHIPPED, "shipped profiles", RegisterProfile, LineProfile)
 
 
 def load_register_profile(name_or_path: str | Path) -> RegisterProfile:
     """As `load_profile`, of a family that speaks Modbus. Raises ProfileError for another."""
-    path, content = _shipped(name_or_path)
-    return _checked(path, content, RegisterProfile)
+    return _load(name_or_path, SHIPPED, "shipped profiles", RegisterProfile)
 
 
 def load_relay(name_or_path: str | Path) -> RelayProfile:
     """As `load_profile`, for the relay of a pump."""
-    path = _path_of(name_or_path, RELAYS)
-    hint = f"; shipped profiles of relays: {', '.join(relay_names())}"
-    return _checked(path, _content(path, hint=hint), RelayProfile)
+    return _load(name_or_path, RELAYS, "shipped profiles of relays", RelayProfile)
 
 
-def _shipped(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
-    path = _path_of(name_or_path, SHIPPED)
-    return path, _content(path, hint=f"; shipped profiles: {', '.join(profile_names())}")
-
-
-def _content(path: Path, *, hint: str = "") -> dict[str, Any]:
-    """The file at ``path``. Raises ProfileError; ``hint`` where there is none."""
+def _load(
+    name_or_path: str | Path,
+    shipped: Path,
+    what: str,
+    usual: type[Made],
+    of_lines: type[Made] | None = None,
+) -> Made:
+    """What the file says, as ``usual``, or ``of_lines`` where it has a ``kind``. Raises
+    ProfileError with all its faults.
+    """
+    path = Path(name_or_path)
+    path = path if path.suffix == ".toml" else shipped / f"{name_or_path}.toml"
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        kind = of_lines if of_lines and "kind" in content else usual
+        return kind.model_validate_json(json.dumps(content, default=str), strict=True)
     except OSError as error:
+        hint = f"; {what}: {', '.join(_names(shipped))}"
         raise ProfileError(path, [("", f"can't be read: {error.strerror}{hint}")]) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ProfileError(path, [("", f"is no TOML: {error}")]) from error
-
-
-def _checked(path: Path, content: dict[str, Any], kind: type[Made]) -> Made:
-    """What the file at ``path`` says. Raises ProfileError with all its faults."""
-    try:
-        return kind.model_validate_json(json.dumps(content, default=str), strict=True)
     except ValidationError as error:
         faults: list[tuple[str, str]] = []
         for fault in error.errors():
@@ -399,14 +442,13 @@ def _checked(path: Path, content: dict[str, Any], kind: type[Made]) -> Made:
         raise ProfileError(path, faults) from error
 
 
-def _path_of(name_or_path: str | Path, shipped: Path) -> Path:
-    path = Path(name_or_path)
-    return path if path.suffix == ".toml" else shipped / f"{name_or_path}.toml"
+def _names(folder: Path) -> list[str]:
+    return sorted(path.stem for path in folder.glob("*.toml"))
 
 
 def profile_names() -> list[str]:
-    return sorted(path.stem for path in SHIPPED.glob("*.toml"))
+    return _names(SHIPPED)
 
 
 def relay_names() -> list[str]:
-    return sorted(path.stem for path in RELAYS.glob("*.toml"))
+    return _names(RELAYS)

@@ -244,14 +244,7 @@ def crc(data: bytes) -> int:
     """The check sum (polynomial 0xA001, start 0xFFFF); 0 over a whole frame with its own."""
     value = 0xFFFF
     for byte in data:
-        value = value >> 8 ^ _TABLE[(value ^ byte) & 0xFF]
+        value ^= byte
+        for _ in range(8):
+            value = value >> 1 ^ 0xA001 if value & 1 else value >> 1
     return value
-
-
-def _table_entry(byte: int) -> int:
-    for _ in range(8):
-        byte = byte >> 1 ^ 0xA001 if byte & 1 else byte >> 1
-    return byte
-
-
-_TABLE = tuple(_table_entry(byte) for byte in range(256))

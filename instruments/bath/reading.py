@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from instruments.bath.profile import Profile
-from instruments.bath.quantity import Quantity
+from instruments.bath.rows import Quantity
 from instruments.errors import DeviceError, ProtocolError
 
 FULL_PERCENT = 100.0
@@ -45,16 +45,22 @@ class BathReading:
 
 
 class Assembler:
-    """Makes the reading of a poll of ``rows``, and refuses what no bath can show."""
+    """Makes the reading of a poll, and refuses what no bath can show."""
 
-    def __init__(self, profile: Profile, rows: Sequence[Quantity], *, who: str) -> None:
-        self.rows = rows
+    def __init__(self, profile: Profile, who: str) -> None:
         self._profile = profile
         self._who = who
         self._bits = sum({alarm.code for alarm in profile.alarms})
 
     def reading(
-        self, t_s: float, values: Values, raw: Sequence[int], *, alarm: int, guess: str = ""
+        self,
+        t_s: float,
+        rows: Sequence[Quantity],
+        values: Values,
+        raw: Sequence[int],
+        *,
+        alarm: int,
+        guess: str,
     ) -> BathReading:
         """The reading of ``values`` by row, where there is none not-a-number; ``raw`` is the
         temperature's. ``guess``: what else an implausible temperature may mean.
@@ -62,8 +68,7 @@ class Assembler:
         Raises DeviceError when there is no temperature, ProtocolError when it is none that a bath
         has.
         """
-        self._check_unit(values)
-        self._check(values, alarm, guess)
+        self._check(rows, values, alarm, guess)
         return BathReading(
             t_s=t_s,
             temp_c=values["temperature"],
@@ -100,40 +105,36 @@ class Assembler:
         value = values.get(name, math.nan)
         return None if math.isnan(value) else value == self._profile.row(name).values.get(label)
 
-    def _check_unit(self, values: Values) -> None:
-        """It may be changed at the panel while we are connected."""
-        if self._shows(values, "unit", "c") is False:
+    def _check(self, rows: Sequence[Quantity], values: Values, alarm: int, guess: str) -> None:
+        if self._shows(values, "unit", "c") is False:  # changed at the panel
             seen = self._profile.row("unit").label(values["unit"])
             what, hint = "it does not speak degC", "Set the controller to degrees Celsius."
             raise DeviceError(self._who, what, asked="its unit", seen=seen, hint=hint)
-
-    def _check(self, values: Values, alarm: int, guess: str) -> None:
         if math.isnan(values["temperature"]):
             raise self._no_temperature("temperature", alarm)
-        for row in self.rows:  # all: in another order of bytes, one in 20 is plausible
+        for row in rows:  # all: in another order of bytes, one in 20 is plausible
             value = values[row.name]
             if math.isnan(value):
                 continue
+            why = hint = ""
             if row.unit == "degC" and not self.is_plausible(value):
                 if alarm and self._profile.means(alarm, "sensor"):
                     raise self._no_temperature(row.name, alarm)
                 low, high = self._profile.plausible_c
-                raise self._implausible(row, value, f"not within {low:g} to {high:g} degC", guess)
-            if row.unit == "%" and abs(value) > FULL_PERCENT:
-                raise self._implausible(row, value, "not within -100 to 100 %")
-            if row.values and not row.alarm and not row.is_known(value):
-                labels = ", ".join((*row.values, *row.seen))
-                raise self._implausible(row, value, f"none of {labels}")
+                why, hint = f"not within {low:g} to {high:g} degC", guess
+            elif row.unit == "%" and abs(value) > FULL_PERCENT:
+                why = "not within -100 to 100 %"
+            elif row.values and not row.alarm and not row.is_known(value):
+                why = f"none of {', '.join((*row.values, *row.seen))}"
+            if why:
+                hint = hint or "Another family than the profile's, or a broken sensor?"
+                what, shown = f"its {row.name} can't be: {why}", f"{value:g} {row.unit}".rstrip()
+                raise ProtocolError(self._who, what, asked=row.name, seen=shown, hint=hint)
 
     def _no_temperature(self, name: str, alarm: int) -> DeviceError:
         seen = self._profile.alarm_text(alarm) if alarm else "no alarm"
         hint = "Look at the sensor and its plug."
         return DeviceError(self._who, "it has no temperature", asked=name, seen=seen, hint=hint)
-
-    def _implausible(self, row: Quantity, value: float, why: str, hint: str = "") -> ProtocolError:
-        hint = hint or "Another family than the profile's, or a broken sensor?"
-        what, seen = f"its {row.name} can't be: {why}", f"{value:g} {row.unit}".rstrip()
-        return ProtocolError(self._who, what, asked=row.name, seen=seen, hint=hint)
 
 
 def _number(values: Values, name: str) -> float | None:

@@ -17,7 +17,7 @@ from typing import Literal
 from instruments.bath import protocol
 from instruments.bath.profile import RegisterProfile, Wiring
 from instruments.bath.protocol import Read, Refused, Write
-from instruments.bath.registers import Order, Row, Table
+from instruments.bath.rows import Order, Row, Table
 from instruments.world.plant import Plant
 
 TURNED: Mapping[Order, Order] = {"ABCD": "CDAB", "CDAB": "ABCD", "BADC": "DCBA", "DCBA": "BADC"}
@@ -173,6 +173,10 @@ class Values:
     def take(self, row: Row, value: float) -> None:
         self.memory[row.name] = value
 
+    def reset(self) -> None:
+        """Power off and on."""
+        self.memory.clear()
+
 
 class Controller(Values):
     """A controller of ``profile``'s family over ``plant``.
@@ -265,8 +269,7 @@ class Controller(Values):
 
     def code(self, name: str, label: str) -> float:
         """The code that a row of the profile has for a label; 0 where it has none."""
-        row = self.profile.row(name)
-        return float(row.values.get(label, row.seen.get(label, 0)))
+        return float(self.profile.row(name).codes.get(label, 0))
 
     def temperature_c(self) -> float:
         """What it measures; with a broken sensor not-a-number, or the last value."""
@@ -286,7 +289,7 @@ class Controller(Values):
     def reset(self) -> None:
         """Power off and on. A family that keeps nothing is as shipped then, in standby."""
         if self.manners.after_reset == "standby":
-            self.memory.clear()
+            super().reset()
             plant = self.plant
             plant.standby()
             plant.set_point_c, plant.manual_output = self._shipped_c, None
@@ -449,8 +452,8 @@ class Cell:
 class Cells:
     """The address space of a device of ``profile``'s family."""
 
-    def __init__(self, profile: Wiring, manners: Manners, values: Values) -> None:
-        self.gaps_refused = False
+    def __init__(self, profile: Wiring, manners: Manners, values: Values, faults: Set[str]) -> None:
+        self._faults = faults
         self._manners = manners
         self._values = values
         self._at: dict[tuple[Table, int], Cell] = {}
@@ -517,7 +520,7 @@ class Cells:
             return cell.encode(self._values)[address - cell.address]
         if self._manners.gaps == "undefined":
             return (address * 40503 & 0xFFFF) if table == "holding" else address & 1
-        if self.gaps_refused or self._manners.gaps == "refused":
+        if "gaps refused" in self._faults or self._manners.gaps == "refused":
             raise Refused(protocol.ILLEGAL_ADDRESS)
         return 0
 

@@ -33,7 +33,7 @@ from pymodbus.pdu.register_message import (
 )
 
 from instruments.bath.profile import ReadFunction, Wiring
-from instruments.bath.registers import Row, Table
+from instruments.bath.rows import Row, Table
 
 MOST_WORDS = 125  # a read answers no more (Modbus application protocol 1.1b3, section 6.3)
 MOST_GAP = 8  # registers that are not wanted cost less than another question, up to about here
@@ -59,6 +59,10 @@ class Block:
     def count(self) -> int:
         return self.end - self.address
 
+    def apart(self, answer: Sequence[int]) -> dict[str, Sequence[int]]:
+        """The registers of each row."""
+        return {row.name: answer[row.address - self.address :][: row.words] for row in self.rows}
+
 
 def blocks(profile: Wiring, *, gaps: bool, inferred: bool = False) -> tuple[Block, ...]:
     """The questions of one poll.
@@ -74,18 +78,8 @@ def blocks(profile: Wiring, *, gaps: bool, inferred: bool = False) -> tuple[Bloc
         if last and near and row.end - last.address <= MOST_WORDS:
             found[-1] = Block(last.function, last.table, (*last.rows, row))
         else:
-            found.append(Block(reader(profile, row.table), row.table, (row,)))
+            found.append(Block(profile.read_function(row.table), row.table, (row,)))
     return tuple(found)
-
-
-def reader(profile: Wiring, table: Table) -> ReadFunction:
-    """The function that reads ``table``. Raises ValueError where the family has none, which a
-    checked profile never meets.
-    """
-    function = profile.read_function(table)
-    if function is None:
-        raise ValueError(f"{profile.family} has no function that reads table {table}")
-    return function
 
 
 def markers(profile: Wiring, *, inferred: bool = False) -> tuple[tuple[int, int, int], ...]:
@@ -108,19 +102,19 @@ def markers(profile: Wiring, *, inferred: bool = False) -> tuple[tuple[int, int,
     return tuple(shapes.values()) if len(shapes) > 1 else ()
 
 
-REQUESTS = {
-    1: ReadCoilsRequest,
-    2: ReadDiscreteInputsRequest,
-    3: ReadHoldingRegistersRequest,
-    4: ReadInputRegistersRequest,
+REQUESTS: dict[int, tuple[Callable[..., ModbusPDU], str]] = {
+    1: (ReadCoilsRequest, "coils"),
+    2: (ReadDiscreteInputsRequest, "discrete inputs"),
+    3: (ReadHoldingRegistersRequest, "holding registers"),
+    4: (ReadInputRegistersRequest, "input registers"),
 }
 WRITERS: dict[int, Callable[..., ModbusPDU]] = {
     5: WriteSingleCoilRequest,
     6: WriteSingleRegisterRequest,
     16: WriteMultipleRegistersRequest,
 }
-NAMES = {1: "coils", 2: "discrete inputs", 3: "holding registers", 4: "input registers"}
 EXCEPTION = 0x80
+EXCEPTION_LENGTH, CONFIRMATION_LENGTH = 5, 8
 
 
 @dataclass(slots=True)
@@ -157,8 +151,9 @@ class Question:
 def read_question(function: int, address: int, count: int, unit_id: int) -> Question:
     """``count`` bits (functions 1 and 2) or registers (3 and 4) from ``address``."""
     size = -(-count // 8) if function in (1, 2) else 2 * count
-    request = REQUESTS[function](address=address, count=count, dev_id=unit_id)
-    asked = f"{NAMES[function]} {address} to {address + count - 1}"
+    make, name = REQUESTS[function]
+    request = make(address=address, count=count, dev_id=unit_id)
+    asked = f"{name} {address} to {address + count - 1}"
     return Question(request, bytes((unit_id, function, size)), 3 + size, asked)
 
 
@@ -183,33 +178,23 @@ def values_in(answer: bytes) -> list[int]:
     return list(struct.unpack(f">{len(data) // 2}H", data)) if len(data) % 2 == 0 else []
 
 
-EXCEPTION_LENGTH = 5
-CONFIRMATION_LENGTH = 8
-
-
 def frames(data: bytes, asked: Collection[tuple[int, int]]) -> Iterator[tuple[int, int]]:
     """Start and end of each whole answer to one of ``asked``, units and functions, exceptions among
     them, in order.
     """
     at = 0
     while at + EXCEPTION_LENGTH <= len(data):
-        end = at + _length(data, at) if (data[at], data[at + 1] & ~EXCEPTION) in asked else 0
-        if at < end <= len(data) and is_whole(data[at:end]):
-            yield at, end
-            at = end
+        unit_id, function, size = data[at : at + 3]
+        length = EXCEPTION_LENGTH
+        if not function & EXCEPTION:
+            length = length + size if function in REQUESTS else CONFIRMATION_LENGTH
+        frame = data[at : at + length] if (unit_id, function & ~EXCEPTION) in asked else b""
+        whole = len(frame) == length
+        if whole and FramerRTU.compute_CRC(frame[:-2]) == frame[-2] << 8 | frame[-1]:
+            yield at, at + length
+            at += length
         else:
             at += 1
-
-
-def is_whole(frame: bytes) -> bool:
-    return FramerRTU.compute_CRC(frame[:-2]) == frame[-2] << 8 | frame[-1]
-
-
-def _length(data: bytes, at: int) -> int:
-    function = data[at + 1]
-    if function & EXCEPTION:
-        return EXCEPTION_LENGTH
-    return EXCEPTION_LENGTH + data[at + 2] if function in REQUESTS else CONFIRMATION_LENGTH
 
 
 class Answers:
@@ -243,7 +228,12 @@ class Answers:
 
     def feed(self, data: bytes) -> int:
         """Take the answers in ``data``; how many bytes are done with."""
-        return self._hear_rtu(data) if self._rtu else self._hear_tcp(data)
+        if not self._rtu:
+            return self._feed_tcp(data)
+        used, asked = 0, {(question.unit_id, question.function) for question in self.owed}
+        for start, used in frames(data, asked):
+            self._take(data[start : used - 2])
+        return used
 
     def unmistakable(self, questions: Sequence[Question]) -> Question | None:
         """The one of ``questions`` whose answer can least be confused with one that is owed; None
@@ -254,7 +244,7 @@ class Answers:
         free = [question for question in questions if question.expects not in shapes]
         return min(free, key=lambda question: question.expects[:2] in kinds, default=None)
 
-    def _hear_tcp(self, data: bytes) -> int:
+    def _feed_tcp(self, data: bytes) -> int:
         used, in_one_piece = 0, not self.left
         while True:
             size, unit_id, number, pdu = self._framer.decode(data[used:])
@@ -270,12 +260,6 @@ class Answers:
                     asked == number or (alone and number in question.earlier)
                 ):
                     question.answer = bytes((unit_id, *pdu))
-
-    def _hear_rtu(self, data: bytes) -> int:
-        used, asked = 0, {(question.unit_id, question.function) for question in self.owed}
-        for start, used in frames(data, asked):
-            self._take(data[start : used - 2])
-        return used
 
     def _take(self, answer: bytes) -> None:
         current = self.open if self.owed and self.owed[-1] is self.open else None

@@ -33,14 +33,9 @@ def cause_of(error: BaseException) -> str:
     return f"{type(error).__name__}: {error} ({Path(at.filename).name}:{at.lineno})"
 
 
-def has_own_pump(bath: Bath) -> bool:
-    """Whether the pump can be switched without the heater."""
-    return bath.pump == "own" and bath.profile.find(PUMP) is not None
-
-
 def pump_text(bath: Bath) -> str:
     """What the record says of the pump."""
-    if has_own_pump(bath):
+    if bath.pump == "own":
         return f"switched by itself: {FLOW_S:g} s before the heater, {OVERRUN_S:g} s after it"
     if bath.pump == "with run":
         return "turns with the controller's run, and stops with standby: it can't run on alone"
@@ -49,14 +44,14 @@ def pump_text(bath: Bath) -> str:
 
 def pump_on(bath: Bath, reading: BathReading) -> bool | None:
     """Whether the pump is switched on (not: turns); None where the family doesn't tell."""
-    if has_own_pump(bath):
+    if bath.pump == "own":
         return bath.get(PUMP) == bath.profile.row(PUMP).values[ON]
     return reading.running if bath.pump == "with run" else None
 
 
 def start_bath(bath: Bath, set_point_c: float, wait: Callable[[float], None]) -> None:
     """Heat to ``set_point_c``, in order. Raises as the driver, and DeviceError for an alarm."""
-    if has_own_pump(bath):
+    if bath.pump == "own":
         reading = bath.read()
         if reading.alarm:  # the level among them: a pump must not run dry either
             what = f"not started: {bath.profile.alarm_text(reading.alarm)}"
@@ -73,7 +68,7 @@ def heater_off(bath: Bath) -> str:
     Raises InstrumentError where the heater can't be reached; a fault of the pump is returned.
     """
     bath.safe()
-    if not has_own_pump(bath):
+    if bath.pump != "own":
         return ""
     try:
         bath.set(PUMP, ON)
@@ -84,7 +79,7 @@ def heater_off(bath: Bath) -> str:
 
 def run_pump_on(bath: Bath, sleep: Callable[[float], None], cut_short: Callable[[], bool]) -> str:
     """Let the pump run on, then switch it off; what became of it. ``cut_short`` ends the wait."""
-    if not has_own_pump(bath):
+    if bath.pump != "own":
         return ""
     left_s = OVERRUN_S
     while left_s > 0.0:

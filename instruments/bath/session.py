@@ -5,50 +5,60 @@ What comes is taken in by whoever speaks the protocol (``take``).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-from instruments.bath.connection import BAUD, Line
+from instruments.bath.connection import Line
 from instruments.clock import Clock, VirtualClock
 from instruments.errors import DeviceError, LinkError
 from instruments.link import SLICE_S, Link
-from instruments.tap import NoTap, Tap
+from instruments.tap import Tap
 
 CONNECT_TIMEOUT_S = 1.0
 CONNECT_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts; then we give up
+CHECK_CABLE = "Check cable and power."
 
 
 class RefusedError(DeviceError):
-    """The device refused a question, with a Modbus exception or a word; ``code`` of the former."""
+    """The device refused a question, with a Modbus exception (its ``code``) or a word; with
+    ``no_row`` because it may have no such row.
+    """
 
     code = 0
+    no_row = True
 
 
 class BrokenError(LinkError):
     """The link broke under a question, which may be asked again over a new one."""
 
 
-class Session:
+class Session(ABC):
     """One connection to one device, and its only owner. Calls come one at a time: whoever shares it
-    holds a lock. Not opened at first.
+    holds a lock. Not opened at first. ``speech`` is what the device has to be set to.
     """
+
+    speech: str
 
     def __init__(self, line: Line, clock: Clock, *, who: str, tap: Tap | None = None) -> None:
         self.who = who
         self.line = line
         self.clock = clock
-        self._tap = tap or NoTap()
+        self._tap = tap
         self._link: Link | None = None
         self.heard_s = 0.0
+
+    @abstractmethod
+    def begin(self) -> None:
+        """The link has just been opened: what comes at first may answer another host."""
+
+    @abstractmethod
+    def take(self, data: bytes) -> None:
+        """Bytes came."""
 
     @property
     def connected(self) -> bool:
         """Whether the link is up, as far as anybody has noticed."""
         return self._link is not None and self._link.connected
-
-    @property
-    def place(self) -> str:
-        """The line that it is on, whatever the unit."""
-        return self.line.url
 
     def connect(self) -> None:
         """Open the link, trying again with growing pauses. Raises LinkError when it is not taken in
@@ -56,16 +66,15 @@ class Session:
         """
         start, why, line = self.clock.now(), "", self.line
         for pause_s in (0.0, *CONNECT_PAUSES_S):
-            if pause_s:
-                self.clock.sleep(pause_s)
+            self.clock.sleep(pause_s)
             self.close()
             try:
                 self._link = Link(
                     line.url,
                     self.clock,
                     who=self.who,
-                    baud=line.baud or BAUD,
-                    port=line.port_settings,
+                    baud=line.baud,
+                    port=line.serial,
                     connect_timeout_s=CONNECT_TIMEOUT_S,
                     tap=self._tap,
                 )
@@ -88,19 +97,6 @@ class Session:
         what = f"{what} in {len(CONNECT_PAUSES_S) + 1} tries: {why}"
         raise LinkError(self.who, what, seconds=self.clock.now() - start, hint=hint)
 
-    @property
-    def speech(self) -> str:
-        """What the device has to be set to."""
-        raise NotImplementedError
-
-    def begin(self) -> None:
-        """The link has just been opened: what comes at first may answer another host."""
-        raise NotImplementedError
-
-    def take(self, data: bytes) -> None:
-        """Bytes came."""
-        raise NotImplementedError
-
     def close(self) -> None:
         """Drop the link; once more is no error."""
         if self._link is not None:
@@ -110,14 +106,18 @@ class Session:
     def up(self) -> Link:
         """The link. Raises BrokenError where it is down."""
         if self._link is None or not self._link.connected:
-            raise BrokenError(self.who, "the link is down", hint="Check cable and power.")
+            raise self.broken("the link is down")
         return self._link
+
+    def broken(self, what: str, asked: str | None = None) -> BrokenError:
+        """The error of a link that has gone."""
+        return BrokenError(self.who, what, asked=asked, hint=CHECK_CABLE)
 
     def receive_until(self, until_s: float, done: Callable[[], bool]) -> None:
         """Take in what comes until ``done``, the clock shows ``until_s``, or the link breaks.
 
         Under virtual time an event may use this link, or close it, while time moves. An exception
-        closes the link. Raises TimeoutError when an emulator's thread hangs.
+        closes the link. Raises LinkError when an emulator's thread hangs.
         """
         link, clock = self.up(), self.clock
         virtual = clock if isinstance(clock, VirtualClock) else None
@@ -139,9 +139,9 @@ class Session:
         """Take in what has come; whether anything has."""
         try:
             data = link.receive(timeout_s)
-        except LinkError as error:
+        except LinkError:
             if link.connected:
-                raise TimeoutError(error.what) from error
+                raise
             return False
         if data:
             self.heard_s = self.clock.now()

@@ -71,6 +71,7 @@ class Transactions(Session):
         markers: Sequence[tuple[int, int, int]] = (),
     ) -> None:
         super().__init__(line, clock, who=who, tap=tap)
+        self.speech = f"Modbus {line.transport.upper()}"
         self._unit_id = line.unit_id or 1
         self._timeout_s = timeout_s
         self._quiet_s = quiet_s
@@ -81,10 +82,6 @@ class Transactions(Session):
         # or its complaints, which our errors carry, go to stderr
         if not logging.getLogger("pymodbus").handlers:
             logging.getLogger("pymodbus").addHandler(logging.NullHandler())
-
-    @property
-    def speech(self) -> str:
-        return f"Modbus {self.line.transport.upper()}"
 
     def begin(self) -> None:
         self._unused = self._seen = b""
@@ -130,8 +127,7 @@ class Transactions(Session):
         whether it stands.
         """
         question = write_question(function, address, values, unit_id or self._unit_id)
-        answer = self._ask(question, urgent=urgent)
-        if not question.fits(answer):
+        if not question.fits(self._ask(question, urgent=urgent)):
             raise self._nonsense("the answer confirms another write", question)
 
     def close(self) -> None:
@@ -166,10 +162,11 @@ class Transactions(Session):
         if answer is None:
             raise self._silence(question, start)
         if answer[1] == question.function | EXCEPTION:
-            what = f"refused: {EXCEPTIONS.get(answer[2], 'a code that Modbus does not know')}"
-            seen_code = f"Modbus exception {answer[2]}"
+            code = answer[2]
+            what = f"refused: {EXCEPTIONS.get(code, 'a code that Modbus does not know')}"
+            seen_code = f"Modbus exception {code}"
             refused = RefusedError(self.who, what, asked=question.asked, seen=seen_code)
-            refused.code = answer[2]
+            refused.code, refused.no_row = code, code == ILLEGAL_ADDRESS
             raise refused
         if answer[1] != question.function:
             what = f"function {answer[1]} was answered to function {question.function}"
@@ -194,14 +191,10 @@ class Transactions(Session):
         return question.answer is not None
 
     def _wait(self, question: Question, link: Link) -> None:
-        try:
-            if link.connected:
-                self.receive_until(self._deadline_s(question), lambda: question.answer is not None)
-        except TimeoutError as error:
-            raise LinkError(self.who, "the emulator hangs", asked=question.asked) from error
+        if link.connected:
+            self.receive_until(self._deadline_s(question), lambda: question.answer is not None)
         if question.answer is None and not link.connected:
-            what, hint = "the link broke", "Check cable and power."
-            raise BrokenError(self.who, what, asked=question.asked, hint=hint)
+            raise self.broken("the link broke", question.asked)
 
     def _deadline_s(self, question: Question) -> float:
         characters = len(question.request.encode()) + question.length + 6
@@ -252,10 +245,8 @@ class Transactions(Session):
     def _silence(self, question: Question, start_s: float) -> LinkError | ProtocolError:
         if self._link and self._seen:
             return self._nonsense(NO_ANSWER, question)
-        took_s, hint = (
-            self.clock.now() - start_s,
-            "Is the unit id right, and the controller still on?",
-        )
+        took_s = self.clock.now() - start_s
+        hint = "Is the unit id right, and the controller still on?"
         return LinkError(self.who, "no answer", asked=question.asked, seconds=took_s, hint=hint)
 
     def _nonsense(self, what: str, question: Question) -> ProtocolError:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from instruments.clock import Clock, wall_time
-from instruments.tap import NoTap, Tap
+from instruments.tap import Tap
 
 FORMAT = "teatbench capture"
 VERSION = 1
@@ -65,7 +65,7 @@ class NoCapture:
     """Nothing is captured."""
 
     def tap(self, link: str, clock: Clock) -> Tap:  # noqa: ARG002 - no listener on any link
-        return NoTap()
+        return Tap()
 
 
 NO_CAPTURE = NoCapture()
@@ -147,7 +147,7 @@ class CaptureFile:
             )
 
 
-class _LinkTap:
+class _LinkTap(Tap):
     """One link's lines in the file."""
 
     def __init__(self, file: CaptureFile, link: str, clock: Clock) -> None:

@@ -29,8 +29,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from instruments.bath.driver import Bath
 from instruments.bath.emulator import BathEmulator
 from instruments.bath.profile import RegisterProfile, load_register_profile
-from instruments.bath.registers import Row
-from instruments.bath.requests import Block, blocks, reader
+from instruments.bath.requests import Block, blocks
+from instruments.bath.rows import Row
 from instruments.clock import RealClock
 from instruments.listener import Listener
 from instruments.pty_listener import PtyListener
@@ -62,7 +62,7 @@ class Served:
     @property
     def function(self) -> int:
         """The function that reads it."""
-        return reader(self.profile, self.asked.table)
+        return self.profile.read_function(self.asked.table)
 
     @property
     def polled(self) -> tuple[Block, ...]:

@@ -12,7 +12,7 @@ from instruments.listener import Connection, Device, Listener
 from instruments.tap import Tap
 
 
-class Heard:
+class Heard(Tap):
     """``told``: each event with its fact, in order."""
 
     def __init__(self) -> None:

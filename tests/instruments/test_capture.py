@@ -15,11 +15,9 @@ from typing import Any
 
 import pytest
 
-from instruments.captures.capture import NO_CAPTURE, CaptureError, CaptureFile, read_capture
+from instruments.captures.capture import CaptureError, CaptureFile, read_capture
 from instruments.clock import RealClock, VirtualClock
-from instruments.errors import LinkError
 from instruments.tap import Tap
-from tests.instruments.listening_in import Echo, linked
 
 FACTS = {"teatbench": "1.2.3", "command": "teatbench check 'my rig.toml'", "machine": "Linux"}
 
@@ -65,28 +63,6 @@ def test_every_line_is_there_before_the_file_is_closed(tmp_path: Path) -> None:
         for count in range(1, 20):
             assert len(text(tmp_path / "c")) == count
             tap.sent(b"x")
-
-
-def test_a_link_tells_all_it_sees_and_why_it_broke(tmp_path: Path) -> None:
-    clock = VirtualClock()
-    with CaptureFile(tmp_path / "c", FACTS) as capture:
-        echo = Echo(greeting=b"hello", farewell=b"X")
-        with linked(echo, clock, tap=capture.tap("arm", clock)) as (link, _):
-            assert link.read(5, 1.0) == b"hello"
-            link.write(b"x")
-            assert link.read(1, 1.0) == b"X"
-            with pytest.raises(LinkError, match="hung up"):
-                link.receive(1.0)
-            link.close()
-    assert [
-        (line["event"], line.get("data"), line.get("why")) for line in text(tmp_path / "c")
-    ] == [
-        ("opened", None, None),
-        ("received", b"hello".hex(), None),
-        ("sent", b"x".hex(), None),
-        ("received", b"X".hex(), None),
-        ("closed", None, "the other end hung up"),
-    ]
 
 
 def test_several_links_from_several_threads_share_a_file(tmp_path: Path) -> None:
@@ -217,11 +193,3 @@ def test_a_full_disk_ends_the_capture_and_not_the_run(tmp_path: Path) -> None:
     assert read.cut
     whole = len(read.links["arm"][0].exchanges[1].asked) // 10 + 1
     assert f"ends early, after {whole} events: File too large" in capture.fault
-
-
-def test_without_a_capture_there_is_a_tap_that_does_nothing() -> None:
-    tap = NO_CAPTURE.tap("arm", VirtualClock())
-    tap.opened("u")
-    tap.sent(b"x")
-    tap.received(b"y")
-    tap.closed("broke")

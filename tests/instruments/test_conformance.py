@@ -7,7 +7,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from functools import partial
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import pytest
 
@@ -37,32 +37,6 @@ from tests.instruments.microscribe.rigs import Hand
 pytestmark = pytest.mark.slow
 
 
-class Instrument(Protocol):
-    """One instrument: its driver, not opened yet, and its emulator on a link that can be cut."""
-
-    def open(self) -> None: ...
-    def identify(self) -> str: ...
-    def read(self) -> object:
-        """Something that the instrument measures; the same while nothing happens."""
-
-    def work(self) -> None:
-        """Have it do what `safe` ends."""
-
-    def cut(self) -> None: ...
-    def mend(self) -> None: ...
-    def recover(self) -> None: ...
-    def safe(self) -> None: ...
-    def is_safe(self) -> bool:
-        """Whether the emulator is in its safe state."""
-
-    def close(self) -> None: ...
-    def read_interrupted(self) -> None:
-        """Read, with Ctrl-C while the answer is waited for."""
-
-    def end(self) -> None:
-        """Take the emulator down."""
-
-
 class Cable:
     """Hands bytes on to a device, ``late_s`` late."""
 
@@ -84,7 +58,10 @@ class Cable:
 
 
 class Wired:
-    """An instrument on loopback, under virtual time."""
+    """An instrument on loopback, under virtual time: its driver, not opened yet, and its emulator
+    on a link that can be cut. ``read`` is something that it measures, the same while nothing
+    happens; ``work`` has it do what ``safe`` ends; ``is_safe`` asks the emulator.
+    """
 
     driver: Any
 
@@ -114,6 +91,8 @@ class Wired:
         raise NotImplementedError
 
     def read_interrupted(self) -> None:
+        """Read, with Ctrl-C while the answer is waited for."""
+
         def interrupt() -> None:
             raise KeyboardInterrupt
 
@@ -288,6 +267,9 @@ class Cameras:
         self.server.close()
         self.emulator.close()
         self.clock.close()
+
+
+Instrument = Arm | WaterBath | Table | Cameras
 
 
 @pytest.fixture(

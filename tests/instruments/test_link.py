@@ -267,7 +267,7 @@ def done_by(url: str, data: bytes, monkeypatch: pytest.MonkeyPatch) -> list[Any]
 
     monkeypatch.setattr("serial.serial_for_url", open_it)
     line = parse_line(url)
-    link = Link(line.url, RealClock(), who="bath", baud=line.baud or 0, port=line.port_settings)
+    link = Link(line.url, RealClock(), who="bath", baud=line.baud, port=line.serial)
     link.write(data)
     return [("given", given), *port.done]
 
@@ -282,17 +282,10 @@ def test_an_arms_or_stages_url_sets_the_lines_before_the_port_is_open(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     port = FakeSerial()
-    opened: list[str] = []
-
-    def open_it(url: str, **_: object) -> FakeSerial:
-        opened.append(url)
-        return port
-
-    monkeypatch.setattr("serial.serial_for_url", open_it)
+    monkeypatch.setattr("serial.serial_for_url", lambda url, **_: port.done.append(url) or port)
     Link("COM5?dtr=off&rts=on", RealClock(), who="stage").reopen()
-    assert opened == ["COM5", "COM5"]
-    lines = [("dtr", False), ("rts", True), ("open",)]
-    assert port.done[:3] == lines
+    lines = ["COM5", ("dtr", False), ("rts", True), ("open",)]
+    assert port.done[:4] == lines
     assert [step for step in port.done if step in lines] == 2 * lines
 
 

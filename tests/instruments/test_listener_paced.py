@@ -72,27 +72,22 @@ def test_a_paced_line_is_as_fast_as_its_wire(paced: Paced, baud: int, count: int
     assert {len(piece) for piece in echo.heard} == {1}
 
 
-def test_questions_and_answers_take_turns_on_the_wire(paced: Paced) -> None:
-    link, _ = paced(19200)
-    with lasts(40 * 20 / 19200):
-        for _ in range(40):
-            link.write(b"A")
-            assert link.read(1, 5.0) == b"A"
-
-
-def test_latency_delays_and_does_not_slow_down(paced: Paced) -> None:
-    link, _ = paced(115200, latency_s=0.05)
-    with lasts(0.1):
-        link.write(bytes(576))
-        assert len(link.read(576, 10.0)) == 576
-
-
-def test_an_adapters_latency_alone(paced: Paced) -> None:
-    link, _ = paced(latency_s=0.016)
-    with lasts(0.08):
-        for _ in range(5):
-            link.write(bytes(1000))
-            assert len(link.read(1000, 5.0)) == 1000
+@pytest.mark.parametrize(
+    ("baud", "latency_s", "turns", "count", "least_s"),
+    [
+        (19200, 0.0, 40, 1, 40 * 20 / 19200),  # questions and answers take turns on the wire
+        (115200, 0.05, 1, 576, 0.1),  # latency delays, and does not slow down
+        (None, 0.016, 5, 1000, 0.08),  # an adapter's latency alone
+    ],
+)
+def test_turns_on_the_wire(
+    paced: Paced, baud: int | None, latency_s: float, turns: int, count: int, least_s: float
+) -> None:
+    link, _ = paced(baud, latency_s)
+    with lasts(least_s):
+        for _ in range(turns):
+            link.write(bytes(count))
+            assert len(link.read(count, 10.0)) == count
 
 
 def test_what_a_device_says_unasked_keeps_the_pace(paced: Paced) -> None:

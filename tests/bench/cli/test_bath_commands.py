@@ -258,7 +258,7 @@ def test_the_time_to_stable_is_way_and_window(
     gate = StabilityGate(33.0)
     for t_s, temp_c in temps.items():
         gate.add(t_s, temp_c)
-    found = seconds_to_stable(gate.report, 600.0, 0.15, rate_k_per_s(samples(temps)))
+    found = seconds_to_stable(gate, rate_k_per_s(samples(temps)))
     assert found == (None if expected is None else pytest.approx(expected))
 
 

@@ -29,7 +29,7 @@ from bench.rig.emulated_rig import EmulatedRig
 from bench.rig.loading import LoadedRig, load_rig
 from bench.rig.opening import open_instruments
 from bench.safety.bath_monitor import BathMonitor
-from bench.safety.interlocks import Interlocks, bath_of
+from bench.safety.interlocks import Interlocks
 from bench.safety.stability import StabilityGate
 from instruments.bath.emulator import FAULTS, RELAY_FAULTS
 from instruments.bath.sequence import heater_off, pump_on, start_bath
@@ -68,7 +68,7 @@ class WatchedBath(RuleBasedStateMachine):
         self.wrong: list[str] = []
         self.dry_since_s: float | None = None
         gate = StabilityGate(set_point_c=33.0, window_s=60.0)
-        interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+        interlocks = Interlocks(rig.rig.limits, rig.profile)
         acts = (self.clock, gate, interlocks, self.noted, self.made_safe)
         turns = partial(pump_on, self.bath)
         self.watch = BathMonitor(self.bath.read, *acts, pump_on=turns)

@@ -26,10 +26,10 @@ from bench.safety.signals import (
     CTRL_CLOSE_EVENT,
     CTRL_LOGOFF_EVENT,
     CTRL_SHUTDOWN_EVENT,
+    Exits,
     Handler,
     Interrupted,
     current,
-    handler_for,
     installed,
     undisturbed,
     windows_register,
@@ -83,16 +83,6 @@ def test_the_first_request_is_raised_and_the_second_is_noted() -> None:
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGTERM)
         assert exits.asked == ["SIGINT", "SIGINT", "SIGTERM"]
-
-
-@posix
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [("SIGINT", "Ctrl-C"), ("SIGTERM", "SIGTERM"), ("SIGHUP", "connection has gone")],
-)
-def test_each_request_says_who_asked(name: str, said: str) -> None:
-    with installed(), pytest.raises(Interrupted, match=said):
-        os.kill(os.getpid(), getattr(signal, name))
 
 
 @posix
@@ -326,10 +316,9 @@ def test_what_ends_the_program_puts_the_bath_into_standby_while_the_main_thread_
 
 
 def test_ctrl_c_and_ctrl_break_are_left_to_python() -> None:
-    text: list[str] = []
-    for event in (CTRL_C_EVENT, CTRL_BREAK_EVENT):
-        assert handler_for(text.append)(event) is False
-    assert text == []
+    exits = Exits()
+    assert [exits.console_event(event) for event in (CTRL_C_EVENT, CTRL_BREAK_EVENT)] == [False] * 2
+    assert exits.asked == []
 
 
 @pytest.mark.slow
@@ -369,6 +358,6 @@ def test_elsewhere_a_closed_terminal_is_a_signal() -> None:
 def test_windows_takes_the_handler_and_gives_it_back() -> None:
     register = windows_register()
     assert register is not None
-    handler = handler_for(lambda _: None)
+    handler = Exits().console_event
     register(handler, True)
     register(handler, False)

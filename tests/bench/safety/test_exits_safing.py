@@ -15,7 +15,7 @@ from bench.rig.opening import open_instruments
 from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, load_profile
 from instruments.bath.reading import BathReading
-from instruments.bath.registers import Row
+from instruments.bath.rows import Row
 from instruments.bath.sequence import heater_off, pump_on, pump_text, run_pump_on, start_bath
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, LinkError

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -31,13 +32,17 @@ from instruments.bath.driver import Bath
 from instruments.clock import RealClock, VirtualClock, stopwatch_s
 from instruments.errors import LinkError
 from instruments.link import Link
-from tests.bench.safety.guards import PATIENCE_S, HotBath, guardian_record, standby_after, within
+from tests.bench.safety.guards import PATIENCE_S, HotBath, standby_after, within
 from tests.conftest import ROOT
+
+
+def guardian_of(hot: HotBath) -> GuardianClient:
+    return GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat())
 
 
 @pytest.mark.slow
 def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> None:
-    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
+    with guardian_of(hot) as line:
         assert line.lost is None
         line.done()
     assert hot.plant.running
@@ -46,30 +51,16 @@ def test_done_lets_the_guardian_go_and_leaves_the_bath_alone(hot: HotBath) -> No
 
 @pytest.mark.slow
 def test_left_without_a_word_the_guardian_takes_over(hot: HotBath) -> None:
-    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()):
+    with guardian_of(hot):
         pass
     standby_after(hot.plant)
     assert hot.record()["cause"] == "gave up"
 
 
 @pytest.mark.slow
-def test_a_main_thread_that_hangs_while_the_others_live_is_seen(hot: HotBath) -> None:
-    pulse = Heartbeat()
-    pulse.sign("detecting", 0.5)
-    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, pulse) as line:
-        pulse.sign("detecting", 0.5)
-        standby_after(hot.plant)
-        within(PATIENCE_S, lambda: line.lost is not None, "the bench learned of it")
-        assert "took the bench for dead" in str(line.lost)
-    text = hot.record()
-    assert (text["cause"], text["standby"]) == ("hung", True)
-    assert text["why"] == "the main thread hangs: detecting took more than 0.5 s"
-
-
-@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
-    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
+    with guardian_of(hot) as line:
         os.kill(line.pid, signal.SIGKILL)
         within(PATIENCE_S, lambda: line.lost is not None, "the loss was seen")
         assert "ended by itself" in str(line.lost)
@@ -79,7 +70,7 @@ def test_a_guardian_that_dies_is_missed(hot: HotBath) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="this system has no SIGSTOP")
 def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotBath) -> None:
-    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
+    with guardian_of(hot) as line:
         beats = BEAT_S * (UNANSWERED + 3)
         start_s = time.monotonic()
         while time.monotonic() - start_s < beats:
@@ -99,7 +90,7 @@ def test_a_guardian_that_is_frozen_is_missed_and_one_that_lives_is_not(hot: HotB
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the process's state from /proc")
 def test_the_guardian_has_the_priority_and_the_memory_that_the_system_grants(hot: HotBath) -> None:
-    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
+    with guardian_of(hot) as line:
         status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
         resident, locked = (
             next(int(row.split()[1]) for row in status.split("\n") if row.startswith(name))
@@ -149,7 +140,7 @@ def test_a_mistake_in_one_try_does_not_end_the_guardian(
 def test_the_guardian_is_small_and_gets_no_signal_that_is_meant_for_the_bench(
     hot: HotBath,
 ) -> None:
-    with GuardianClient(GuardianTarget(hot.url, "julabo-presto"), hot.folder, Heartbeat()) as line:
+    with guardian_of(hot) as line:
         if sys.platform == "linux":
             status = Path(f"/proc/{line.pid}/status").read_text(encoding="utf-8")
             (resident,) = [
@@ -180,30 +171,17 @@ def test_under_virtual_time_there_is_nothing_to_guard(tmp_path: Path) -> None:
         assert guardian_client is None
 
 
-STARTED = """
+BENCH_THAT_FORKS = """
 import os, subprocess, sys, time
 command = [sys.executable, "-m", "bench.safety.guardian", "--url", sys.argv[1], "--profile", "julabo-presto", "--record", sys.argv[2]]
 child = subprocess.Popen(command + ["--bench", str(os.getpid())], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 child.stdout.readline()
 print("ready", flush=True)
-"""
-BENCH_THAT_FORKS = (
-    STARTED
-    + """
 forked = os.fork()
 if forked:
     print(forked, flush=True)
 time.sleep(100)
 """
-)
-BENCH_THAT_HANGS = (
-    STARTED
-    + """
-child.stdin.write(b"hung: the main thread hangs" + bytes([10]))
-child.stdin.flush()
-time.sleep(100)
-"""
-)
 
 
 @pytest.mark.slow
@@ -224,98 +202,56 @@ def test_a_bench_that_dies_is_noticed_while_its_end_of_the_pipe_is_still_open(ho
     assert (hot.record()["cause"], hot.record()["why"]) == ("died", "the system is ending it")
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-def test_a_hung_bench_that_keeps_the_port_is_ended(hot: HotBath) -> None:
-    """The port takes nobody until the bench that holds it is gone, as a serial port does."""
-    with socket.create_server(("127.0.0.1", 0)) as closed:
-        port = closed.getsockname()[1]
-    record = hot.folder / "guardian.json"
-    command = [sys.executable, "-c", BENCH_THAT_HANGS, f"tcp://127.0.0.1:{port}", str(record)]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as child:
-        assert child.stdout is not None
-        assert child.stdout.readline() == b"ready\n"
-        assert child.wait(60) == -signal.SIGKILL
-        within(PATIENCE_S, record.is_file, "the record")
-        forward(port, hot.url)
-        standby_after(hot.plant)
-    text = guardian_record(hot.folder, lambda text: text["standby"])
-    assert text["killed"] is True
-    assert text["tries"] >= 2
+MOVING, DETECTING = ("moving", 600.0, 10.0), ("detecting", 60.0, None)
 
 
-def forward(port: int, url: str) -> None:
-    """From now on ``port`` leads to the bath, for one connection."""
-
-    def serve() -> None:
-        with socket.create_server(("127.0.0.1", port)) as server:
-            near, _ = server.accept()
-        host, _, far_port = url.removeprefix("tcp://").partition(":")
-        with near, socket.create_connection((host, int(far_port))) as far:
-            while data := near.recv(1000):
-                far.sendall(data)
-                near.sendall(far.recv(1000))
-
-    threading.Thread(target=serve, daemon=True).start()
-
-
+@dataclass
 class Stopwatch:
     """Real time as the test says."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.now_s = 1000.0
-        monkeypatch.setattr("bench.safety.guardian_client.stopwatch_s", lambda: self.now_s)
+    now_s: float = 1000.0
 
 
 @pytest.fixture
 def watch(monkeypatch: pytest.MonkeyPatch) -> Stopwatch:
-    return Stopwatch(monkeypatch)
+    watch = Stopwatch()
+    monkeypatch.setattr("bench.safety.guardian_client.stopwatch_s", lambda: watch.now_s)
+    return watch
 
 
-@pytest.fixture
-def pulse(watch: Stopwatch) -> Heartbeat:
-    """The main thread moves something, for ten minutes at most."""
-    heartbeat = Heartbeat()
-    heartbeat.sign("moving", 600.0, silence_s=10.0)
-    return heartbeat
-
-
-def test_a_long_move_that_shows_life_is_no_hang(watch: Stopwatch, pulse: Heartbeat) -> None:
-    for _ in range(60):
-        watch.now_s += 9.0
-        assert pulse.overdue() is None
-        pulse.alive()
-    watch.now_s += 10.1
-    assert pulse.overdue() == "the main thread hangs: moving, and no sign of life for 10 s"
-
-
-def test_life_without_an_end_hangs_too(watch: Stopwatch, pulse: Heartbeat) -> None:
-    for _ in range(101):
-        watch.now_s += 6.0
-        pulse.alive()
-    assert pulse.overdue() == "the main thread hangs: moving took more than 600 s"
-
-
-def test_a_computation_may_be_silent_for_as_long_as_it_may_take(watch: Stopwatch) -> None:
-    pulse = Heartbeat()
-    pulse.sign("detecting", 60.0)
-    watch.now_s += 59.0
-    assert pulse.overdue() is None
-    watch.now_s += 2.0
-    assert "detecting took more than 60 s" in str(pulse.overdue())
-
-
-def test_who_sleeps_says_for_how_long(watch: Stopwatch, pulse: Heartbeat) -> None:
-    pulse.alive(asleep_s=30.0)
-    watch.now_s += 39.0
-    assert pulse.overdue() is None
-    watch.now_s += 2.0
-    assert pulse.overdue() is not None
-
-
-def test_the_life_of_another_thread_is_not_that_of_the_main_one(
-    watch: Stopwatch, pulse: Heartbeat
+@pytest.mark.parametrize(
+    ("doing", "alive", "more_s", "hangs"),
+    [  # ``alive``: after so many seconds, so often, and asleep from then on for so long
+        (MOVING, (9.0, 60, 0.0), 9.9, None),
+        (MOVING, (9.0, 60, 0.0), 10.1, "moving, and no sign of life for 10 s"),
+        (MOVING, (6.0, 101, 0.0), 0.0, "moving took more than 600 s"),
+        (MOVING, (0.0, 1, 30.0), 39.0, None),
+        (MOVING, (0.0, 1, 30.0), 41.0, "moving, and no sign of life for 10 s"),
+        (DETECTING, (0.0, 0, 0.0), 59.0, None),  # it may be silent for as long as it may take
+        (DETECTING, (0.0, 0, 0.0), 61.0, "detecting took more than 60 s"),
+    ],
+)
+def test_who_hangs_and_who_does_not(
+    watch: Stopwatch,
+    doing: tuple[str, float, float | None],
+    alive: tuple[float, int, float],
+    more_s: float,
+    hangs: str | None,
 ) -> None:
+    pulse = Heartbeat()
+    pulse.sign(*doing[:2], silence_s=doing[2])
+    after_s, times, asleep_s = alive
+    for turn in range(1, times + 1):
+        watch.now_s += after_s
+        assert pulse.overdue() is None or after_s * turn > doing[1]
+        pulse.alive(asleep_s)
+    watch.now_s += more_s
+    assert pulse.overdue() == (hangs and f"the main thread hangs: {hangs}")
+
+
+def test_the_life_of_another_thread_is_not_that_of_the_main_one(watch: Stopwatch) -> None:
+    pulse = Heartbeat()
+    pulse.sign("moving", 600.0, silence_s=10.0)
     watch.now_s += 9.0
     other = threading.Thread(target=pulse.alive)
     other.start()

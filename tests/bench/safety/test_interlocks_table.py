@@ -17,7 +17,7 @@ from bench.config import ConfigError
 from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
 from bench.rig.model import Limits
 from bench.safety.bath_monitor import BathMonitor
-from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, bath_of, moving_of, rule_named
+from bench.safety.interlocks import RULES, Interlocks, InterlockTrip, moving_of, rule_named
 from bench.safety.latch import (
     LatchedError,
     acknowledge,
@@ -86,11 +86,17 @@ def test_every_row_is_walked() -> None:
     assert list(WALKS) == [rule.name for rule in RULES]
 
 
+def written(folder: Path, change: Callable[[str], str] = str) -> LoadedRig:
+    """A lab's rig in ``folder``, its text changed."""
+    (folder / "calibration.toml").write_bytes((RIGS / "calibration.toml").read_bytes())
+    path = folder / "lab.example.toml"
+    path.write_text(change((RIGS / path.name).read_text(encoding="utf-8")), encoding="utf-8")
+    return load_rig(path)
+
+
 @pytest.fixture
 def lab(tmp_path: Path) -> LoadedRig:
-    for name in ("lab.example.toml", "calibration.toml"):
-        (tmp_path / name).write_text((RIGS / name).read_text(encoding="utf-8"), encoding="utf-8")
-    return load_rig(tmp_path / "lab.example.toml")
+    return written(tmp_path)
 
 
 @pytest.mark.parametrize("name", WALKS)
@@ -130,7 +136,7 @@ def walked(walk: Walk) -> list[tuple[float, Exception]]:
     """
     clock, acts = VirtualClock(), list[tuple[float, Exception]]()
     profile = load_profile("julabo-presto")
-    interlocks = Interlocks(Limits(), bath_of(profile))
+    interlocks = Interlocks(Limits(), profile)
 
     def act(trip: Exception) -> bool:
         acts.append((clock.now(), trip))
@@ -222,18 +228,14 @@ SET_C, TINY = 30.0, 2**-20  # exact in floating point, as all figures here: 1.87
 
 def with_limits(folder: Path, **changed: str) -> LoadedRig:
     """A rig file in ``folder`` none of whose limits is the default."""
-    for name in ("lab.example.toml", "calibration.toml"):
-        (folder / name).write_text((RIGS / name).read_text(encoding="utf-8"), encoding="utf-8")
-    path = folder / "lab.example.toml"
-    text = path.read_text(encoding="utf-8")
     keys = "\n".join(f"{key} = {value}" for key, value in (LIMITS | changed).items())
-    path.write_text(f"{text[: text.index('[limits]')]}[limits]\n{keys}\n", encoding="utf-8")
-    return load_rig(path)
+    limits = f"[limits]\n{keys}\n"
+    return written(folder, lambda text: f"{text[: text.index('[limits]')]}{limits}")
 
 
 def first_trip(rig: LoadedRig, at: Callable[[int], BathReading]) -> tuple[str, int] | None:
     """The rule and the second of the first trip of a bath that was started at SET_C."""
-    interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+    interlocks = Interlocks(rig.rig.limits, rig.profile)
     interlocks.heating(SET_C)
     for t in range(400):
         trip = interlocks.add(replace(at(t), t_s=float(t), raw=(t,)))
@@ -286,7 +288,7 @@ def test_the_highest_plausible_temperature_holds_on_both_sides(tmp_path: Path) -
 @pytest.mark.parametrize("answered", [False, True])
 def test_the_silence_of_a_rig_file_holds_on_both_sides(answered: bool, tmp_path: Path) -> None:
     rig, gone = with_limits(tmp_path), LinkError("bath", "no answer")
-    interlocks = Interlocks(rig.rig.limits, bath_of(rig.profile))
+    interlocks = Interlocks(rig.rig.limits, rig.profile)
     assert interlocks.silent(9.0 - TINY, gone, answered=answered) is None
     trip = interlocks.silent(9.0, gone, answered=answered)
     assert trip is not None
@@ -423,13 +425,13 @@ TODAY = date(2026, 11, 22)
 
 
 def with_bath(folder: Path, profile: str, tested: str) -> LoadedRig:
-    """The rig of the fixture ``lab`` in ``folder``, with another bath."""
-    path = folder / "lab.example.toml"
-    text = (RIGS / path.name).read_text(encoding="utf-8")
-    text = text.replace('"julabo-presto"', f'"{profile}"')
-    text = text.replace('cut_out_tested = ""', f'cut_out_tested = "{tested}"')
-    path.write_text(text, encoding="utf-8")
-    return load_rig(path)
+    """A lab's rig with another bath."""
+
+    def change(text: str) -> str:
+        text = text.replace('"julabo-presto"', f'"{profile}"')
+        return text.replace('cut_out_tested = ""', f'cut_out_tested = "{tested}"')
+
+    return written(folder, change)
 
 
 @pytest.mark.parametrize(("profile", "loss"), [("julabo-presto", "hold"), ("omega-cn7", "unknown")])

@@ -97,6 +97,18 @@ class Asked:
         assert not answer or answer == framed(1, answer[1:-2])
         return answer[1:-2].hex(" ").upper()
 
+    def talk(self, turns: str) -> None:
+        """Each ``request > answer`` of a line has its answer; without one, any."""
+        for turn in turns.strip().split("\n"):
+            request, asks, answer = turn.partition("#")[0].partition(">")
+            said = self.ask(request)
+            assert not asks or said == answer.strip(), turn
+
+    def break_for(self, seconds: float, fault: str) -> None:
+        """Break something, and let time pass."""
+        self.emulator.fault(fault)
+        self.clock.sleep(seconds)
+
     def ask_tcp(self, frames: str) -> str:
         """Whole frames over a fresh connection; hex of what comes back."""
         return Wire(self.emulator, self.clock).send(bytes.fromhex(frames)).hex(" ").upper()

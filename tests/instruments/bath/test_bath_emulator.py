@@ -156,14 +156,6 @@ def test_faults_by_name(tcp: Asked, fault: str, request_: str, answer: str) -> N
     assert tcp.emulator.faults == frozenset()
 
 
-def test_faults_of_the_plant(tcp: Asked) -> None:
-    plant = tcp.plant
-    for on in (True, False):
-        for fault in ("stuck heater", "dead heater", "pump stopped"):
-            tcp.emulator.fault(fault, on=on)
-        assert (plant.stuck_heater, plant.dead_heater, plant.stopped_pump) == (on, on, on)
-
-
 def test_an_unknown_fault_is_refused(tcp: Asked) -> None:
     with pytest.raises(ValueError, match="no fault 'gremlins'; there are silence, busy"):
         tcp.emulator.fault("gremlins")

@@ -12,110 +12,104 @@ from hypothesis import strategies as st
 
 from tests.instruments.bath.devices import EUROTHERMS, NO_PUMP, OMEGA, WATLOWS, Asked
 
+eurotherm = pytest.mark.parametrize("profile", EUROTHERMS)
+
+
 # ---- Eurotherm: 1.1
 
 
-@pytest.mark.parametrize("profile", EUROTHERMS)
-@pytest.mark.parametrize(
-    ("request_", "answer"),
-    [
-        ("03 8002 0002", "03 04 41 A0 00 00"),  # PV in the IEEE area, high word first
-        ("04 8002 0002", "04 04 41 A0 00 00"),  # 3 and 4 are the same
-        ("03 0001 0001", "03 02 00 C8"),  # PV as an integer, one decimal
-        ("10 8004 0002 04 4204 0000", "10 80 04 00 02"),  # the target set point
-        ("06 0002 014A", "06 00 02 01 4A"),  # the same as an integer: 33.0
-        ("03 00C7 0001", "03 02 00 01"),  # standby
-        ("06 00C7 0000", "06 00 C7 00 00"),  # normal
-        ("03 8002 0001", "83 02"),  # half a pair
-        ("03 8003 0002", "83 02"),  # from an odd address
-        ("06 8004 4204", "86 02"),  # function 6 on a pair
-        ("10 8004 0001 02 4204", "90 02"),
-        ("06 00C7 0003", "86 03"),  # a mode that is none
-        ("06 0001 0000", "86 02"),  # the process value can't be written
-        ("2B 0E 01 00", ""),  # an unsupported function gets no reply
-        ("17 0000 0001 0002 0001 02 0001", ""),
-        ("0F 0000 0001 01 01", ""),
-        ("08 0000 1234", "08 00 00 12 34"),  # loopback
-        ("08 0001 1234", "88 03"),  # with another sub-function
-    ],
-)
-def test_eurotherm_bytes(profile: str, request_: str, answer: str) -> None:
-    controller = Asked(profile)
-    assert controller.ask(request_) == answer
+@eurotherm
+def test_eurotherm_bytes(profile: str) -> None:
+    Asked(profile).talk("""
+        03 8002 0002 > 03 04 41 A0 00 00  # PV in the IEEE area, high word first
+        04 8002 0002 > 04 04 41 A0 00 00  # 3 and 4 are the same
+        03 0001 0001 > 03 02 00 C8        # PV as an integer, one decimal
+        03 00C7 0001 > 03 02 00 01        # standby
+        06 00C7 0000 > 06 00 C7 00 00     # normal
+        03 8002 0001 > 83 02              # half a pair
+        03 8003 0002 > 83 02              # from an odd address
+        06 8004 4204 > 86 02              # function 6 on a pair
+        10 8004 0001 02 4204 > 90 02
+        06 00C7 0003 > 86 03              # a mode that is none
+        06 0001 0000 > 86 02              # the process value can't be written
+        2B 0E 01 00 >                     # an unsupported function gets no reply
+        17 0000 0001 0002 0001 02 0001 >
+        0F 0000 0001 01 01 >
+        08 0000 1234 > 08 00 00 12 34     # loopback
+        08 0001 1234 > 88 03              # with another sub-function
+    """)
 
 
-@pytest.mark.parametrize("profile", EUROTHERMS)
+@eurotherm
 def test_eurotherm_has_each_quantity_in_both_areas(profile: str) -> None:
-    controller = Asked(profile)
-    controller.ask("10 8004 0002 04 4207 0000")  # 33.75
-    assert controller.word(2) == 338
-    controller.ask("06 0002 014A")
-    assert controller.float(0x8004) == 33.0
-    assert controller.ask("03 818E 0002") == "03 04 00 01 80 00"  # 199: one word, padded
+    Asked(profile).talk("""
+        10 8004 0002 04 4207 0000 > 10 80 04 00 02  # the target set point: 33.75
+        03 0002 0001 > 03 02 01 52                  # the same as an integer: 33.8
+        06 0002 014A > 06 00 02 01 4A               # 33.0
+        03 8004 0002 > 03 04 42 04 00 00
+        03 818E 0002 > 03 04 00 01 80 00            # 199: one word, padded
+    """)
 
 
-@pytest.mark.parametrize("profile", EUROTHERMS)
+@eurotherm
 def test_eurotherm_confirms_a_lone_register_that_it_discards(profile: str) -> None:
     controller = Asked(profile)
     before = controller.word(0x1234)  # not configured: undefined, and no exception
-    assert controller.ask("10 1234 0001 02 0007") == "10 12 34 00 01"
+    controller.talk("10 1234 0001 02 0007 > 10 12 34 00 01")
     assert controller.word(0x1234) == before != 7
-    assert controller.ask("06 1234 0007") == "86 02"
-    assert controller.ask("10 1234 0002 04 0007 0007") == "90 02"
+    controller.talk("06 1234 0007 > 86 02\n10 1234 0002 04 0007 0007 > 90 02")
 
 
-@pytest.mark.parametrize("profile", EUROTHERMS)
+@eurotherm
 def test_eurotherm_knows_exceptions_2_and_3_only(profile: str) -> None:
     controller = Asked(profile)
     controller.emulator.fault("busy")
-    assert controller.ask("03 8002 0002") == ""
+    controller.talk("03 8002 0002 >")
 
 
-@pytest.mark.parametrize("profile", EUROTHERMS)
+@eurotherm
 def test_eurotherm_status_word(profile: str) -> None:
     controller = Asked(profile)
     assert controller.word(75) & 0x0020 == 0
-    controller.emulator.fault("sensor break")
-    controller.clock.sleep(1.0)
+    controller.break_for(1.0, "sensor break")
     assert controller.word(75) & 0x0020 == 0x0020  # bit 5
     assert controller.float(0x8002) == 20.0  # undocumented, and so the worst: the last value
     # the fast status byte is the lower half
     assert int(controller.ask("07")[3:], 16) & 0x20 == 0x20
 
 
-@pytest.mark.parametrize("profile", EUROTHERMS)
+@eurotherm
 def test_eurotherm_is_silent_for_5_s_when_it_resets_and_goes_on(profile: str) -> None:
     controller = Asked(profile)
-    controller.ask("10 8004 0002 04 4204 0000")
-    controller.ask("06 00C7 0000")
-    controller.emulator.fault("controller reset")
-    controller.clock.sleep(4.7)
-    assert controller.ask("03 8002 0002") == ""
+    controller.talk("10 8004 0002 04 4204 0000\n06 00C7 0000")
+    controller.break_for(4.7, "controller reset")
+    controller.talk("03 8002 0002 >")
     controller.clock.sleep(0.2)
     assert controller.float(0x8004) == 33.0
     assert controller.plant.running
 
 
-@pytest.mark.parametrize("profile", EUROTHERMS)
+@eurotherm
 def test_eurotherm_follows_the_remote_set_point_where_it_is_set_so(profile: str) -> None:
     controller = Asked(profile)
-    controller.ask("10 8004 0002 04 4204 0000")  # local, parameter 2: 33
-    controller.ask("10 8034 0002 04 41F8 0000")  # remote, parameter 26: 31
-    assert controller.plant.set_point_c == 33.0
-    controller.ask("06 0114 0001")  # 276
-    assert controller.plant.set_point_c == 31.0
-    assert controller.float(0x8004) == 33.0
-    controller.ask("06 0114 0000")
-    assert controller.plant.set_point_c == 33.0
+    # local, parameter 2: 33; remote, parameter 26: 31; 276: which of them
+    controller.talk("10 8004 0002 04 4204 0000\n10 8034 0002 04 41F8 0000")
+    for choice, aim_c in (("", 33.0), ("06 0114 0001", 31.0), ("06 0114 0000", 33.0)):
+        if choice:
+            controller.talk(choice)
+        assert controller.plant.set_point_c == aim_c
+        assert controller.float(0x8004) == 33.0
 
 
-@pytest.mark.parametrize("profile", EUROTHERMS)
+@eurotherm
 def test_eurotherm_ramp_output_limit_and_rate(profile: str) -> None:
     controller = Asked(profile)
-    controller.ask("10 803C 0002 04 4220 0000")  # parameter 30: 40 %
-    controller.ask("10 8046 0002 04 3F80 0000")  # parameter 35: 1 K/min
-    controller.ask("10 8004 0002 04 4204 0000")
-    controller.ask("06 00C7 0000")
+    controller.talk("""
+        10 803C 0002 04 4220 0000  # parameter 30: 40 %
+        10 8046 0002 04 3F80 0000  # parameter 35: 1 K/min
+        10 8004 0002 04 4204 0000
+        06 00C7 0000
+    """)
     controller.clock.sleep(180.0)
     assert controller.float(0x800A) == pytest.approx(23.0, abs=0.1)  # parameter 5, after the ramp
     controller.ask("10 8046 0002 04 0000 0000")
@@ -126,37 +120,28 @@ def test_eurotherm_ramp_output_limit_and_rate(profile: str) -> None:
         assert controller.float(0x80CE) == pytest.approx(0.4 * 1.8, abs=0.3)
 
 
-@pytest.mark.parametrize(
-    ("profile", "model"), [("eurotherm-2400", 0x2416), ("eurotherm-3200", 0x3216)]
-)
-def test_eurotherm_says_which_it_is(profile: str, model: int) -> None:
-    assert Asked(profile).word(122) == model
-
-
 # ---- Watlow: 1.3
 
 
 @pytest.mark.parametrize(
     ("profile", "set_point", "mode", "power"),
-    [(WATLOWS[0], 2160, 1880, 1904), (WATLOWS[1], 2640, 2360, 2384)],
+    [(WATLOWS[0], "0870", "0758", 1904), (WATLOWS[1], "0A50", "0938", 2384)],
 )
-def test_watlow_maps(profile: str, set_point: int, mode: int, power: int) -> None:
+def test_watlow_maps(profile: str, set_point: str, mode: str, power: int) -> None:
     controller = Asked(profile)
-    # 360: 20.0 with the low word first
-    assert controller.ask("03 0168 0002") == "03 04 00 00 41 A0"
-    assert controller.ask("04 0168 0002") == "04 04 00 00 41 A0"
-    assert controller.word(mode) == 62  # off
-    assert (
-        controller.ask(f"10 {set_point:04X} 0002 04 0000 4204")
-        == f"10 {set_point >> 8:02X} {set_point & 255:02X} 00 02"
-    )
-    assert controller.ask(f"06 {mode:04X} 000A")[-5:] == "00 0A"
-    assert controller.plant.running
-    assert controller.plant.set_point_c == 33.0
+    # 360: 20.0 with the low word first; off
+    controller.talk(f"""
+        03 0168 0002 > 03 04 00 00 41 A0
+        04 0168 0002 > 04 04 00 00 41 A0
+        03 {mode} 0001 > 03 02 00 3E
+        10 {set_point} 0002 04 0000 4204 > 10 {set_point[:2]} {set_point[2:]} 00 02
+        06 {mode} 000A > 06 {mode[:2]} {mode[2:]} 00 0A
+    """)
+    assert (controller.plant.running, controller.plant.set_point_c) == (True, 33.0)
     controller.clock.sleep(60.0)
     controller.ask("03 0168 0002")
     assert controller.float(power, low_first=True) == 100.0
-    assert controller.ask(f"06 {mode:04X} 003E")[-5:] == "00 3E"
+    controller.talk(f"06 {mode} 003E > 06 {mode[:2]} {mode[2:]} 00 3E")
     assert not controller.plant.running
 
 
@@ -171,57 +156,44 @@ def test_watlow_speaks_fahrenheit_until_it_is_set(profile: str, unit: int) -> No
 
 
 @pytest.mark.parametrize("profile", WATLOWS)
-def test_watlow_words_may_be_set_the_other_way_round(profile: str) -> None:
-    controller = Asked(profile)
-    controller.emulator.fault("word order")
-    assert controller.float(360) == 20.0
-
-
-@pytest.mark.parametrize("profile", WATLOWS)
-def test_watlow_input_error(profile: str) -> None:
+def test_watlow_word_order_and_input_error(profile: str) -> None:
     controller = Asked(profile)
     assert controller.word(362) == 61
-    controller.emulator.fault("sensor break")
-    controller.clock.sleep(1.0)
+    controller.break_for(1.0, "word order")
+    assert controller.float(360) == 20.0
+    controller.break_for(1.0, "sensor break")
     assert controller.word(362) == 65
 
 
 # ---- Omega: 1.4
 
 
-@pytest.mark.parametrize(
-    ("request_", "answer"),
-    [
-        ("03 1000 0001", "03 02 00 C8"),  # 20.0
-        ("06 1001 014A", "06 10 01 01 4A"),  # set point 33.0
-        ("02 0814 0001", "02 01 00"),  # stopped
-        ("05 0814 FF00", "05 08 14 FF 00"),  # run
-        ("05 0814 0001", "85 03"),
-        ("01 0814 0001", "81 01"),  # 2, 3, 5 and 6 only
-        ("04 1000 0001", "84 01"),
-        ("10 1001 0001 02 014A", "90 01"),
-        ("03 2000 0001", "83 02"),
-    ],
-)
-def test_omega_bytes(request_: str, answer: str) -> None:
-    assert Asked(OMEGA).ask(request_) == answer
+def test_omega_bytes() -> None:
+    Asked(OMEGA).talk("""
+        03 1000 0001 > 03 02 00 C8     # 20.0
+        06 1001 014A > 06 10 01 01 4A  # set point 33.0
+        02 0814 0001 > 02 01 00        # stopped
+        05 0814 FF00 > 05 08 14 FF 00  # run
+        02 0814 0001 > 02 01 01
+        05 0814 0001 > 85 03
+        01 0814 0001 > 81 01           # 2, 3, 5 and 6 only
+        04 1000 0001 > 84 01
+        10 1001 0001 02 014A > 90 01
+        03 2000 0001 > 83 02
+    """)
 
 
 def test_omega_runs_by_its_coil_and_shows_an_error_code_for_a_broken_sensor() -> None:
     controller = Asked(OMEGA)
-    controller.ask("06 1001 014A")
-    controller.ask("05 0814 FF00")
+    controller.talk("06 1001 014A\n05 0814 FF00")
     assert controller.plant.running
-    assert controller.ask("02 0814 0001") == "02 01 01"
     controller.clock.sleep(60.0)
     controller.ask("03 1000 0001")
     assert controller.word(0x1012) == 1000  # 100 %, in tenths
-    controller.emulator.fault("sensor break")
-    controller.clock.sleep(1.0)
+    controller.break_for(1.0, "sensor break")
     assert controller.word(0x1000) == 0x8003
     controller.emulator.fault("wrong length")
-    assert controller.ask("02 0814 0001") == "02 00"
-    controller.ask("05 0814 0000")
+    controller.talk("02 0814 0001 > 02 00\n05 0814 0000")
     assert not controller.plant.running
 
 
@@ -231,26 +203,22 @@ def test_omega_runs_by_its_coil_and_shows_an_error_code_for_a_broken_sensor() ->
 @pytest.mark.parametrize("profile", ["julabo-magio", "julabo-presto"])
 def test_julabo_exchanges_registers(profile: str) -> None:
     controller = Asked(profile)
-    assert (
-        controller.ask("17 0000 0004 0000 0004 08 0001 0000 4204 0000")
-        == "17 08 00 01 00 00 42 04 00 00"
-    )
+    controller.talk("""
+        17 0000 0004 0000 0004 08 0001 0000 4204 0000 > 17 08 00 01 00 00 42 04 00 00
+        17 0000 0004 0000 0001 02 0007 > 97 03
+        03 0003 0001 > 03 02 00 00
+        0F 0000 0001 01 01 > 8F 01
+    """)
     assert controller.plant.running
-    assert controller.ask("17 0000 0004 0000 0001 02 0007") == "97 03"
-    assert controller.ask("03 0003 0001") == "03 02 00 00"
-    assert controller.ask("0F 0000 0001 01 01") == "8F 01"
 
 
 def test_julabo_heats_with_a_power_of_its_own_when_that_is_digital() -> None:
     controller = Asked("julabo-presto")
-    controller.ask("06 0000 0001")
-    controller.ask("06 0004 001E")  # 30 %
-    controller.ask("06 0001 0001")  # digital
+    controller.talk("06 0000 0001\n06 0004 001E\n06 0001 0001")  # started; 30 %; digital
     controller.clock.sleep(1.0)
-    assert controller.ask("04 000E 0001") == "04 02 00 1E"
-    controller.ask("06 0004 0000")
+    controller.talk("04 000E 0001 > 04 02 00 1E\n06 0004 0000")
     controller.clock.sleep(1.0)
-    assert controller.ask("04 000E 0001") == "04 02 00 00"
+    controller.talk("04 000E 0001 > 04 02 00 00")
 
 
 @pytest.mark.parametrize("code", range(4))
@@ -261,18 +229,15 @@ def test_julabo_turns_every_register_but_the_one_that_tells_the_order(code: int)
     controller = Asked("julabo-presto")
     controller.ask(f"06 005D {code:04X}")
     assert controller.word(93) == code
-    assert (
-        controller.ask("04 000A 0002")
-        == "04 04 " + ["41 A0 00 00", "00 00 A0 41", "A0 41 00 00", "00 00 41 A0"][code]
-    )
+    turned = ["41 A0 00 00", "00 00 A0 41", "A0 41 00 00", "00 00 41 A0"][code]
+    controller.talk(f"04 000A 0002 > 04 04 {turned}")
 
 
 def test_julabo_forgets_the_start_command_in_a_reset() -> None:
     controller = Asked("julabo-presto")
     controller.ask("10 0000 0004 08 0001 0000 4204 0000")
-    controller.emulator.fault("controller reset")
-    controller.clock.sleep(2.0)
-    assert controller.ask("03 0000 0004") == "03 08 00 00 00 00 41 A0 00 00"
+    controller.break_for(2.0, "controller reset")
+    controller.talk("03 0000 0004 > 03 08 00 00 00 00 41 A0 00 00")
     assert not controller.plant.running
 
 

@@ -18,8 +18,8 @@ from instruments.bath.profile import (
     load_register_profile,
 )
 from instruments.bath.register_access import RegisterAccess
-from instruments.bath.registers import WORDS, Kind, Order, decode, encode
 from instruments.bath.requests import blocks, markers
+from instruments.bath.rows import WORDS, Kind, Order, decode, encode
 from tests.instruments.bath.devices import EUROTHERMS, REGISTER_FAMILIES, WATLOWS
 from tests.instruments.bath.far_end import bath_on, rtu, shown_by
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import pytest
 
 from instruments.bath.profile import load_register_profile
 from instruments.bath.reading import BathReading
-from instruments.bath.register_access import Poll
-from instruments.bath.registers import Order
+from instruments.bath.register_access import RegisterAccess
+from instruments.bath.requests import blocks
+from instruments.bath.rows import Order
+from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, ProtocolError
 
 # started, controller in charge, set point 33.125; degC, first order
@@ -18,11 +22,14 @@ HEAD = "0004 0000 0002 0000 0000 "  # Modbus in charge, no alarm, warning 2, a g
 
 def read(registers: str, *, order: Order = "ABCD", gaps: bool = True) -> BathReading:
     """The reading at 7 s; blocks are cut apart by ``|``."""
-    poll = Poll(load_register_profile("julabo-presto"), order, gaps=gaps, who="bath")
+    profile = load_register_profile("julabo-presto")
+    access = RegisterAccess("tcp://127.0.0.1:1", profile, VirtualClock(), who="bath")
+    access.order = order
     run = RUN if gaps else RUN_APART
-    return poll.reading(
-        7.0, [[int(word, 16) for word in block.split()] for block in (run + registers).split("|")]
-    )
+    raw: dict[str, Sequence[int]] = {}
+    for block, words in zip(blocks(profile, gaps=gaps), (run + registers).split("|"), strict=True):
+        raw |= block.apart([int(word, 16) for word in words.split()])
+    return access.reading(7.0, raw)
 
 
 def test_a_reading() -> None:

@@ -4,7 +4,6 @@ virtual time in the midst of another call on the same link, as interlocks do it.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,8 +15,8 @@ from instruments.bath.profile import load_register_profile
 from instruments.bath.session import BrokenError
 from instruments.clock import VirtualClock
 from instruments.errors import DeviceError, InstrumentError, LinkError, ProtocolError
-from instruments.listener import Connection, Listener
 from tests.instruments.bath.devices import Stand
+from tests.instruments.bath.far_end import Spoil, virtual
 
 # ---- trouble under way
 
@@ -64,15 +63,6 @@ def test_a_power_cut_is_reported_once(stand: Stand) -> None:
     assert stand.plant.running
 
 
-def test_a_controller_switched_off_is_a_link_error(stand: Stand) -> None:
-    bath = stand.bath()
-    stand.listener.close()
-    with pytest.raises(LinkError, match="nothing took the connection"):
-        bath.read()
-    with pytest.raises(LinkError, match="nothing took the connection"):
-        bath.safe()
-
-
 def test_an_event_of_virtual_time_may_ask_while_an_answer_is_awaited(stand: Stand) -> None:
     bath = stand.bath()
     stand.emulator.fault("late answer")
@@ -83,40 +73,7 @@ def test_an_event_of_virtual_time_may_ask_while_an_answer_is_awaited(stand: Stan
     assert seen == [pytest.approx(20.0)]
 
 
-def test_an_interrupted_question_drops_the_link(stand: Stand) -> None:
-    bath = stand.bath()
-    bath.start(33.0)
-    stand.emulator.fault("late answer")
-
-    def interrupt() -> None:
-        raise KeyboardInterrupt
-
-    stand.clock.call_at(stand.clock.now() + 0.5, interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        bath.read()
-    stand.emulator.fault("late answer", on=False)
-    bath.safe()
-    assert not stand.plant.running
-    assert bath.read().temp_c == pytest.approx(20.0, abs=0.05)
-    # over a new link, looked at anew
-    assert [address for _, _, address in stand.emulator.asked].count(93) == 2
-
-
 # ---- safe
-
-
-@pytest.mark.parametrize(
-    "fault",
-    ["fahrenheit", "sensor break", "low level", "word order", "gaps refused", "stuck heater"],
-)
-def test_safe_is_standby_whatever_is_wrong(stand: Stand, fault: str) -> None:
-    bath = stand.bath()
-    bath.start(33.0)
-    stand.emulator.fault(fault)
-    stand.clock.sleep(1.0)
-    bath.safe()
-    bath.safe()
-    assert not stand.plant.running
 
 
 def test_safe_writes_even_what_seems_so_already(stand: Stand) -> None:
@@ -144,41 +101,15 @@ def test_safe_says_so_when_it_can_not(
     assert not stand.plant.running
 
 
-def test_whoever_cleans_up_needs_no_look_at_the_controller(stand: Stand) -> None:
-    stand.bath().start(33.0)
-    stand.emulator.fault("fahrenheit")
-    other = stand.bath(identify=False)
-    other.safe()
-    assert not stand.plant.running
-    with pytest.raises(DeviceError, match="degC"):
-        other.read()
-
-
 # ---- a controller of another make: answers that pymodbus lets through
-
-
-class Liar:
-    """Answers every request with ``reply(request)``."""
-
-    def __init__(self, reply: Callable[[bytes], bytes]) -> None:
-        self.reply = reply
-
-    def connect(self, connection: Connection) -> None:
-        """Nothing unasked."""
-
-    def disconnect(self, connection: Connection) -> None:
-        """Nothing to forget."""
-
-    def receive(self, connection: Connection, data: bytes) -> None:
-        connection.send(self.reply(data))
 
 
 NO_ANSWER = "what came is no answer to this"
 
 
-def behind(answer: str, number: bytes = b"") -> Callable[[bytes], bytes]:
-    """Replies with ``answer``, under the question's number by default."""
-    return lambda asked: (number or asked[:2]) + bytes.fromhex(f"0000 0005 {answer}")
+def behind(answer: str, number: bytes = b"") -> Spoil:
+    """Another ``answer``, under the question's number by default."""
+    return lambda frame: (number or frame[:2]) + bytes.fromhex(f"0000 0005 {answer}")
 
 
 @pytest.mark.parametrize(
@@ -191,12 +122,11 @@ def behind(answer: str, number: bytes = b"") -> Callable[[bytes], bytes]:
         (lambda _: b"HTTP/1.1 400 Bad Request\r\n\r\n", f"{NO_ANSWER}.*got 48 54 54 50"),
     ],
 )
-def test_answers_that_are_none(reply: Callable[[bytes], bytes], message: str) -> None:
-    clock = VirtualClock()
-    listener = Listener(Liar(reply), clock, lock=threading.RLock(), name="liar")
-    with pytest.raises(ProtocolError, match=message):
-        Bath(f"tcp://127.0.0.1:{listener.port}", load_register_profile("julabo-presto"), clock)
-    listener.close()
+def test_answers_that_are_none(reply: Spoil, message: str) -> None:
+    with virtual("tcp") as (far_end, url):
+        far_end.spoils = [reply] * 9
+        with pytest.raises(ProtocolError, match=message):
+            Bath(url, load_register_profile("julabo-presto"), far_end.clock)
 
 
 CALLS: dict[str, Callable[[Bath], object]] = {

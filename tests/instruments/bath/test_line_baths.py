@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -283,104 +284,84 @@ def test_what_a_lauda_is_told() -> None:
 @dataclass(frozen=True)
 class Family:
     """``replies`` in standby at 20.5 degC with a set point of 33 degC; ``faults``: other replies and
-    the text of the alarm that they show. ``told``, and how a write changes what is read; ``confirm``:
-    the reply to it, "" where that is what then stands there.
+    the text of the alarm that they show. ``becomes``: what the bath is told, in order, and how that
+    changes what is read; ``confirm``: the reply to it, "" where that is what then stands there.
     """
 
     replies: dict[str, str]
     faults: tuple[tuple[dict[str, str], str], ...]
-    told: tuple[str, ...]
-    confirm: str
     becomes: dict[str, tuple[str, str]]
-    refusal: str
+    confirm: str
+    refusal: str = ""
     end: bytes = b"\r"
     reply_end: bytes = b"\r"
 
-    def typed(self, **more: str) -> Typed:
+    def typed(self) -> Typed:
         def act(on: Typed, command: str) -> None:
             read, shown = self.becomes[command]
             on.replies[read] = shown
             on.confirm = self.confirm or shown
 
-        replies = {**self.replies, **more}
-        return Typed(
-            VirtualClock(), replies, self.end, self.reply_end, confirm=self.confirm, acts=act
-        )
+        replies = dict(self.replies)
+        return Typed(VirtualClock(), replies, self.end, self.reply_end, self.confirm, acts=act)
+
+
+def said(text: str) -> dict[str, str]:
+    """Commands and their replies, of ``command > reply | ...``."""
+    turns = (turn.strip().partition(" > ") for turn in re.split(r"[|\n]", text))
+    return {command: reply for command, _, reply in turns}
 
 
 FAMILIES = {
     # FIELD: {S and what is there then, also after a write; 7FFF: not in this model, C504: no sensor
     "huber-pb": Family(
-        {
-            "{M01****": "{S010802",  # 0x0802 = 2050
-            "{M00****": "{S000CE4",
-            "{M14****": "{S140000",
-            "{M05****": "{S050000",
-            "{M07****": "{S07C504",
-            "{M1B****": "{S1B3039",
-        },
-        (({"{M05****": "{S05FACD"}, "alarm -1331"),),
-        ("{M000BEA", "{M140001", "{M140000"),
-        "",
+        said("""{M01**** > {S010802 | {M00**** > {S000CE4 | {M14**** > {S140000
+            {M05**** > {S050000 | {M07**** > {S07C504 | {M1B**** > {S1B3039"""),  # 0x0802 = 2050
+        ((said("{M05**** > {S05FACD"), "alarm -1331"),),
         {
             "{M000BEA": ("{M00****", "{S000BEA"),
             "{M140001": ("{M14****", "{S140001"),
             "{M140000": ("{M14****", "{S140000"),
         },
         "",
+        "",
         b"\r\n",
         b"\r\n",
     ),
-    # CERTAIN but for RUFS (FIELD)
+    # CERTAIN but for RUFS (FIELD); a model without RT2
     "thermo-arctic": Family(
-        {
-            "RT": "20.5C",
-            "RT2": "",  # a model without it
-            "RS": "33.0C",
-            "RO": "0",
-            "RTU": "C",
-            "RUFS": "0 0 0 13 64",
-            "RVER": "082100.14C",
-        },
+        {**said("RT > 20.5C | RS > 33.0C | RO > 0 | RTU > C | RUFS > 0 0 0 13 64"), "RT2": ""}
+        | said("RVER > 082100.14C"),
         (
-            ({"RUFS": "0 0 8 13 64"}, "low level"),
-            ({"RUFS": "128 0 0 13 64"}, "fault or warning"),
+            (said("RUFS > 0 0 8 13 64"), "low level"),
+            (said("RUFS > 128 0 0 13 64"), "fault or warning"),
         ),
-        ("SS 30.50", "SO 1", "SO 0"),
-        "OK",
         {"SS 30.50": ("RS", "30.5C"), "SO 1": ("RO", "1"), "SO 0": ("RO", "0")},
-        "",
+        "OK",
     ),
     # FIELD
     "haake": Family(
-        {
-            "R T1": "T1+20.50$",
-            "R T3": "F001",
-            "R SW": "SW+33.00$",
-            "R BS": "BS000000000000$",
-            "R V1": "2P/H PhoenixII$",
-        },
+        said("""R T1 > T1+20.50$ | R T3 > F001 | R SW > SW+33.00$ | R BS > BS000000000000$
+            R V1 > 2P/H PhoenixII$"""),
         (
-            ({"R BS": "BS000010000000$"}, "low level"),
-            ({"R BS": "BS100100000000$"}, "over-temperature"),
-            ({"R BS": "BS000000000010$"}, "fault of the unit"),
+            (said("R BS > BS000010000000$"), "low level"),
+            (said("R BS > BS100100000000$"), "over-temperature"),
+            (said("R BS > BS000000000010$"), "fault of the unit"),
         ),
-        ("W SW 30.50", "W TS 1", "W TS 0"),
-        "$",
         {
             "W SW 30.50": ("R SW", "SW+30.50$"),
             "W TS 1": ("R BS", "BS100000000000$"),
             "W TS 0": ("R BS", "BS000000000000$"),
         },
+        "$",
         "F123",
     ),
     # CERTAIN but for RO (FIELD)
     "polyscience": Family(
-        {"RT": "+20.50", "RR": "?", "RS": "+33.00", "RO": "0", "RU": "C", "RF": "0"},
-        (({"RF": "1"}, "alarm 1"),),
-        ("SS30.50", "SO1", "SO0"),
-        "!",
+        said("RT > +20.50 | RR > ? | RS > +33.00 | RO > 0 | RU > C | RF > 0"),
+        ((said("RF > 1"), "alarm 1"),),
         {"SS30.50": ("RS", "+30.50"), "SO1": ("RO", "1"), "SO0": ("RO", "0")},
+        "!",
         "?",
     ),
 }
@@ -406,9 +387,9 @@ def test_what_a_family_is_told(name: str) -> None:
         bath.start(30.5)
         assert bath.read().running is True
         bath.safe()
-        assert tuple(typed.told) == family.told
+        assert typed.told == list(family.becomes)
         if family.refusal:
-            typed.replies[family.told[0].replace("30.50", "31.00")] = family.refusal
+            typed.replies[typed.told[0].replace("30.50", "31.00")] = family.refusal
             with pytest.raises(DeviceError, match="refused: "):
                 bath.set_point(31.0)
 
@@ -595,71 +576,35 @@ def test_a_client_written_from_the_julabo_manual_alone() -> None:
         assert not device.plant.running
 
 
-DIALOGUES = {
-    "lauda-ascii": (
-        ("OUT_SP_00_30.5", "OK"),
-        ("IN_SP_00", "030.50"),
-        ("out_sp_00 -5", "OK"),
-        ("IN_SP_00", "-005.00"),
-        ("START", "OK"),
-        ("IN_MODE_02", "0"),
-        ("STAT", "0000000"),
-        ("OUT_SP_00_x", "ERR_5"),
-        ("OUT_SP_00_900", "ERR_6"),
-        ("STRAT", "ERR_3"),
-        ("STOP", "OK"),
-    ),
-    "huber-pb": (
-        ("{M000BEA\n", "{S000BEA"),  # 30.5 degC
-        ("{M00****\n", "{S000BEA"),
-        ("{M007530\n", "{S007530"),  # 300 degC
-        ("{M007531\n", "{S007530"),  # not taken
-        ("{M140001\n", "{S140001"),
-        ("{M16****\n", "{S160001"),
-        ("{M05****\n", "{S050000"),
-        ("{M66****\n", "{S667FFF"),
-        ("{M140000\n", "{S140000"),
-    ),
-    "thermo-arctic": (
-        ("SS 30.5", "OK"),
-        ("RS", "30.50C"),
-        ("SO 1", "OK"),
-        ("RO", "1"),
-        ("RTU", "C"),
-        ("RUFS", "0 0 0 8 64"),
-        ("SO 0", "OK"),
-    ),
-    "haake": (
-        ("W SW 30.50", "$"),
-        ("R SW", "SW30.50$"),
-        ("W TS 1", "$"),
-        ("R BS", "BS100000000000$"),
-        ("W SW 900", "F123"),
-        ("R XX", "F001"),
-        ("W TS 0", "$"),
-    ),
-    "polyscience": (
-        ("SS30.5", "!"),
-        ("RS", "+30.50"),
-        ("SO1", "!"),
-        ("RO", "1"),
-        ("SS900", "?"),
-        ("QQ", "?"),
-        ("SO0", "!"),
-    ),
+DIALOGUES = {  # command > answer
+    "lauda-ascii": """OUT_SP_00_30.5 > OK | IN_SP_00 > 030.50 | out_sp_00 -5 > OK | IN_SP_00 > -005.00
+        START > OK | IN_MODE_02 > 0 | STAT > 0000000 | OUT_SP_00_x > ERR_5 | OUT_SP_00_900 > ERR_6
+        STRAT > ERR_3 | STOP > OK""",
+    # 30.5 degC; 300 degC; a little more, which is not taken
+    "huber-pb": """{M000BEA > {S000BEA | {M00**** > {S000BEA | {M007530 > {S007530 | {M007531 > {S007530
+        {M140001 > {S140001 | {M16**** > {S160001 | {M05**** > {S050000 | {M66**** > {S667FFF
+        {M140000 > {S140000""",
+    "thermo-arctic": """SS 30.5 > OK | RS > 30.50C | SO 1 > OK | RO > 1 | RTU > C | RUFS > 0 0 0 8 64
+        SO 0 > OK""",
+    "haake": """W SW 30.50 > $ | R SW > SW30.50$ | W TS 1 > $ | R BS > BS100000000000$
+        W SW 900 > F123 | R XX > F001 | W TS 0 > $""",
+    "polyscience": """SS30.5 > ! | RS > +30.50 | SO1 > ! | RO > 1 | SS900 > ? | QQ > ? | SO0 > !""",
 }
 
 
 @pytest.mark.parametrize("name", DIALOGUES)
 def test_a_client_written_from_the_makers_documents_alone(name: str) -> None:
-    """CR ends a command (CR LF Huber's), each has an answer; replies end with CR at Thermo and
-    PolyScience.
+    """CR ends a command (CR LF Huber's), each has an answer; replies end with CR at Thermo, HAAKE
+    and PolyScience.
     """
+    end, reply_end = {
+        "lauda-ascii": ("\r", "\n"),
+        "huber-pb": ("\r\n", "\n"),
+    }.get(name, ("\r", "\r"))
     with in_real_time(name) as (device, url), closing(ManualClient(url)) as client:
-        reply_end = "\r" if name in ("thermo-arctic", "haake", "polyscience") else "\n"
-        for command, answer in DIALOGUES[name]:
-            end = "\r\n" if command.endswith("\n") else "\r"
-            assert client.ask(command.strip(), end, reply_end) == answer
+        for turn in re.split(r"[|\n]", DIALOGUES[name]):
+            command, _, answer = turn.strip().partition(" > ")
+            assert client.ask(command, end, reply_end) == answer
         assert not device.plant.running
 
 

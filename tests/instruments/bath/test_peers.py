@@ -363,44 +363,6 @@ def instrument(profile: str, *, baud: int | None = None) -> Iterator[Instrument]
             yield Instrument(client, library, emulator.plant, emulator)
 
 
-@pytest.mark.parametrize("profile", ["eurotherm-2400", "eurotherm-3200"])
-def test_eurotherm(profile: str) -> None:
-    with instrument(profile) as on:
-        assert on.client.read_float(0x8002) == 20.0
-        assert on.client.read_register(1, number_of_decimals=1, signed=True) == 20.0
-        on.client.write_float(0x8004, 33.25)
-        assert on.client.read_float(0x8004) == on.plant.set_point_c == 33.25
-        on.client.write_register(199, 0, functioncode=6)
-        assert on.plant.running
-        with pytest.raises(on.library.IllegalRequestError, match="address"):
-            on.client.write_register(1, 7, functioncode=6)
-        on.client.serial.timeout = 0.5
-        with pytest.raises(on.library.NoResponseError):
-            on.client.write_bits(0, [1, 0])  # function 15: an unsupported one gets no reply
-
-
-@pytest.mark.parametrize(
-    ("profile", "set_point"), [("watlow-pm-map1", 2160), ("watlow-pm-map2", 2640)]
-)
-def test_watlow(profile: str, set_point: int) -> None:
-    with instrument(profile) as on:
-        low_first = on.library.BYTEORDER_LITTLE_SWAP
-        assert on.client.read_float(360, byteorder=low_first) == 20.0
-        on.client.write_float(set_point, 31.5, byteorder=low_first)
-        assert on.plant.set_point_c == 31.5
-
-
-def test_omega() -> None:
-    with instrument("omega-cn7") as on:
-        assert on.client.read_register(0x1000, number_of_decimals=1, signed=True) == 20.0
-        on.client.write_register(0x1001, 33.0, number_of_decimals=1, functioncode=6, signed=True)
-        on.client.write_bit(0x0814, 1)
-        assert on.client.read_bit(0x0814, functioncode=2) == 1
-        assert (on.plant.running, on.plant.set_point_c) == (True, 33.0)
-        with pytest.raises(on.library.IllegalRequestError, match="function"):
-            on.client.read_bit(0x0814, functioncode=1)
-
-
 def test_julabo_over_rtu_and_paced_as_a_serial_line() -> None:
     with instrument("julabo-magio", baud=9600) as on:
         assert on.client.read_float(10, functioncode=4) == 20.0
