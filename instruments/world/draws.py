@@ -77,7 +77,8 @@ class Draw:
 
 def shape(draw: Draw, length_mm: Range, radius_mm: Range) -> TeatShape:
     """An upright teat's."""
-    return TeatShape(**draw.each("teat", length_mm=length_mm, radius_mm=radius_mm))
+    length, radius = draw.each("teat", length_mm=length_mm, radius_mm=radius_mm).values()
+    return TeatShape(length, radius)
 
 
 def footing(

@@ -173,8 +173,8 @@ def _cooler_bodies(draw: Draw) -> Situation:
 def _low_contrast(draw: Draw) -> Situation:
     """Teats and board of nearly one grey, dark or middling, the board perhaps textured."""
     phantom, grey = udder(draw), draw.between("grey", 0.05, 0.35)
-    found, weave = plain(draw, phantom), draw.one_of("cloud", "grain", "waves")
-    board = backdrop(draw, (0.8 * grey, 1.3 * grey), texture=(0.02, 0.2), weave=weave)
+    found, greys = plain(draw, phantom), (0.8 * grey, 1.3 * grey)
+    board = backdrop(draw, greys, texture=(0.02, 0.2), weave=draw.one_of("cloud", "grain", "waves"))
     paint = Paint(grey, draw.between("teat_gloss", 0.0, 0.05))
     return replace(found, teat_paint=paint, backdrop=board)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ def with_board(board: Board, **more: object) -> SceneState:
     return replace(NOBODY, boards=(board,), **more)  # type: ignore[arg-type]
 
 
+@cache
 def held(pattern: Pattern) -> tuple[Board, ...]:
     return poses(pattern, renderer().cameras[:2], (450.0, 1200.0), seed=3)
 
