@@ -115,11 +115,9 @@ def called(number: int, name: str = "") -> str:
     """How prompts and messages call a teat: ``teat 4, left front (LF)``; ``teat 4`` without a
     name.
     """
-    if not name:
-        return f"teat {number}"
-    return (
-        f"teat {number}, {SPOKEN[name]} ({name})" if name in SPOKEN else f"teat {number} ({name})"
-    )
+    if name in SPOKEN:
+        return f"teat {number}, {spoken_name(number, name)}"
+    return f"teat {number} ({name})" if name else f"teat {number}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,10 +197,6 @@ class Phantom:
     emissivity: float = 0.95
     udder: Udder | None = None
     spots: tuple[Spots, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.emissivity <= 1.0:
-            raise ValueError(f"an emissivity must be above 0 and at most 1, is {self.emissivity}")
 
     @property
     def called(self) -> tuple[str, ...]:

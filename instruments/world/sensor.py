@@ -51,14 +51,6 @@ FAINT = 1e-5  # weights below this are left out
 LEVELS_PX = 0.25  # blurs between which pictures are interpolated
 
 
-def transfer(sigma_px: float, cycles_per_px: Floats) -> Floats:
-    """Modulation of lens and square pixel at spatial frequencies (n,): the declared MTF."""
-    return np.asarray(
-        np.abs(np.sinc(cycles_per_px))
-        * np.exp(sigma_px**2 * (np.cos(2.0 * np.pi * cycles_per_px) - 1.0))
-    )
-
-
 @lru_cache(maxsize=64)
 def kernel(sigma_px: float) -> Image:
     """Weights of the discrete Gaussian, (2 n + 1,), sum 1."""

@@ -185,11 +185,6 @@ def _astray(sensor: ThermalSensor, seed: int, event: int) -> Floats:
     return np.asarray(pattern + sensor.drift.level_k_per_min * rng.standard_normal())
 
 
-def celsius(centikelvin: NDArray[np.uint16]) -> Floats:
-    """degC of a radiometric frame."""
-    return np.asarray(centikelvin / 100.0 - KELVIN_AT_0_C)
-
-
 TRAIL = 12  # moments of a lagging pixel's past
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from instruments.world.thermal_camera import Drift, ThermalReadout, ThermalSensor, celsius
+from instruments.world.thermal_camera import Drift, ThermalReadout, ThermalSensor
 
 STEADY = Drift(level_k_per_min=0.0, pattern_k_per_min=0.0)
 # sigma, and how near it comes back: a spread from n values is known to 1 / sqrt(2 n), and there are
@@ -36,9 +36,9 @@ def thermal(drift: Drift = STEADY, put_in: Mapping[str, float] = NOTHING) -> The
 
 
 def clip(camera: ThermalReadout, count: int, time_s: float = 0.0) -> NDArray[np.float64]:
-    return np.array(
-        [celsius(camera.expose(ROOM, time_s, np.random.default_rng(i))) for i in range(count)]
-    )
+    """degC of so many frames, (count, h, w)."""
+    frames = [camera.expose(ROOM, time_s, np.random.default_rng(i)) for i in range(count)]
+    return np.array(frames) / 100.0 - 273.15
 
 
 def three_d_noise(frames: NDArray[np.float64]) -> dict[str, float]:

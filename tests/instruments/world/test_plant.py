@@ -289,12 +289,6 @@ def test_the_seed_is_the_noise() -> None:
     assert one == same != other
 
 
-@pytest.mark.parametrize("step_s", [0.0, 1.5])
-def test_a_step_too_long_is_refused(step_s: float) -> None:
-    with pytest.raises(ValueError, match="step_s"):
-        PlantConstants(step_s=step_s)
-
-
 def test_the_step_hardly_matters() -> None:
     plants = [Plant(1, constants=PlantConstants(step_s=step_s)) for step_s in (0.25, 1.0)]
     fine, coarse = (heated(plant, 20.0)[2][-1] for plant in plants)

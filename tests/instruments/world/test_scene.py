@@ -122,19 +122,16 @@ def test_an_end_outside_of_the_image_is_not_visible() -> None:
     assert visible[:, :2].all()
 
 
-def test_dim_light_dims() -> None:
+def test_dim_light_dims_and_a_standing_thing_darkens_the_table_at_its_foot() -> None:
     left = renderer().left
     dim = left.expected(replace(NOBODY, lighting=Lighting(brightness=0.3)))
     seen, whole = (np.median(p) - left.readout.sensor.offset_dn for p in (dim, empty("left")))
     assert seen / whole == pytest.approx(0.3, rel=0.02)
-
-
-def test_a_standing_thing_darkens_the_table_at_its_foot() -> None:
     cup = make_object("hot_cup", albedo=0.5)
     u, v = renderer().cameras[0].project(np.array([[-192.0, 205.0, 0.0]]))[0].round().astype(int)
     state = replace(NOBODY, objects=(cup,))
-    seen = renderer().left.expected(state, renderer().shadows(state))
-    assert seen[v, u] < 0.95 * empty("left")[v, u]
+    shaded = left.expected(state, renderer().shadows(state))
+    assert shaded[v, u] < 0.95 * empty("left")[v, u]
 
 
 @pytest.mark.parametrize(

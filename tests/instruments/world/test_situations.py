@@ -119,27 +119,16 @@ def test_what_is_warm_and_cold_is_so() -> None:
 
 def test_the_cup_stays_below_the_ends_and_the_arm_behind_them() -> None:
     for found in members("hot_body_at_base"):
-        assert (
-            max(hull.b_mm[2] for hull in found.objects[0].hulls)
-            <= found.phantom.ends_mm[:, 2].min() - 25.0
-        )
+        rim_mm = max(hull.b_mm[2] for hull in found.objects[0].hulls)
+        assert rim_mm <= found.phantom.ends_mm[:, 2].min() - 25.0
     for found in members("hot_body_at_ends"):
-        (arm,) = found.objects
-        assert (
-            min(min(hull.a_mm[1], hull.b_mm[1]) - hull.radius_a_mm for hull in arm.hulls)
-            > found.phantom.ends_mm[:, 1].max()
+        arm, ends = Solids.from_hulls(found.objects[0].hulls), found.phantom.ends_mm
+        assert (np.minimum(arm.a[:, 1], arm.b[:, 1]) - arm.radius_a).min() > ends[:, 1].max()
+        bearings = (ends[:, 2] - 62.0) / (ends[:, 1] + 840.0)
+        low, high = (
+            (arm.a[:, 2] + side * arm.radius_a - 62.0) / (arm.a[:, 1] + 840.0) for side in (-1, 1)
         )
-        bearings = np.array([(end[2] - 62.0) / (end[1] + 840.0) for end in found.phantom.ends_mm])
-        low, high = _span(arm.hulls)
-        assert np.any((bearings > low) & (bearings < high))
-
-
-def _span(hulls: tuple[object, ...]) -> tuple[float, float]:
-    solids = Solids.from_hulls(hulls)  # type: ignore[arg-type]
-    away = solids.a[:, 1] + 840.0
-    return float(((solids.a[:, 2] - solids.radius_a - 62.0) / away).min()), float(
-        ((solids.a[:, 2] + solids.radius_a - 62.0) / away).max()
-    )
+        assert np.any((bearings > low.min()) & (bearings < high.max()))
 
 
 def test_quarters_are_cooler_than_the_warmest_and_rooms_warm() -> None:
@@ -183,14 +172,13 @@ def test_teats_of_a_cow_end_where_their_axes_leave_them() -> None:
         ):
             assert teat.shape.form is not None
             flat += teat.shape.form.flat_mm > 0.0
-            reaches = [
-                float((np.array(at) - end) @ axis) + (0.0 if disc else radius)
-                for hull in hulls
-                for at, radius, disc in (
-                    (hull.a_mm, hull.radius_a_mm, hull.flat_a),
-                    (hull.b_mm, hull.radius_b_mm, hull.flat_b),
-                )
-            ]
+            solids = Solids.from_hulls(hulls)
+            reaches = np.concatenate(
+                [
+                    (solids.a - end) @ axis + np.where(solids.flat_a, 0.0, solids.radius_a),
+                    (solids.b - end) @ axis + np.where(solids.flat_b, 0.0, solids.radius_b),
+                ]
+            )
             assert max(reaches) == pytest.approx(0.0, abs=1e-6)
             lengths.append((end[2] - udder.height_mm) / axis[2])
     assert 34.9 < min(lengths) < 40.0
