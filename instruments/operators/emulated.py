@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -15,7 +16,7 @@ from instruments.teat_end import ball_centre_mm
 from instruments.world.boards import Board, poses
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import PlatePose
-from instruments.world.solids import Point
+from instruments.world.solids import as_point
 from instruments.world.world import World
 
 SWING_RAD = np.radians(35.0)  # how far the stylus leans in the divot, each time another way
@@ -136,27 +137,26 @@ class EmulatedOperator:
             check()
 
 
+_views = lru_cache(maxsize=4)(poses)
+
+
 class BoardHands:
     """Holds boards before the cameras of ``world``, each time differently; keeps the last one."""
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._drawn: dict[object, tuple[Board, ...]] = {}
         self._board: Board | None = None
 
     def held(self, asked: op.BoardAsked) -> Board:
         """The board as it is held for ``asked``. Raises OperatorEnough after `SHOWN` views."""
         if not asked.fixed and asked.number > SHOWN:
             raise op.OperatorEnough(f"the emulated operator has shown the board {SHOWN} times")
-        cameras = [c for c in self._world.renderer.cameras if c.name in asked.cameras]
-        key = asked.pattern, asked.cameras
+        cameras = tuple(c for c in self._world.renderer.cameras if c.name in asked.cameras)
         if asked.fixed:
             board = self._fixed(asked, cameras)
         else:
-            if key not in self._drawn:
-                drawn = poses(asked.pattern, cameras, DEPTHS_MM, self._world.seed, SHOWN)
-                self._drawn[key] = drawn
-            board = self._drawn[key][asked.number - 1]
+            views = _views(asked.pattern, cameras, DEPTHS_MM, self._world.seed, SHOWN)
+            board = views[asked.number - 1]
         self._board = replace(board, dark=HEATED_C) if asked.heated else board
         return self._board
 
@@ -183,8 +183,4 @@ class BoardHands:
         across = np.cos(side) * across + np.sin(side) * away
         width, height = asked.pattern.size_mm
         corner = middle - 0.5 * (width * across + height * along)
-        return Board(_point(corner), _point(across), _point(along), asked.pattern)
-
-
-def _point(vector: Floats) -> Point:
-    return float(vector[0]), float(vector[1]), float(vector[2])
+        return Board(as_point(corner), as_point(across), as_point(along), asked.pattern)

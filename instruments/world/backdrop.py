@@ -8,15 +8,16 @@ grid on the table and looked up by each pixel; only the table receives them, and
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from instruments.world.boards import Weave, woven
-from instruments.world.compositing import Cover, cover_outlines
+from instruments.world.compositing import cover_outlines
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.sensor import Image, in_blocks
 from instruments.world.shading import Lamp, Lighting, Rows, irradiance
@@ -26,8 +27,7 @@ TEXEL_MM = 2.0
 # rows and columns between pixels at which the light of a plane is worked out: the table lies
 # nearly along the rays, so that a few rows are half a metre
 COARSE_PX = (2, 32)
-LASTING_KEPT = 16  # places in pictures of patches that stay: three by camera, and some
-KEPT = 2  # drawn backdrops: those of a rig's two cameras, for a rig that is opened again
+PATCHES_KEPT = 64  # places in pictures of patches: three by camera stay, posters come and go
 FAR_MM = 2400.0  # the room's walls
 
 
@@ -40,12 +40,6 @@ class Poster:
     width_mm: float
     height_mm: float
     albedo: float
-
-    def __post_init__(self) -> None:
-        if not (self.width_mm > 0.0 and self.height_mm > 0.0 and 0.0 <= self.albedo <= 1.0):
-            raise ValueError(
-                f"a poster needs a size above zero and an albedo from 0 to 1, is {self}"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,43 +69,37 @@ class Backdrop:
     table_reach_mm: float = 1400.0
     table_drop_mm: float = 220.0
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name.endswith(("_albedo", "_texture")) and not 0.0 <= value <= 1.0:
-                raise ValueError(f"{field.name} must be from 0 to 1, is {value}")
-        if not (
-            self.board_y_mm > self.table_front_y_mm
-            and self.board_x_mm[1] > self.board_x_mm[0]
-            and self.board_top_mm > 0.0
-        ):
-            raise ValueError(
-                f"the board must stand behind the table's front edge and have a size, is {self}"
-            )
+    def shaped(self) -> Backdrop:
+        """Without the posters that lie on the board, whole: they are as far and as warm as it."""
+        (left, right), top = self.board_x_mm, self.board_top_mm
+        off = tuple(
+            p
+            for p in self.posters
+            if not (left <= p.x_mm and p.x_mm + p.width_mm <= right)
+            or not 0.0 <= p.z_mm <= top - p.height_mm
+        )
+        return replace(self, posters=off)
 
 
-Place = tuple[Point, Point, Point, Point]  # the first fields of a patch
-
-
-@dataclass(frozen=True, slots=True)
-class Patch:
+class Place(NamedTuple):
     """A rectangle: a corner and two edges, mm; across x along points to the visible side."""
 
     corner_mm: Point
     across_mm: Point
     along_mm: Point
     normal: Point
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """What is painted and warm at a place."""
+
+    place: Place
     albedo: float
     texture: float = 0.0
     weave: Weave = "cloud"
     seed: int = 0
     warmer_k: float = 0.0
-    lasts: bool = True  # the same in most scenes: how it is seen is kept
-
-    @property
-    def place(self) -> Place:
-        """Where it is."""
-        return self.corner_mm, self.across_mm, self.along_mm, self.normal
 
 
 def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
@@ -123,39 +111,34 @@ def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
     back = (0.0, -1.0, 0.0)
 
     def upright(x: float, z: float, width: float, height: float) -> Place:
-        return (x, b.board_y_mm, z), (width, 0.0, 0.0), (0.0, 0.0, height), back
+        return Place((x, b.board_y_mm, z), (width, 0.0, 0.0), (0.0, 0.0, height), back)
 
     board = upright(b.board_x_mm[0], 0.0, wide, b.board_top_mm)
-    table: Place = (edge, reach, (0.0, deep, 0.0), (0.0, 0.0, 1.0))
+    table = Place(edge, reach, (0.0, deep, 0.0), (0.0, 0.0, 1.0))
+    front = Place(edge, reach, (0.0, 0.0, -b.table_drop_mm), back)
     return (
-        Patch(*board, b.board_albedo, b.board_texture, b.board_weave, seed, b.board_k),
+        Patch(board, b.board_albedo, b.board_texture, b.board_weave, seed, b.board_k),
         *(
-            Patch(
-                *upright(p.x_mm, p.z_mm, p.width_mm, p.height_mm),
-                p.albedo,
-                warmer_k=b.board_k,
-                lasts=False,
-            )
+            Patch(upright(p.x_mm, p.z_mm, p.width_mm, p.height_mm), p.albedo, warmer_k=b.board_k)
             for p in b.posters
         ),
-        Patch(*table, b.table_albedo, b.table_texture, b.table_weave, seed + 1, b.table_k),
-        Patch(edge, reach, (0.0, 0.0, -b.table_drop_mm), back, b.front_albedo, warmer_k=b.table_k),
+        Patch(table, b.table_albedo, b.table_texture, b.table_weave, seed + 1, b.table_k),
+        Patch(front, b.front_albedo, warmer_k=b.table_k),
     )
 
 
-@lru_cache(KEPT)
 def draw(
     backdrop: Backdrop, lighting: Lighting, camera: CameraModel
 ) -> tuple[Image, Image, tuple[float, float]]:
-    """Light of the backdrop before lens and sensor, and depth in mm, (height, width) each; both
-    read-only, for the latest answers are kept. Last the least and the greatest depth.
+    """Light of the backdrop before lens and sensor, and depth in mm, (height, width) each; the
+    depth is kept, so read-only. Last the least and the greatest depth.
     """
     room = backdrop.room_albedo * lighting.ambient * lighting.brightness
     image = np.full((camera.height_px, camera.width_px), room, dtype=np.float32)
     for patch, seen in patches_seen(backdrop, camera):
         light = seen.light(lighting, patch.albedo)
         shade = seen.texture(patch) if patch.texture > 0.0 else None
-        part = image[seen.rows, seen.columns]
+        part = image[seen.part]
         for rows in in_blocks(light):
             new, behind = light[rows], part[rows]
             if shade is not None:
@@ -166,117 +149,112 @@ def draw(
             new -= behind
             new *= seen.share[rows]
             behind += new
-    image.flags.writeable = False
-    # a poster on the board is as far and as warm as the board
-    off = tuple(poster for poster in backdrop.posters if not _within(poster, backdrop))
-    places = tuple(patch.place for patch in patches(replace(backdrop, posters=off)))
+    places = tuple(patch.place for patch in patches(backdrop.shaped()))
     return image, *_depths(places, camera)
 
 
-@lru_cache(LASTING_KEPT)
+@lru_cache(maxsize=16)
 def _depths(places: tuple[Place, ...], camera: CameraModel) -> tuple[Image, tuple[float, float]]:
     """Depth in mm, (height, width), of places, far to near; the least and the greatest."""
     depth = np.full((camera.height_px, camera.width_px), FAR_MM, dtype=np.float32)
     for place in places:
-        if seen := _look(place, camera):
-            part = depth[seen.rows, seen.columns]
-            part += seen.share * (seen.depth_mm - part)
+        if seen := _seen(place, camera):
+            depth[seen.part] += seen.share * (seen.depth_mm - depth[seen.part])
     depth.flags.writeable = False
     return depth, (float(depth.min()), float(depth.max()))
 
 
-def patches_seen(backdrop: Backdrop, camera: CameraModel) -> Iterator[tuple[Patch, _Seen]]:
-    """Far to near, those that the camera sees."""
-    for patch in patches(backdrop):
-        if seen := (_seen if patch.lasts else _look)(patch.place, camera):
-            yield patch, seen
-
-
+@lru_cache(maxsize=3)
 def warmer(backdrop: Backdrop, camera: CameraModel) -> Image:
-    """How much warmer than the room the backdrop is at each pixel, K, (height, width)."""
+    """How much warmer than the room the backdrop is at each pixel, K, (height, width); kept."""
     warmth = np.zeros((camera.height_px, camera.width_px), dtype=np.float32)
-    off = tuple(poster for poster in backdrop.posters if not _within(poster, backdrop))
-    for patch, seen in patches_seen(replace(backdrop, posters=off), camera):
-        part = warmth[seen.rows, seen.columns]
-        part += seen.share * (np.float32(patch.warmer_k) - part)
+    for patch, seen in patches_seen(backdrop.shaped(), camera):
+        warmth[seen.part] += seen.share * (np.float32(patch.warmer_k) - warmth[seen.part])
+    warmth.flags.writeable = False
     return warmth
 
 
-def _within(poster: Poster, backdrop: Backdrop) -> bool:
-    """Whether it lies on the board, whole."""
-    left, right = backdrop.board_x_mm
-    across = left <= poster.x_mm and poster.x_mm + poster.width_mm <= right
-    return across and 0.0 <= poster.z_mm <= backdrop.board_top_mm - poster.height_mm
+def patches_seen(backdrop: Backdrop, camera: CameraModel) -> Iterator[tuple[Patch, Seen]]:
+    """Far to near, those that the camera sees."""
+    for patch in patches(backdrop):
+        if seen := _seen(patch.place, camera):
+            yield patch, seen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """A patch in a camera's picture: the part (h, w) of it, which share of each pixel, how deep.
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A place in a camera's picture: its ``part`` (h, w), which share of each pixel, how deep.
 
     Light is smooth on a plane: it is worked out at ``points`` (3, n), a ``grid`` (rows, columns) of
-    them, and interpolated; relative errors stay below 1e-4 (the lamps
-    are 1 m and more away, a step on the board is 25 mm).
+    them, and interpolated; relative errors stay below 1e-4 (the lamps are 1 m and more away, a step
+    on the board is 25 mm).
     """
 
-    rows: slice
-    columns: slice
+    place: Place
+    camera: CameraModel
+    part: tuple[slice, slice]
     share: Image
     depth_mm: Image
     points: NDArray[np.float32]
     grid: tuple[int, int]
-    normal: NDArray[np.float32]
-    place: Place
-    camera: CameraModel
 
     def light(self, lighting: Lighting, albedo: float) -> Image:
         """Light (h, w) from a patch of this albedo."""
-        coarse = irradiance(lighting, self.points, self.normal[:, None]) * np.float32(albedo)
-        return _finer(coarse.astype(np.float32).reshape(self.grid), self.share.shape)
+        normal = np.asarray(self.place.normal, dtype=np.float32)[:, None]
+        coarse = irradiance(lighting, self.points, normal) * np.float32(albedo)
+        (down, across), (tall, wide) = COARSE_PX, self.share.shape
+        # the grid is of middles of parts of `COARSE_PX`, one beyond each side
+        size = across * self.grid[1], down * self.grid[0]
+        fine = cv2.resize(coarse.astype(np.float32).reshape(self.grid), size)
+        return np.asarray(fine[down : down + tall, across : across + wide], dtype=np.float32)
 
     def texture(self, patch: Patch) -> Image:
         """The weave fixed to the patch, about -1 to 1, (h, w)."""
-        fixed, part, size = _texels(self)
+        fixed, part, size = self._texels
         cloth = woven(patch.weave, patch.seed, *size)
         values = cv2.remap(cloth, fixed, part, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(values, dtype=np.float32)
 
+    @cached_property
+    def _texels(self) -> tuple[NDArray[np.int16], NDArray[np.uint16], tuple[int, int]]:
+        """Where each pixel lies on the weave, as OpenCV's maps, and the weave's size in texels."""
+        x, y = (ray[self.part].reshape(-1) for ray in self.camera.rays())
+        points, _ = _met(self.place, self.camera, np.stack([x, y]))
+        off = points - np.asarray(self.place.corner_mm, dtype=np.float32)[:, None]
+        places: list[NDArray[np.float32]] = []
+        sizes: list[int] = []
+        for edge in (self.place.across_mm, self.place.along_mm):
+            length = float(np.linalg.norm(edge))
+            unit = np.asarray(edge, dtype=np.float32) / np.float32(length * TEXEL_MM)
+            sizes.append(round(length / TEXEL_MM))
+            # maps are of 16 bits: what lies that far outside has no share
+            places.append(np.clip(unit @ off, -16.0, sizes[-1] + 16.0).reshape(self.share.shape))
+        fixed, part = cv2.convertMaps(places[0], places[1], cv2.CV_16SC2)
+        return np.asarray(fixed, np.int16), np.asarray(part, np.uint16), (sizes[0], sizes[1])
 
-def _finer(coarse: NDArray[np.float32], shape: tuple[int, ...]) -> Image:
-    """Interpolated from the middles of parts of `COARSE_PX`, one beyond each side, to (h, w)."""
-    down, across = COARSE_PX
-    size = across * coarse.shape[1], down * coarse.shape[0]
-    whole = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
-    part = whole[down : down + shape[0], across : across + shape[1]]
-    return np.asarray(part, dtype=np.float32)
 
-
-@lru_cache(LASTING_KEPT)
-def _seen(place: Place, camera: CameraModel) -> _Seen | None:
-    return _look(place, camera)
-
-
-def _look(place: Place, camera: CameraModel) -> _Seen | None:
-    """None for a patch that the camera doesn't see."""
-    outline = _outline(place, camera)
+@lru_cache(PATCHES_KEPT)
+def _seen(place: Place, camera: CameraModel) -> Seen | None:
+    """None for a place that the camera doesn't see."""
+    corner, across, along = (np.asarray(edge) for edge in place[:3])
+    square = np.array([corner, corner + across, corner + across + along, corner + along])
+    outline = cover_outlines([camera.camera_from_world(square)], camera)
     if not len(outline.row):
         return None
     top, bottom = int(outline.row.min()), int(outline.row.max()) + 1
     left, right = int(outline.column.min()), int(outline.column.max()) + 1
+    part = slice(top, bottom), slice(left, right)
     share = np.zeros((bottom - top, right - left), dtype=np.float32)
     share[outline.row - top, outline.column - left] = outline.share
-    tall, wide = share.shape
-    down, across = COARSE_PX
-    grid = -(-tall // down) + 2, -(-wide // across) + 2
+    (tall, wide), (down, over) = share.shape, COARSE_PX
+    grid = -(-tall // down) + 2, -(-wide // over) + 2
     v, u = np.mgrid[: grid[0], : grid[1]].astype(np.float64)
-    v, u = down * v - 0.5 * (down + 1), across * u - 0.5 * (across + 1)
-    pixels = np.column_stack([u.ravel() + left, v.ravel() + top]).astype(np.float64)
+    v, u = down * v - 0.5 * (down + 1), over * u - 0.5 * (over + 1)
+    pixels = np.column_stack([u.ravel() + left, v.ravel() + top])
     points, _ = _met(place, camera, camera.plane_from_pixels(pixels).T)
-    x, y = (ray[top:bottom, left:right].reshape(-1) for ray in camera.rays())
+    x, y = (ray[part].reshape(-1) for ray in camera.rays())
     _, depth = _met(place, camera, np.stack([x, y]))
-    normal = np.asarray(place[3], dtype=np.float32)
-    rows, columns = slice(top, bottom), slice(left, right)
-    deep = depth.reshape(share.shape)
-    return _Seen(rows, columns, share, deep, points, grid, normal, place, camera)
+    return Seen(place, camera, part, share, depth.reshape(share.shape), points, grid)
 
 
 def _met(
@@ -289,38 +267,12 @@ def _met(
     x, y = plane.astype(np.float32)
     turn, eye = camera.R.astype(np.float32), camera.centre_mm.astype(np.float32)
     ray = np.stack([turn[0, i] * x + turn[1, i] * y + turn[2, i] for i in range(3)])
-    corner, normal = (np.asarray(place[i], dtype=np.float32) for i in (0, 3))
+    corner, normal = (np.asarray(at, dtype=np.float32) for at in (place.corner_mm, place.normal))
     towards = normal @ ray
     ahead = np.where(np.abs(towards) > 1e-6, towards, np.float32(-1e-6))
     depth = np.clip(normal @ (corner - eye) / ahead, 0.0, 1e4).astype(np.float32)
     return eye[:, None] + depth * ray, depth
 
-
-@lru_cache(LASTING_KEPT)
-def _texels(seen: _Seen) -> tuple[NDArray[np.int16], NDArray[np.uint16], tuple[int, int]]:
-    """Where each pixel lies on the weave, as OpenCV's maps, and the weave's size in texels."""
-    x, y = (ray[seen.rows, seen.columns].reshape(-1) for ray in seen.camera.rays())
-    points, _ = _met(seen.place, seen.camera, np.stack([x, y]))
-    off = points - np.asarray(seen.place[0], dtype=np.float32)[:, None]
-    places: list[NDArray[np.float32]] = []
-    sizes: list[int] = []
-    for edge in seen.place[1:3]:
-        length = float(np.linalg.norm(edge))
-        unit = np.asarray(edge, dtype=np.float32) / np.float32(length * TEXEL_MM)
-        sizes.append(round(length / TEXEL_MM))
-        # maps are of 16 bits: what lies that far outside has no share
-        places.append(np.clip(unit @ off, -16.0, sizes[-1] + 16.0).reshape(seen.share.shape))
-    fixed, part = cv2.convertMaps(places[0], places[1], cv2.CV_16SC2)
-    return np.asarray(fixed, np.int16), np.asarray(part, np.uint16), (sizes[0], sizes[1])
-
-
-def _outline(place: Place, camera: CameraModel) -> Cover:
-    corner, across, along = (np.asarray(edge) for edge in place[:3])
-    square = np.array([corner, corner + across, corner + across + along, corner + along])
-    return cover_outlines([camera.camera_from_world(square)], camera)
-
-
-Grey = NDArray[np.float32]
 
 SHADOW_TEXEL_MM = 8.0
 REACH_MM = 150.0  # how far around a thing its shadow is looked for
@@ -335,7 +287,7 @@ class ShadowMap:
 
     x_mm: float
     y_mm: float
-    share: Grey
+    share: Image
 
     def high_mm(self) -> Floats:
         """The grid's far corner, (2,) mm."""
@@ -409,19 +361,12 @@ def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:
     return np.asarray(left)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shade:
-    """Light left by shadows in a part of a camera's image: (rows, columns), ``share``."""
-
-    rows: slice
-    columns: slice
-    share: Grey
-
-
 def shade(
-    shadows: ShadowMap, backdrop: Backdrop, camera: CameraModel, rays: tuple[Floats, Floats]
-) -> Shade | None:
-    """The shadows as a camera sees them on the table; None where they fall outside of its image."""
+    shadows: ShadowMap, backdrop: Backdrop, camera: CameraModel
+) -> tuple[tuple[slice, slice], Image] | None:
+    """The light that shadows on the table leave in a part of a camera's picture, and which part;
+    None where they fall outside of it.
+    """
     low = np.array([shadows.x_mm, max(shadows.y_mm, backdrop.table_front_y_mm)])
     high = np.minimum(shadows.high_mm(), [np.inf, backdrop.board_y_mm])
     u, v = np.meshgrid(np.linspace(low[0], high[0], 5), np.linspace(low[1], high[1], 5))
@@ -431,7 +376,8 @@ def shade(
     right, bottom = np.clip(np.ceil(pixels.max(axis=0)) + 1, 0, size).astype(int)
     if right <= left or bottom <= top:
         return None
-    x, y = (ray[top:bottom, left:right] for ray in rays)
+    part = slice(int(top), int(bottom)), slice(int(left), int(right))
+    x, y = (ray[part] for ray in camera.rays())
     to_x, to_y, to_z = (camera.R[0, i] * x + camera.R[1, i] * y + camera.R[2, i] for i in range(3))
     depth = -camera.centre_mm[2] / np.minimum(to_z, -1e-6)
     table_x, table_y = camera.centre_mm[0] + depth * to_x, camera.centre_mm[1] + depth * to_y
@@ -442,4 +388,4 @@ def shade(
     )
     share = np.asarray(looked_up, dtype=np.float32)
     share[(table_y > high[1]) | (table_y < low[1]) | (to_z > -1e-6)] = 1.0
-    return Shade(slice(int(top), int(bottom)), slice(int(left), int(right)), share)
+    return part, share

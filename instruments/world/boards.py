@@ -93,17 +93,6 @@ class Board:
     dark: Warmth = "ambient"
     velocity_mm_s: Point = (0.0, 0.0, 0.0)
 
-    def __post_init__(self) -> None:
-        axes = np.array([self.across, self.along])
-        if not np.allclose(axes @ axes.T, np.eye(2), atol=1e-6):
-            raise ValueError(
-                f"{self.name}: across and along must be unit vectors at a right angle, are"
-                f" {self.across} and {self.along}"
-            )
-        shares = self.light_albedo, self.dark_albedo, self.emissivity
-        if not all(0.0 <= share <= 1.0 for share in shares):
-            raise ValueError(f"{self.name}: albedos and emissivity must be from 0 to 1")
-
     @property
     def normal(self) -> Floats:
         """Towards who sees the pattern, (3,)."""

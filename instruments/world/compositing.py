@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from instruments.world.optics import CameraModel, Floats
-from instruments.world.solids import Ints, Solids
+from instruments.world.solids import Ints, Solids, square_to
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,41 +41,38 @@ class Layer:
 
 
 def lay_over(
-    image: NDArray[Any],
-    layers: Sequence[Layer],
-    values: Sequence[NDArray[Any]],
-    corner: tuple[int, int] = (0, 0),
+    image: NDArray[Any], layers: Sequence[Layer], corner: tuple[int, int] = (0, 0)
 ) -> None:
-    """Lay objects of these ``values`` over ``image`` (h, w) in place; first pixel at ``corner``."""
+    """Lay objects over ``image`` (h, w) in place; its first pixel is at ``corner``."""
     flat, width = image.reshape(-1), image.shape[1]
-    for together in _far_to_near(layers):
-        part = [layers[i] for i in together]
-        pixels = [(each.row - corner[0]) * width + each.column - corner[1] for each in part]
-        if len(together) == 1:
-            pixel, share, value = pixels[0], part[0].share, values[together[0]]
-            flat[pixel] += share * (value - flat[pixel])
-        else:
-            owner = np.repeat(np.arange(len(part)), [len(pixel) for pixel in pixels])
-            share = np.concatenate([each.share for each in part])
-            depth = np.concatenate([each.depth_mm for each in part])
-            value = np.concatenate([values[i] for i in together])
-            _lay_mixed(flat, np.concatenate(pixels), share, depth, owner, value)
+    for group in _far_to_near(layers):
+        pixels = [(one.row - corner[0]) * width + one.column - corner[1] for one in group]
+        if len(group) == 1:
+            (layer,), (pixel,) = group, pixels
+            flat[pixel] += layer.share * (layer.value - flat[pixel])
+            continue
+        owner = np.repeat(np.arange(len(group)), [len(pixel) for pixel in pixels])
+        share, depth, value = (
+            np.concatenate([getattr(one, name) for one in group])
+            for name in ("share", "depth_mm", "value")
+        )
+        _lay_mixed(flat, np.concatenate(pixels), share, depth, owner, value)
 
 
-def _far_to_near(layers: Sequence[Layer]) -> Iterator[list[int]]:
+def _far_to_near(layers: Sequence[Layer]) -> Iterator[list[Layer]]:
     """Groups of layers whose depths don't reach into each other's, the farthest first."""
     spans = [
         (float(layer.depth_mm.max()), float(layer.depth_mm.min()), i)
         for i, layer in enumerate(layers)
         if len(layer)
     ]
-    group: list[int] = []
+    group: list[Layer] = []
     nearest = np.inf
     for far, near, i in sorted(spans, reverse=True):
         if group and far < nearest:
             yield group
             group = []
-        group.append(i)
+        group.append(layers[i])
         nearest = min(nearest, near) if len(group) > 1 else near
     if group:
         yield group
@@ -121,38 +118,30 @@ def _stacked(
     return sorted_pixel[starts], light, behind * (1.0 - widest), nearest
 
 
-def merged(
-    row: Ints,
-    column: Ints,
-    share: Floats,
-    depth_mm: Floats,
-    value: NDArray[Any],
-    along: Floats | None = None,
-) -> Layer:
-    """One object's layer from surfaces (n,) of which several may meet in a pixel."""
-    whole = Layer(row, column, share, depth_mm, value, along)
-    if len(row) == 0:
-        return whole
-    left, top = int(column.min()), int(row.min())
-    pixel = (row - top) * (int(column.max()) - left + 1) + column - left
+def merged(layer: Layer) -> Layer:
+    """One object's layer from surfaces of which several may meet in a pixel."""
+    if not len(layer):
+        return layer
+    left, top = int(layer.column.min()), int(layer.row.min())
+    wide = int(layer.column.max()) - left + 1
+    pixel = (layer.row - top) * wide + layer.column - left
     often = np.bincount(pixel)[pixel] > 1
-    many = np.flatnonzero(often)
-    if len(many) == 0:
-        return whole
-    once = np.flatnonzero(~often)
-    owner = np.zeros(len(many), dtype=np.intp)
+    many, once = np.flatnonzero(often), np.flatnonzero(~often)
+    if not len(many):
+        return layer
+    owner, value = np.zeros(len(many), dtype=np.intp), layer.value
     _, light, behind, nearest = _stacked(
-        pixel[many], share[many], depth_mm[many], owner, value[many]
+        pixel[many], layer.share[many], layer.depth_mm[many], owner, value[many]
     )
     keep, seen = np.concatenate([once, many[nearest]]), 1.0 - behind
     mean = np.concatenate([value[once], light / np.maximum(seen, 1e-12)])
     return Layer(
-        row[keep],
-        column[keep],
-        np.concatenate([share[once], seen]),
-        depth_mm[keep],
+        layer.row[keep],
+        layer.column[keep],
+        np.concatenate([layer.share[once], seen]),
+        layer.depth_mm[keep],
         mean.astype(value.dtype),
-        None if along is None else along[keep],
+        None if layer.along is None else layer.along[keep],
     )
 
 
@@ -261,21 +250,10 @@ def _ring(solids: Solids, which: Ints, points: int, at_a: bool) -> Floats:
     # A polygon inscribed in a circle is a little small; this one has the circle's area.
     step = 2.0 * np.pi / points
     radius = radius * np.sqrt(1.0 - shrink) * np.sqrt(step / np.sin(step))
-    u, v = _square_to(across)
+    u, v = square_to(across)
     angle = np.arange(points) * step
     circle = np.cos(angle)[:, None] * u[:, None, :] + np.sin(angle)[:, None] * v[:, None, :]
     return np.asarray(centre[:, None, :] + radius[:, None, None] * circle)
-
-
-def _square_to(axes: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors across each of these, (k, 3): a cross product written out, for speed."""
-    x, y, z = axes.T
-    steep = np.abs(x) < 0.7
-    nothing = np.zeros_like(x)
-    u = np.where(steep, [nothing, z, -y], [-z, nothing, x])
-    u /= np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
-    v = np.stack([y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0]])
-    return u.T, v.T
 
 
 @lru_cache(maxsize=16)  # cameras are few and never change

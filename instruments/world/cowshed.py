@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from instruments.world.draws import PLACES, Draw, plain, udder
+from instruments.world.draws import PLACES, Draw, footing, plain, udder
 from instruments.world.objects import SceneObject, make_object
 from instruments.world.phantom import Phantom, Spots, Teat, TeatForm, TeatShape, Udder
 from instruments.world.setups import EYES_MM, Situation, collisions, hidden_ways
@@ -62,58 +62,47 @@ def straw_and_legs(draw: Draw) -> Situation | None:
 
 def _leg(draw: Draw, number: int) -> SceneObject:
     """The first to the left of the other."""
-    return make_object(
-        "leg",
-        x_mm=draw.between("leg_x_mm", *((-430.0, -190.0), (-140.0, 130.0))[number]),
-        y_mm=draw.between("leg_y_mm", 350.0, 620.0),
-        share=draw.between("leg_share", 0.85, 1.15),
-        lean_deg=draw.between("leg_lean_deg", -5.0, 5.0),
-        offset_k=-draw.between("leg_cooler_k", 2.0, 8.0),
-        albedo=draw.between("leg_albedo", *COATS[draw.count(0, 2)]),
-    )
+    leg = draw.each(
+        "leg", x_mm=((-430.0, -190.0), (-140.0, 130.0))[number], y_mm=(350.0, 620.0),
+        share=(0.85, 1.15), lean_deg=(-5.0, 5.0), cooler_k=(2.0, 8.0),
+    )  # fmt: skip
+    return make_object("leg", **_coated(draw, "leg", leg))
 
 
 def _tail(draw: Draw) -> SceneObject:
-    return make_object(
-        "tail",
-        x_mm=draw.between("tail_x_mm", -300.0, 20.0),
-        y_mm=draw.between("tail_y_mm", 330.0, 480.0),
-        z_mm=draw.between("tail_z_mm", 60.0, 220.0),
-        radius_mm=draw.between("tail_radius_mm", 10.0, 18.0),
-        sway_mm=draw.between("tail_sway_mm", -50.0, 50.0),
-        offset_k=-draw.between("tail_cooler_k", 3.0, 9.0),
-        albedo=draw.between("tail_albedo", *COATS[draw.count(0, 2)]),
-    )
+    tail = draw.each(
+        "tail", x_mm=(-300.0, 20.0), y_mm=(330.0, 480.0), z_mm=(60.0, 220.0),
+        radius_mm=(10.0, 18.0), sway_mm=(-50.0, 50.0), cooler_k=(3.0, 9.0),
+    )  # fmt: skip
+    return make_object("tail", **_coated(draw, "tail", tail))
+
+
+def _coated(draw: Draw, name: str, limb: dict[str, float]) -> dict[str, float]:
+    """Cooler than the teats, and of a coat."""
+    limb["offset_k"] = -limb.pop("cooler_k")
+    return limb | draw.each(name, albedo=draw.one_of(*COATS))
 
 
 def _straw(draw: Draw, phantom: Phantom) -> SceneObject:
     """Close before a teat, as the thermal camera sees it, at any angle across it."""
     teat = draw.count(0, len(phantom.teats) - 1)
-    below = draw.between("straw_below_mm", 4.0, 90.0)
+    below, before = draw.each("straw", below_mm=(4.0, 90.0), before_mm=(4.0, 25.0)).values()
     on_axis = phantom.ends_mm[teat] - below * phantom.axes[teat]
     sight = np.asarray(EYES_MM[2]) - on_axis
-    before = phantom.teats[teat].shape.radius_mm + draw.between("straw_before_mm", 4.0, 25.0)
+    before = phantom.teats[teat].shape.radius_mm + before
     x, y, z = (on_axis + before * sight / np.linalg.norm(sight)).tolist()
-    length = draw.between("straw_length_mm", 50.0, 170.0)
-    rise = draw.between("straw_rise_deg", -85.0, 85.0)
-    aside = draw.between("straw_aside", -0.35, 0.35) * length
-    return make_object(
-        "straw",
-        x_mm=x + aside * math.cos(math.radians(rise)),
-        y_mm=y,
-        z_mm=z + aside * math.sin(math.radians(rise)),
-        length_mm=length,
-        radius_mm=draw.between("straw_radius_mm", 1.0, STRAW_MM),
-        rise_deg=rise,
-        turn_deg=draw.between("straw_turn_deg", -25.0, 25.0),
-        offset_k=draw.between("straw_offset_k", -0.5, 1.0),
-        albedo=draw.between("straw_albedo", 0.25, 0.6),
-    )
+    straw = draw.each("straw", length_mm=(50.0, 170.0), rise_deg=(-85.0, 85.0))
+    rise = math.radians(straw["rise_deg"])
+    aside = draw.between("straw_aside", -0.35, 0.35) * straw["length_mm"]
+    straw |= {"x_mm": x + aside * math.cos(rise), "y_mm": y, "z_mm": z + aside * math.sin(rise)}
+    look = draw.each(
+        "straw", radius_mm=(1.0, STRAW_MM), turn_deg=(-25.0, 25.0), offset_k=(-0.5, 1.0),
+        albedo=(0.25, 0.6),
+    )  # fmt: skip
+    return make_object("straw", **straw, **look)
 
 
-FORMS = ("cylinder", "funnel", "bottle")  # of the barrel, as breeders class them
-ENDS = ("round", "flat", "flat", "pointed")
-# radius at the base, and near the end, as shares of the barrel's
+# of barrels as breeders class them: radius at the base, and near the end, as shares of the barrel's
 BASE = {"cylinder": (1.0, 1.12), "funnel": (1.2, 1.45), "bottle": (0.78, 0.92)}
 NEAR_END = {"cylinder": (0.92, 1.0), "funnel": (0.70, 0.85), "bottle": (1.04, 1.18)}
 
@@ -127,21 +116,11 @@ def cow_teats(draw: Draw) -> Situation:
     56, 1973, 411; his discs count as flat, his cones as pointed: a dish hides its own apex). Bends
     of 0 to 12 degrees, leans and the udder are our choice. The end is where the axis leaves it.
     """
-    x, y = draw.between("udder_x_mm", -165.0, -95.0), draw.between("udder_y_mm", 215.0, 265.0)
-    wide = (
-        draw.between("near_half_width_mm", 28.0, 42.0),
-        draw.between("far_half_width_mm", 52.0, 75.0),
-    )
-    deep, height = draw.between("half_depth_mm", 30.0, 48.0), draw.between("udder_mm", 60.0, 88.0)
-    feet = [
-        (
-            x + across * wide[int(away > 0.0)] + draw.between("teat_x_mm", -7.0, 7.0),
-            y + away * deep + draw.between("teat_y_mm", -8.0, 8.0),
-        )
-        for across, away in PLACES
-    ]
+    foot_mm = footing(draw, (28.0, 42.0), (52.0, 75.0), (30.0, 48.0))
+    height = draw.between("udder_mm", 60.0, 88.0)
+    feet = tuple(foot_mm(*place) for place in PLACES)
     teats = tuple(_teat(draw, foot, height) for foot in feet)
-    found = plain(draw, Phantom(teats, udder=Udder(tuple(feet), height)))
+    found = plain(draw, Phantom(teats, udder=Udder(feet, height)))
     # an udder faces up, to lamps and ceiling, and gets twice a teat's light
     paint = replace(found.teat_paint, albedo=0.65 * found.teat_paint.albedo)
     cooler_k = draw.between("ends_cooler_k", 0.0, 2.5)
@@ -150,8 +129,7 @@ def cow_teats(draw: Draw) -> Situation:
 
 def _teat(draw: Draw, foot_mm: tuple[float, float], height_mm: float) -> Teat:
     """Out of the udder there, where that is so high."""
-    long = draw.between("teat_length_mm", 35.0, 70.0)
-    radius = draw.between("teat_radius_mm", 9.0, 13.5)
+    long, radius = draw.each("teat", length_mm=(35.0, 70.0), radius_mm=(9.0, 13.5)).values()
     lean = math.radians(draw.between("lean_deg", 0.0, 12.0))
     way = draw.between("lean_way_rad", 0.0, 2.0 * math.pi)
     slope = math.tan(lean) * math.cos(way), math.tan(lean) * math.sin(way)
@@ -165,7 +143,7 @@ def _form(draw: Draw, long_mm: float, radius_mm: float) -> TeatForm:
     """Of a teat that stands out so far, its foot 12 mm within the udder. A pointed end is half an
     ellipsoid; the barrel's radius is a quadratic curve from there to the base.
     """
-    kind, end = FORMS[draw.count(0, 2)], ENDS[draw.count(0, 3)]
+    kind, end = draw.one_of(*BASE), draw.one_of("round", "flat", "flat", "pointed")
     base = radius_mm * draw.between("base_share", *BASE[kind])
     last = radius_mm * draw.between("end_share", *NEAR_END[kind])
     flat = last * draw.between("flat_share", 0.5, 0.75) if end == "flat" else 0.0
@@ -200,12 +178,11 @@ def wet(draw: Draw) -> Situation:
     light (Lekner and Dorf, Applied Optics 27, 1988).
     """
     found = plain(draw, udder(draw, lean_deg=(0.0, 5.0)))
-    paint = Paint(
-        found.teat_paint.albedo * draw.between("wet_albedo_share", 0.6, 0.9),
-        draw.between("wet_gloss", 0.15, 0.9),
-        draw.between("wet_emissivity", 0.955, 0.98),
-        draw.between("wet_gloss_exponent", 60.0, 400.0),
-    )
+    film = draw.each(
+        "wet", albedo_share=(0.6, 0.9), gloss=(0.15, 0.9), emissivity=(0.955, 0.98),
+        gloss_exponent=(60.0, 400.0),
+    )  # fmt: skip
+    paint = Paint(found.teat_paint.albedo * film.pop("albedo_share"), **film)
     drop_mm, cooler_k = draw.between("drop_mm", 0.9, 2.2), draw.between("wet_cooler_k", 1.0, 4.0)
     drops = _scattered(draw, draw.count(4, 16), (0.7 * drop_mm, drop_mm))
     dirt = [_scattered(draw, draw.count(0, 5), (4.0, 8.5)) for _ in DIRT]
@@ -261,67 +238,48 @@ def cluttered(draw: Draw) -> Situation | None:
 def _metal(draw: Draw, name: str) -> dict[str, float]:
     """What pipes and posts look like, bare or painted."""
     bare = draw.chance(0.4)
-    return {
-        "offset_k": draw.between(f"{name}_offset_k", -10.0, 8.0),
-        "albedo": draw.between(f"{name}_albedo", 0.12, 0.65),
-        "gloss": draw.between(f"{name}_gloss", *((0.15, 0.5) if bare else (0.0, 0.1))),
-        "emissivity": draw.between(f"{name}_emissivity", *((0.15, 0.35) if bare else (0.85, 0.96))),
-    }
+    return draw.each(
+        name,
+        offset_k=(-10.0, 8.0),
+        albedo=(0.12, 0.65),
+        gloss=(0.15, 0.5) if bare else (0.0, 0.1),
+        emissivity=(0.15, 0.35) if bare else (0.85, 0.96),
+    )
 
 
 def _pipe(draw: Draw, number: int) -> SceneObject:
     """The second above the first."""
-    return make_object(
-        "pipe",
-        x_mm=draw.between("pipe_x_mm", -300.0, 50.0),
-        y_mm=draw.between("pipe_y_mm", 360.0, 450.0),
-        z_mm=draw.between("pipe_z_mm", *((90.0, 190.0), (240.0, 330.0))[number]),
-        length_mm=draw.between("pipe_length_mm", 700.0, 1300.0),
-        radius_mm=draw.between("pipe_radius_mm", 9.0, 25.0),
-        rise_deg=draw.between("pipe_rise_deg", -3.0, 3.0),
-        turn_deg=draw.between("pipe_turn_deg", -4.0, 4.0),
-        **_metal(draw, "pipe"),
-    )
+    pipe = draw.each(
+        "pipe", x_mm=(-300.0, 50.0), y_mm=(360.0, 450.0),
+        z_mm=((90.0, 190.0), (240.0, 330.0))[number], length_mm=(700.0, 1300.0),
+        radius_mm=(9.0, 25.0), rise_deg=(-3.0, 3.0), turn_deg=(-4.0, 4.0),
+    )  # fmt: skip
+    return make_object("pipe", **pipe, **_metal(draw, "pipe"))
 
 
 def _post(draw: Draw) -> SceneObject:
-    return make_object(
-        "rod",
-        x_mm=draw.between("post_x_mm", -430.0, 160.0),
-        y_mm=draw.between("post_y_mm", 560.0, 900.0),
-        height_mm=draw.between("post_height_mm", 300.0, 900.0),
-        radius_mm=draw.between("post_radius_mm", 8.0, 24.0),
-        temperature="teat",
-        **_metal(draw, "post"),
-    )
+    post = draw.each(
+        "post", x_mm=(-430.0, 160.0), y_mm=(560.0, 900.0), height_mm=(300.0, 900.0),
+        radius_mm=(8.0, 24.0),
+    )  # fmt: skip
+    return make_object("rod", **post, temperature="teat", **_metal(draw, "post"))
 
 
 def _cup(draw: Draw) -> SceneObject:
     """Of a milking cluster, on the table beside the teats or behind them."""
-    radius = draw.between("cup_radius_mm", 22.0, 32.0)
-    return make_object(
-        "hot_cup",
-        x_mm=draw.between("cup_x_mm", -360.0, 120.0),
-        y_mm=draw.between("cup_y_mm", 140.0, 330.0),
-        height_mm=draw.between("cup_height_mm", 90.0, 170.0),
-        radius_mm=radius,
-        foot_radius_mm=radius * draw.between("cup_foot_share", 0.75, 1.0),
-        **_metal(draw, "cup"),
-    )
+    cup = draw.each(
+        "cup", radius_mm=(22.0, 32.0), x_mm=(-360.0, 120.0), y_mm=(140.0, 330.0),
+        height_mm=(90.0, 170.0), foot_share=(0.75, 1.0),
+    )  # fmt: skip
+    cup["foot_radius_mm"] = cup["radius_mm"] * cup.pop("foot_share")
+    return make_object("hot_cup", **cup, **_metal(draw, "cup"))
 
 
 def _hose(draw: Draw) -> SceneObject:
     """Black rubber, as warm as the room or as what flows in it."""
-    return make_object(
-        "hose",
-        x_mm=draw.between("hose_x_mm", -330.0, 60.0),
-        y_mm=draw.between("hose_y_mm", 490.0, 530.0),
-        z_mm=draw.between("hose_z_mm", 40.0, 140.0),
-        span_mm=draw.between("hose_span_mm", 150.0, 400.0),
-        sag_mm=draw.between("hose_sag_mm", 60.0, 260.0),
-        radius_mm=draw.between("hose_radius_mm", 6.0, 12.0),
-        turn_deg=draw.between("hose_turn_deg", -3.0, 3.0),
-        temperature="teat",
-        offset_k=draw.between("hose_offset_k", -10.0, 3.0),
-        albedo=draw.between("hose_albedo", 0.03, 0.2),
-    )
+    hose = draw.each(
+        "hose", x_mm=(-330.0, 60.0), y_mm=(490.0, 530.0), z_mm=(40.0, 140.0),
+        span_mm=(150.0, 400.0), sag_mm=(60.0, 260.0), radius_mm=(6.0, 12.0), turn_deg=(-3.0, 3.0),
+        offset_k=(-10.0, 3.0), albedo=(0.03, 0.2),
+    )  # fmt: skip
+    return make_object("hose", **hose, temperature="teat")

@@ -47,7 +47,7 @@ class DepthSensor:
     ``offset_mm``: added to every distance; ``cyclic_mm``: amplitude of the wiggling;
     ``second_path``: share of the light over table and board that is there, 0 for none; ``blur_px``:
     the lens's sigma; ``least_amplitude``: below it nothing is measured. Distances beyond c / 2f are
-    taken for near ones. As it is, of the class that makers state as within 5 mm. Raises ValueError.
+    taken for near ones. As it is, of the class that makers state as within 5 mm.
     """
 
     modulation_mhz: float = 20.0
@@ -57,11 +57,6 @@ class DepthSensor:
     second_path: float = 1.0
     blur_px: float = 0.4
     least_amplitude: float = 0.004
-
-    def __post_init__(self) -> None:
-        others = self.noise_mm, self.cyclic_mm, self.second_path, self.blur_px, self.least_amplitude
-        if not self.modulation_mhz > 0.0 or min(others) < 0.0 or not np.isfinite(self.offset_mm):
-            raise ValueError(f"a depth sensor needs figures of 0 or more, is {self}")
 
     @property
     def rad_per_mm(self) -> float:
@@ -100,16 +95,17 @@ class DepthCamera:
 
     def expected(self, state: SceneState) -> Phasors:
         """The sum of all light at each pixel before noise, (height, width)."""
-        things, backdrop = state.everything(), state.backdrop
+        backdrop = state.backdrop
         layers = self._layers.of(
-            [(thing.hulls, thing.paint, backdrop) for thing in things],
-            lambda which: self._things([things[i] for i in which], backdrop),
+            state.everything(),
+            lambda thing: (thing.hulls, thing.paint, backdrop),
+            lambda new: self._things(new, backdrop),
         )
         layers += self._layers.of(
-            [*state.boards], lambda which: [self._board(state.boards[i]) for i in which]
+            state.boards, lambda board: board, lambda new: [self._board(board) for board in new]
         )
         signal = self._empty(backdrop)
-        lay_over(signal, layers, [layer.value for layer in layers])
+        lay_over(signal, layers)
         if not self.sensor.blur_px:
             return signal
         two = signal.view(np.float64).reshape(*signal.shape, 2)
@@ -128,8 +124,8 @@ class DepthCamera:
         camera, (x, y) = self.view.camera, self.view.rays
         signal = self._phasors(backdrop.room_albedo / self._stretch, FAR_MM * self._stretch)
         for patch, seen in patches_seen(backdrop, camera):
-            at = seen.rows, seen.columns
-            normal, stretch = camera.R @ np.asarray(patch.normal), self._stretch[at]
+            at = seen.part
+            normal, stretch = camera.R @ np.asarray(patch.place.normal), self._stretch[at]
             facing = np.abs(normal[0] * x[at] + normal[1] * y[at] + normal[2]) / stretch
             albedo = np.full(facing.shape, patch.albedo)
             if patch.texture > 0.0:
@@ -143,8 +139,8 @@ class DepthCamera:
         seen = self.view.surfaces(Stage.of(things))
         stretch = np.sqrt(dot(seen.rays, seen.rays))
         albedo = np.array([thing.paint.albedo for thing in things])[seen.owner]
-        facing, away_mm = np.abs(dot(seen.rays, seen.normals)) / stretch, seen.depth_mm * stretch
-        light = self._phasors(albedo * facing, away_mm)
+        away_mm = seen.depth_mm * stretch
+        light = self._phasors(albedo * seen.facing, away_mm)
         if self.sensor.second_path:
             camera = self.view.camera
             points = seen.depth_mm * seen.rays
@@ -160,9 +156,7 @@ class DepthCamera:
         off = seen.points_mm - self.view.camera.centre_mm[:, None]
         away_mm = np.sqrt(dot(off, off))
         albedo = board.light_albedo + seen.dark * (board.dark_albedo - board.light_albedo)
-        light = self._phasors(albedo * np.abs(board.normal @ off) / away_mm, away_mm)
-        at = seen.cover
-        return Layer(at.row, at.column, at.share, seen.depth_mm, light)
+        return seen.layer(self._phasors(albedo * np.abs(seen.normal @ off) / away_mm, away_mm))
 
     def _second(
         self, points: Floats, normals: Floats, away_mm: Floats, backdrop: Backdrop

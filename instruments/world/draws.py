@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from instruments.world.objects import SceneObject, make_object
 from instruments.world.phantom import Phantom, Teat, TeatShape
 from instruments.world.setups import Situation
 from instruments.world.shading import Lamp, Lighting, Paint
+
+Range = tuple[float, float]
+T = TypeVar("T")
 
 # near left, near right, far left, far right
 PLACES = ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0))
@@ -50,6 +54,10 @@ class Draw:
         self.parameters[key] = Parameter(low, high, value)
         return value
 
+    def each(self, what: str, **ranges: Range) -> dict[str, float]:
+        """One value after the other, evenly; ``x_mm`` of a "leg" is the parameter ``leg_x_mm``."""
+        return {name: self.between(f"{what}_{name}", *each) for name, each in ranges.items()}
+
     def either(self) -> float:
         """-1 or 1."""
         return 1.0 if self._rng.random() < 0.5 else -1.0
@@ -62,46 +70,56 @@ class Draw:
         """A whole number, both ends included."""
         return int(self._rng.integers(low, high + 1))
 
-    def weave(self, *known: Weave) -> Weave:
+    def one_of(self, *known: T) -> T:
         """One of these."""
         return known[self.count(0, len(known) - 1)]
 
 
-def udder(
-    draw: Draw, *, lean_deg: tuple[float, float] = (0.0, 2.0), spread: float = 1.0
-) -> Phantom:
+def shape(draw: Draw, length_mm: Range, radius_mm: Range) -> TeatShape:
+    """An upright teat's."""
+    length, radius = draw.each("teat", length_mm=length_mm, radius_mm=radius_mm).values()
+    return TeatShape(length, radius)
+
+
+def footing(
+    draw: Draw, near_mm: Range, far_mm: Range, deep_mm: Range, spread: float = 1.0
+) -> Callable[[float, float], tuple[float, float]]:
+    """Half widths and half depth of an udder, as seen from behind; each foot at one of `PLACES` is
+    drawn when it is asked for.
+    """
+    middle_x, middle_y = draw.each("udder", x_mm=(-165.0, -95.0), y_mm=(215.0, 265.0)).values()
+    near = draw.between("near_half_width_mm", *near_mm)
+    far = draw.between("far_half_width_mm", *far_mm)
+    deep = draw.between("half_depth_mm", *deep_mm)
+
+    def foot_mm(across: float, away: float) -> tuple[float, float]:
+        off = draw.each("teat", x_mm=(-7.0, 7.0), y_mm=(-8.0, 8.0))
+        wide = far if away > 0.0 else near
+        return (
+            middle_x + spread * across * wide + off["x_mm"],
+            middle_y + spread * away * deep + off["y_mm"],
+        )
+
+    return foot_mm
+
+
+def udder(draw: Draw, *, lean_deg: Range = (0.0, 2.0), spread: float = 1.0) -> Phantom:
     """Four teats as seen from behind, the near ones closer together; ``lean_deg`` (least, most)."""
-    middle = draw.between("udder_x_mm", -165.0, -95.0), draw.between("udder_y_mm", 215.0, 265.0)
-    wide, deep = (
-        (
-            draw.between("near_half_width_mm", 26.0, 42.0),
-            draw.between("far_half_width_mm", 52.0, 78.0),
-        ),
-        draw.between("half_depth_mm", 30.0, 50.0),
-    )
+    foot_mm = footing(draw, (26.0, 42.0), (52.0, 78.0), (30.0, 50.0), spread)
     teats = []
-    for x, y in PLACES:
-        base = (
-            middle[0] + spread * x * wide[int(y > 0.0)] + draw.between("teat_x_mm", -7.0, 7.0),
-            middle[1] + spread * y * deep + draw.between("teat_y_mm", -8.0, 8.0),
-        )
-        shape = TeatShape(
-            draw.between("teat_length_mm", 118.0, 150.0), draw.between("teat_radius_mm", 9.5, 12.5)
-        )
-        lean, way = (
-            np.radians(draw.between("lean_deg", *lean_deg)),
-            draw.between("lean_way_rad", 0.0, 2.0 * np.pi),
-        )
+    for place in PLACES:
+        base, form = foot_mm(*place), shape(draw, (118.0, 150.0), (9.5, 12.5))
+        lean = np.radians(draw.between("lean_deg", *lean_deg))
+        way = draw.between("lean_way_rad", 0.0, 2.0 * np.pi)
         x_tilt, y_tilt = np.arctan(np.tan(lean) * np.array([np.cos(way), np.sin(way)])).tolist()
-        teats.append(Teat(base, shape, (x_tilt, y_tilt)))
+        teats.append(Teat(base, form, (x_tilt, y_tilt)))
     return Phantom(tuple(teats))
 
 
-# albedo, gloss and emissivity: matt dark, as the thesis's phantom; light with some gloss, as skin
-PAINTED = ("teat_albedo", "teat_gloss", "teat_emissivity")
+# matt dark, as the thesis's phantom; light with some gloss, as skin
 PAINTS = (
-    ((0.04, 0.10), (0.01, 0.07), (0.94, 0.97)),
-    ((0.32, 0.60), (0.02, 0.20), (0.94, 0.98)),
+    {"albedo": (0.04, 0.10), "gloss": (0.01, 0.07), "emissivity": (0.94, 0.97)},
+    {"albedo": (0.32, 0.60), "gloss": (0.02, 0.20), "emissivity": (0.94, 0.98)},
 )
 # where each lamp usually hangs, how far off it may be in x, y and z, and the range of its power
 LAMPS = (
@@ -111,7 +129,7 @@ LAMPS = (
 )
 
 
-def lighting(draw: Draw, brightness: tuple[float, float] = (0.95, 1.35)) -> Lighting:
+def lighting(draw: Draw, brightness: Range = (0.95, 1.35)) -> Lighting:
     """Two lamps or three, about where the usual two hang."""
     lamps = []
     for number, (usual_mm, off_mm, power) in enumerate(LAMPS):
@@ -121,19 +139,12 @@ def lighting(draw: Draw, brightness: tuple[float, float] = (0.95, 1.35)) -> Ligh
                 for axis, at, off in zip("xyz", usual_mm, off_mm, strict=True)
             )
             lamps.append(Lamp((x, y, z), draw.between("lamp_power", *power)))
-    return Lighting(
-        draw.between("brightness", *brightness),
-        tuple(lamps),
-        draw.between("room_light", 0.40, 0.60),
-    )
+    bright = draw.between("brightness", *brightness)
+    return Lighting(bright, tuple(lamps), draw.between("room_light", 0.40, 0.60))
 
 
 def backdrop(
-    draw: Draw,
-    board_albedo: tuple[float, float],
-    *,
-    texture: tuple[float, float] = (0.02, 0.07),
-    weave: Weave = "cloud",
+    draw: Draw, board_albedo: Range, *, texture: Range = (0.02, 0.07), weave: Weave = "cloud"
 ) -> Backdrop:
     """A board of that albedo and texture behind a light table."""
     return Backdrop(
@@ -142,7 +153,7 @@ def backdrop(
         board_weave=weave,
         table_albedo=draw.between("table_albedo", 0.25, 0.5),
         table_texture=draw.between("table_texture", 0.05, 0.18),
-        table_weave=draw.weave("cloud", "planks", "grain"),
+        table_weave=draw.one_of("cloud", "planks", "grain"),
         front_albedo=draw.between("front_albedo", 0.12, 0.30),
         room_albedo=draw.between("room_albedo", 0.04, 0.2),
         texture_seed=draw.count(0, 2**31),
@@ -151,44 +162,38 @@ def backdrop(
     )
 
 
+POSTER = {
+    "x_mm": (-900.0, 850.0),
+    "z_mm": (60.0, 640.0),
+    "width_mm": (20.0, 180.0),
+    "height_mm": (10.0, 110.0),
+    "albedo": (0.03, 0.9),
+}
+
+
 def posters(draw: Draw, count: int) -> tuple[Poster, ...]:
     """Rectangles of any grey, all over the board."""
-    ranges = {
-        "poster_x_mm": (-900.0, 850.0),
-        "poster_z_mm": (60.0, 640.0),
-        "poster_width_mm": (20.0, 180.0),
-        "poster_height_mm": (10.0, 110.0),
-        "poster_albedo": (0.03, 0.9),
-    }
-    return tuple(
-        Poster(*(draw.between(name, *each) for name, each in ranges.items())) for _ in range(count)
-    )
+    return tuple(Poster(**draw.each("poster", **POSTER)) for _ in range(count))
 
 
 def cooler_bodies(draw: Draw, count: int) -> tuple[SceneObject, ...]:
     """Legs, flanks and bellies behind the teats, a few kelvin cooler."""
     things = []
     for _ in range(count):
-        look = {
-            "offset_k": -draw.between("body_offset_k", 2.5, 7.0),
-            "albedo": draw.between("body_albedo", 0.1, 0.5),
-            "gloss": draw.between("body_gloss", 0.0, 0.06),
-        }
-        x, y = draw.between("body_x_mm", -420.0, 160.0), draw.between("body_y_mm", 390.0, 640.0)
+        body = draw.each(
+            "body", offset_k=(2.5, 7.0), albedo=(0.1, 0.5), gloss=(0.0, 0.06),
+            x_mm=(-420.0, 160.0), y_mm=(390.0, 640.0),
+        )  # fmt: skip
+        body["offset_k"] = -body["offset_k"]
         if draw.chance(0.3):
-            look |= {
-                "z_mm": draw.between("body_z_mm", 140.0, 260.0),
-                "radius_mm": draw.between("body_radius_mm", 45.0, 95.0),
-            }
-        else:
-            radius = draw.between("body_radius_mm", 35.0, 80.0)
-            top = {
-                "radius_mm": radius,
-                "top_radius_mm": radius * draw.between("body_top_share", 0.6, 0.95),
-            }
-            look |= top | {"height_mm": draw.between("body_height_mm", 150.0, 330.0)}
-        kind = "cooler_body" if "height_mm" in look else "ball"
-        things.append(make_object(kind, x_mm=x, y_mm=y, **look))
+            more = draw.each("body", z_mm=(140.0, 260.0), radius_mm=(45.0, 95.0))
+            things.append(make_object("ball", **body, **more))
+            continue
+        more = draw.each(
+            "body", radius_mm=(35.0, 80.0), top_share=(0.6, 0.95), height_mm=(150.0, 330.0)
+        )
+        more["top_radius_mm"] = more["radius_mm"] * more.pop("top_share")
+        things.append(make_object("cooler_body", **body, **more))
     return tuple(things)
 
 
@@ -198,11 +203,6 @@ def plain(draw: Draw, phantom: Phantom, *objects: SceneObject) -> Situation:
     return Situation(
         "", 0, "", phantom, objects,
         lighting=lighting(draw),
-        teat_paint=Paint(
-            *(
-                draw.between(name, *each)
-                for name, each in zip(PAINTED, PAINTS[light], strict=True)
-            )
-        ),
+        teat_paint=Paint(**draw.each("teat", **PAINTS[light])),
         backdrop=backdrop(draw, (0.05, 0.12) if light else (0.40, 0.68)),
     )  # fmt: skip

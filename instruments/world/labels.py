@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.world.compositing import Layer
 from instruments.world.optical_camera import View
 from instruments.world.optics import Floats
 from instruments.world.scene import Renderer
@@ -78,10 +77,8 @@ def _nearest(view: View, state: SceneState) -> NDArray[np.intp]:
     stage = Stage.of(state.everything())
     seen = view.surfaces(stage)
     layers = seen.by_thing(len(stage.things), np.zeros(len(seen.owner)))
-    for board in state.boards:
-        flat = view.board(board)
-        at, depth = flat.cover, flat.depth_mm
-        layers.append(Layer(at.row, at.column, at.share, depth, np.zeros(len(depth))))
+    boards = [view.board(board) for board in state.boards]
+    layers += [board.layer(np.zeros(len(board.depth_mm))) for board in boards]
     owner = np.repeat(np.arange(len(layers)), [len(layer) for layer in layers])
     row, column, share, depth = (
         np.concatenate([getattr(layer, name) for layer in layers])

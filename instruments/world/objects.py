@@ -19,6 +19,7 @@ from instruments.world.shading import Paint
 from instruments.world.solids import Hull, Point, ball, chain, cylinder
 
 Warmth = float | Literal["teat", "ambient"]
+Hulls = tuple[Hull, ...]
 TEAT_PAINT = Paint(albedo=0.07, gloss=0.05, emissivity=0.95)
 ARM_STATIONS = (0.0, 0.15, 0.3, 0.42, 0.54, 0.68, 0.76, 0.84, 0.92, 1.0)
 JOINT_MM = 4.0
@@ -36,7 +37,7 @@ class SceneObject:
     """A thing in the scene, world frame: its solids, its paint, its temperature."""
 
     name: str
-    hulls: tuple[Hull, ...]
+    hulls: Hulls
     paint: Paint
     temperature: Warmth
     offset_k: float = 0.0
@@ -68,25 +69,19 @@ def phantom_objects(
 @lru_cache(maxsize=16)  # a state is asked for its things by every camera
 def _hulls(
     phantom: Phantom,
-) -> tuple[
-    tuple[tuple[Hull, ...], ...],
-    tuple[Hull, ...],
-    tuple[tuple[Hull, ...], ...],
-    tuple[Hull, ...],
-    tuple[tuple[Hull, ...], ...],
-]:
+) -> tuple[tuple[Hulls, ...], Hulls, tuple[Hulls, ...], Hulls, list[Hulls]]:
     return (
         phantom.teat_hulls(),
         phantom.flange_hulls(),
         phantom.hose_hulls(),
         phantom.udder_hulls(),
-        tuple(phantom.spot_hulls(spots) for spots in phantom.spots),
+        [phantom.spot_hulls(spots) for spots in phantom.spots],
     )
 
 
 def _cold_teat(
     x_mm: float = -25.0, y_mm: float = 225.0, length_mm: float = 135.0, radius_mm: float = 11.0
-) -> tuple[Hull, ...]:
+) -> Hulls:
     """Section 5.2.3: shaped as a teat, not heated."""
     top = (x_mm, y_mm, length_mm - radius_mm)
     return (Hull((x_mm, y_mm, 0.0), top, radius_mm, radius_mm, flat_a=True),)
@@ -98,7 +93,7 @@ def _hot_cup(
     height_mm: float = 85.0,
     radius_mm: float = 30.0,
     foot_radius_mm: float | None = None,
-) -> tuple[Hull, ...]:
+) -> Hulls:
     """Section 5.2.4: a cup amid the teats in place of the udder, wider at its rim."""
     foot = 0.8 * radius_mm if foot_radius_mm is None else foot_radius_mm
     return (cylinder((x_mm, y_mm, 0.0), (x_mm, y_mm, height_mm), foot, radius_mm),)
@@ -113,7 +108,7 @@ def _warm_arm(
     wrist_radius_mm: float = 34.0,
     rise_deg: float = -4.0,
     turn_deg: float = 4.0,
-) -> tuple[Hull, ...]:
+) -> Hulls:
     """Section 5.2.5: a forearm and hand behind the teat ends, from left (elbow) to right."""
     rise, turn = math.radians(rise_deg), math.radians(turn_deg)
     way = (math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise))
@@ -144,7 +139,7 @@ def _cooler_body(
     height_mm: float = 180.0,
     radius_mm: float = 60.0,
     top_radius_mm: float | None = None,
-) -> tuple[Hull, ...]:
+) -> Hulls:
     """Section 5.2.6: a cooler leg or flank behind the teats: upright, tapered, round on top."""
     top = 0.85 * radius_mm if top_radius_mm is None else top_radius_mm
     if not height_mm > top:
@@ -158,14 +153,14 @@ def _cooler_body(
 
 def _ball(
     x_mm: float = -190.0, y_mm: float = 480.0, z_mm: float = 230.0, radius_mm: float = 60.0
-) -> tuple[Hull, ...]:
+) -> Hulls:
     """A sphere, hung anywhere."""
     return (ball((x_mm, y_mm, z_mm), radius_mm),)
 
 
 def _rod(
     x_mm: float = -190.0, y_mm: float = 600.0, height_mm: float = 300.0, radius_mm: float = 8.0
-) -> tuple[Hull, ...]:
+) -> Hulls:
     """An upright post behind the teats: clutter for the optical cameras."""
     return (cylinder((x_mm, y_mm, 0.0), (x_mm, y_mm, height_mm), radius_mm),)
 
@@ -178,7 +173,7 @@ def _straight(
     radius_mm: float = 1.5,
     rise_deg: float = 30.0,
     turn_deg: float = 0.0,
-) -> tuple[Hull, ...]:
+) -> Hulls:
     """Straight, with its middle there: a straw, a pipe; along x, turned to y, risen to z."""
     rise, turn = math.radians(rise_deg), math.radians(turn_deg)
     half = 0.5 * length_mm
@@ -202,7 +197,7 @@ def _hose(
     sag_mm: float = 120.0,
     radius_mm: float = 8.0,
     turn_deg: float = 0.0,
-) -> tuple[Hull, ...]:
+) -> Hulls:
     """Hangs between two places ``span_mm`` apart, its lowest there; along x, turned to y."""
     turn = math.radians(turn_deg)
     parts = [2.0 * step / PIECES - 1.0 for step in range(PIECES + 1)]
@@ -219,7 +214,7 @@ def _hose(
 
 def _leg(
     x_mm: float = -190.0, y_mm: float = 450.0, share: float = 1.0, lean_deg: float = 0.0
-) -> tuple[Hull, ...]:
+) -> Hulls:
     """A hind leg from the hoof up, leaning to x; ``share`` scales its girth (a cannon is some 0.2
     m round).
     """
@@ -242,7 +237,7 @@ def _tail(
     top_mm: float = 680.0,
     radius_mm: float = 12.0,
     sway_mm: float = 30.0,
-) -> tuple[Hull, ...]:
+) -> Hulls:
     """Hangs from ``top_mm`` to ``z_mm``, where it is half as thick; a quarter of a wave aside."""
     parts = [step / PIECES for step in range(PIECES + 1)]
     points = [
@@ -254,7 +249,7 @@ def _tail(
 
 # what every kind takes beside its shape
 LOOK = ("temperature", "offset_k", "albedo", "gloss", "emissivity")
-KINDS: dict[str, tuple[Callable[..., tuple[Hull, ...]], tuple[Warmth, float, float, float, float]]]
+KINDS: dict[str, tuple[Callable[..., Hulls], tuple[Warmth, float, float, float, float]]]
 KINDS = {
     "cold_teat": (_cold_teat, ("ambient", 0.0, 0.07, 0.05, 0.95)),
     "hot_cup": (_hot_cup, ("teat", 1.0, 0.7, 0.1, 0.94)),

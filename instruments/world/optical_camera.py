@@ -7,15 +7,16 @@ alone and is kept.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from instruments.world import backdrop as backdrops
-from instruments.world.backdrop import Backdrop, Shade, ShadowMap, shade
+from instruments.world.backdrop import Backdrop, ShadowMap, shade
 from instruments.world.boards import Board, dark_parts_mm
 from instruments.world.compositing import Cover, Layer, cover, cover_outlines, lay_over, merged
 from instruments.world.objects import SceneObject
@@ -35,6 +36,7 @@ from instruments.world.solids import BLOCK, Ints, dot, meet
 from instruments.world.state import SceneState, Stage
 
 KEPT_PIXELS = 400_000
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,34 +49,42 @@ class Surfaces:
     depth_mm: Floats
     normals: Floats  # (3, n), unit
 
+    @property
+    def facing(self) -> Floats:
+        """Cosine of the angle between each ray and its normal, (n,)."""
+        rays = self.rays
+        return np.asarray(np.abs(dot(rays, self.normals)) / np.sqrt(dot(rays, rays)))
+
     def by_thing(self, count: int, value: NDArray[Any], along: Floats | None = None) -> list[Layer]:
         """A layer for each of ``count`` things, from a value for each pair."""
-        ends = np.searchsorted(self.owner, np.arange(count + 1))
-        return [self._layer(slice(*part), value, along) for part in pairwise(ends)]
-
-    def _layer(self, part: slice, value: NDArray[Any], along: Floats | None) -> Layer:
-        at = self.cover
-        solid, row, column, share = at.solid[part], at.row[part], at.column[part], at.share[part]
-        several = len(solid) > 0 and solid[0] != solid[-1]  # else no two meet in a pixel
-        return (merged if several else Layer)(
-            row,
-            column,
-            share,
-            self.depth_mm[part],
-            value[part],
-            None if along is None else along[part],
-        )
+        at, layers = self.cover, []
+        for start, end in pairwise(np.searchsorted(self.owner, np.arange(count + 1))):
+            part = slice(start, end)
+            own = None if along is None else along[part]
+            row, column, share = at.row[part], at.column[part], at.share[part]
+            layer = Layer(row, column, share, self.depth_mm[part], value[part], own)
+            solid = at.solid[part]
+            several = len(solid) > 0 and solid[0] != solid[-1]  # else no two meet in a pixel
+            layers.append(merged(layer) if several else layer)
+        return layers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardSurface:
-    """A board in a camera: covered pixels (n,), their dark share, and points (3, n), world."""
+    """A board in a camera: covered pixels (n,), their dark share, and points (3, n), world;
+    ``normal`` (3,), world, on the side that the camera sees.
+    """
 
     cover: Cover
     dark: Floats
     depth_mm: Floats
     points_mm: Floats
-    facing: bool
+    normal: Floats
+
+    def layer(self, value: NDArray[Any], along: Floats | None = None) -> Layer:
+        """Its layer, from a value for each pixel."""
+        at = self.cover
+        return Layer(at.row, at.column, at.share, self.depth_mm, value, along)
 
 
 class View:
@@ -127,7 +137,7 @@ class View:
         ahead = np.where(np.abs(towards) > 1e-9, towards, 1e-9)
         depth = np.clip(plane / ahead, outline[:, 2].min(), outline[:, 2].max())
         points = camera.R.T @ (depth * rays) + camera.centre_mm[:, None]
-        return BoardSurface(whole, dark, depth, points, facing)
+        return BoardSurface(whole, dark, depth, points, board.normal if facing else -board.normal)
 
     def _rays(self, covered: Cover) -> Floats:
         pixel = covered.row * self.camera.width_px + covered.column
@@ -143,12 +153,16 @@ class KeptLayers:
         self._pixels = 0
 
     def of(
-        self, keys: Sequence[Hashable], make: Callable[[list[int]], Sequence[Layer]]
+        self,
+        items: Sequence[T],
+        look: Callable[[T], Hashable],
+        make: Callable[[list[T]], Sequence[Layer]],
     ) -> list[Layer]:
-        """The layer of each key; ``make`` makes all missing ones from their places in ``keys``."""
+        """The layer of each item, kept by its ``look``; ``make`` makes all missing ones."""
+        keys = [look(item) for item in items]
         kept = [self._layers.pop(key, None) for key in keys]
         self._pixels -= sum(len(layer) for layer in kept if layer is not None)
-        missing = [i for i, layer in enumerate(kept) if layer is None]
+        missing = [item for item, layer in zip(items, kept, strict=True) if layer is None]
         fresh = iter(make(missing) if missing else ())
         found = [next(fresh) if layer is None else layer for layer in kept]
         latest = dict(zip(keys, found, strict=True))
@@ -159,7 +173,7 @@ class KeptLayers:
         return found
 
 
-BACKDROPS_KEPT = 2
+BACKDROPS_KEPT = 4  # two of each camera of a rig, which commands and tests open again
 SHARP_PX = 0.15  # less blur than this on top of the lens's own is left out
 MOST_STEPS = 64  # pictures that make one smeared by motion
 
@@ -173,7 +187,6 @@ class OpticalCamera:
         self.view = View(camera)
         self.readout = OpticalReadout(sensor, self.view.rays, seed)
         self._focal_px = float(camera.fc.mean())
-        self._backdrops: dict[tuple[Backdrop, Lighting], tuple[Image, Image | None]] = {}
         self._layers = KeptLayers()
         self._latest: tuple[object, Expected | None] = (None, None)
 
@@ -201,10 +214,10 @@ class OpticalCamera:
 
     def _drawn(self, state: SceneState, shadows: ShadowMap | None) -> Image:
         """Light on the sensor: the backdrop, its shadows, and over it what stands there."""
-        backdrop, view = self._backdrop(state), self.view
-        dark = shade(shadows, state.backdrop, view.camera, view.rays) if shadows else None
-        moments = self._moments(state)
-        light, *others = (self._lens(*backdrop, dark, self._seen(moment)) for moment in moments)
+        camera, moments = self.view.camera, self._moments(state)
+        empty = _empty(state.backdrop, state.lighting, camera, self.readout.sensor)
+        dark = shade(shadows, state.backdrop, camera) if shadows else None
+        light, *others = (self._lens(*empty, dark, self._seen(moment)) for moment in moments)
         for other in others:
             light += other
         if others:
@@ -226,70 +239,50 @@ class OpticalCamera:
         ]
 
     def _lens(
-        self, empty: Image, soft: Image | None, dark: Shade | None, layers: Sequence[Layer]
+        self,
+        empty: Image,
+        soft: Image | None,
+        dark: tuple[tuple[slice, slice], Image] | None,
+        layers: Sequence[Layer],
     ) -> Image:
         """Light on the sensor; out-of-focus things in layers, far to near."""
-        sharp = self.readout.sensor.blur_px
-        extra = [self._defocus(layer) for layer in layers]
-        if soft is None and max(extra, default=0.0) > 0.0:
+        sensor, sharp = self.readout.sensor, self.readout.sensor.blur_px
+        apart = [(float(layer.depth_mm.mean()), layer) for layer in layers if len(layer)]
+        blurs = [float(_sigma_px(sensor, depth, self._focal_px)) for depth, _ in apart]
+        blurs = [sigma if sigma - sharp > SHARP_PX else sharp for sigma in blurs]
+        if soft is None and max(blurs, default=sharp) > sharp:
             soft = blurred(empty, sharp)
         light = (empty if soft is None else soft).copy()
         if dark is not None:
-            light[dark.rows, dark.columns] *= dark.share
+            light[dark[0]] *= dark[1]
         if soft is None:
-            lay_over(light, layers, [layer.value for layer in layers])
+            lay_over(light, layers)
             return blurred(light, sharp)
-        for i in sorted(range(len(layers)), key=lambda i: -_depth(layers[i])):
-            layer, sigma = layers[i], float(np.hypot(extra[i], sharp))
-            if len(layer) == 0:
-                continue
-            rows, columns = _around(layer, reach_px(sigma), light.shape)
-            corner, behind = (rows.start, columns.start), light[rows, columns]
+        for i in sorted(range(len(apart)), key=lambda i: -apart[i][0]):
+            layer, sigma = apart[i][1], blurs[i]
+            part = _around(layer, reach_px(sigma), light.shape)
+            corner, behind = (part[0].start, part[1].start), light[part]
             cover, own = np.zeros_like(behind), np.zeros_like(behind)
-            lay_over(own, [layer], [layer.value], corner)
-            lay_over(cover, [layer], [np.ones_like(layer.value)], corner)
+            lay_over(own, [layer], corner)
+            lay_over(cover, [replace(layer, value=np.ones_like(layer.value))], corner)
             behind *= 1.0 - blurred(cover, sigma)
             behind += blurred(own, sigma)
         return light
 
-    def _defocus(self, layer: Layer) -> float:
-        """Blur of a layer by its distance, on top of the lens's own; 0 where that doesn't show."""
-        if len(layer) == 0:
-            return 0.0
-        sigma = float(self.readout.sensor.focus.sigma_px(_depth(layer), self._focal_px))
-        sharp = self.readout.sensor.blur_px
-        return sigma if np.hypot(sigma, sharp) - sharp > SHARP_PX else 0.0
-
-    def _backdrop(self, state: SceneState) -> tuple[Image, Image | None]:
-        """The empty scene's light before the lens, and on the sensor where it is out of focus."""
-        key = (state.backdrop, state.lighting)
-        if key not in self._backdrops:
-            while len(self._backdrops) >= BACKDROPS_KEPT:
-                self._backdrops.pop(next(iter(self._backdrops)))
-            empty, depth, span = backdrops.draw(state.backdrop, state.lighting, self.view.camera)
-            soft = None
-            # blur grows both ways from what is in focus
-            ends = self._sigma(np.array(span, dtype=np.float32))
-            if float(ends.max()) - self.readout.sensor.blur_px > SHARP_PX:
-                soft = blurred_by_depth(empty, self._sigma(depth).astype(np.float32))
-            self._backdrops[key] = empty, soft
-        return self._backdrops[key]
-
-    def _sigma(self, depth_mm: NDArray[np.floating]) -> Floats:
-        sensor = self.readout.sensor
-        return np.hypot(sensor.focus.sigma_px(depth_mm, self._focal_px), sensor.blur_px)
-
     def _seen(self, state: SceneState) -> list[Layer]:
         """The layer of each thing and each board."""
-        things, lighting = state.everything(), state.lighting
-        keys = [(thing.hulls, thing.paint, lighting) for thing in things]
-        layers = self._layers.of(
-            keys, lambda which: self._things([things[i] for i in which], lighting)
+        lighting = state.lighting
+        things = self._layers.of(
+            state.everything(),
+            lambda thing: (thing.hulls, thing.paint, lighting),
+            lambda new: self._things(new, lighting),
         )
-        boards = [(board, lighting) for board in state.boards]
-        return layers + self._layers.of(
-            boards, lambda which: [self._board(state.boards[i], lighting) for i in which]
+        boards = self._layers.of(
+            state.boards,
+            lambda board: (board, lighting),
+            lambda new: [self._board(board, lighting) for board in new],
         )
+        return things + boards
 
     def _things(self, things: Sequence[SceneObject], lighting: Lighting) -> list[Layer]:
         stage = Stage.of(things)
@@ -312,14 +305,30 @@ class OpticalCamera:
 
     def _board(self, board: Board, lighting: Lighting) -> Layer:
         seen = self.view.board(board)
-        normal = (board.normal if seen.facing else -board.normal)[:, None]
         albedo = board.light_albedo + seen.dark * (board.dark_albedo - board.light_albedo)
-        light = (albedo * irradiance(lighting, seen.points_mm, normal)).astype(np.float32)
-        return Layer(seen.cover.row, seen.cover.column, seen.cover.share, seen.depth_mm, light)
+        light = albedo * irradiance(lighting, seen.points_mm, seen.normal[:, None])
+        return seen.layer(light.astype(np.float32))
 
 
-def _depth(layer: Layer) -> float:
-    return float(np.add.reduce(layer.depth_mm)) / len(layer) if len(layer) else 0.0
+@lru_cache(BACKDROPS_KEPT)
+def _empty(
+    backdrop: Backdrop, lighting: Lighting, camera: CameraModel, sensor: OpticalSensor
+) -> tuple[Image, Image | None]:
+    """The empty scene's light before the lens, and on the sensor where it is out of focus."""
+    empty, depth, span = backdrops.draw(backdrop, lighting, camera)
+    focal_px = float(camera.fc.mean())
+    # blur grows both ways from what is in focus
+    if max(_sigma_px(sensor, end, focal_px) for end in span) - sensor.blur_px <= SHARP_PX:
+        return empty, None
+    sigma = _sigma_px(sensor, depth, focal_px)
+    return empty, blurred_by_depth(empty, sigma.astype(np.float32))
+
+
+def _sigma_px(
+    sensor: OpticalSensor, depth_mm: NDArray[np.floating] | float, focal_px: float
+) -> Floats:
+    """Blur at a depth, of the lens and out of focus."""
+    return np.asarray(np.hypot(sensor.focus.sigma_px(depth_mm, focal_px), sensor.blur_px))
 
 
 def _around(layer: Layer, reach: int, shape: tuple[int, ...]) -> tuple[slice, slice]:

@@ -16,7 +16,7 @@ import numpy as np
 from instruments.teat_end import apex_mm
 from instruments.world.optics import Floats
 from instruments.world.shading import Paint
-from instruments.world.solids import Hull, Point, as_point, ball, chain, cylinder
+from instruments.world.solids import Hull, Point, as_point, ball, chain, cylinder, square_to
 
 # the middle of the four teats of table 5.1: where the stage's turntable has its axis
 PIVOT_MM = (-189.4, 235.8)
@@ -40,23 +40,13 @@ class TeatForm:
     flat disc of ``flat_mm`` radius unless that is 0.
 
     The axis is that at the end; away from it the teat bends by ``bend_per_mm`` (rad), sideways in
-    the direction ``bend_way_rad``. Raises ValueError.
+    the direction ``bend_way_rad``.
     """
 
     balls: tuple[tuple[float, float], ...]
     flat_mm: float = 0.0
     bend_per_mm: float = 0.0
     bend_way_rad: float = 0.0
-
-    def __post_init__(self) -> None:
-        places, radii = np.array(self.balls, dtype=np.float64).reshape(-1, 2).T
-        joined = len(radii) > 1 and np.all(np.diff(places) > np.abs(np.diff(radii)))
-        if not joined or radii.min() <= 0.0:
-            raise ValueError(f"a teat's form needs two balls or more, none within the next: {self}")
-        if abs(places[0] - radii[0]) > 1e-9:
-            raise ValueError(f"the first ball of a teat's form has to touch the apex: {self}")
-        if not 0.0 <= self.flat_mm < self._shoulder_mm[1]:
-            raise ValueError(f"a teat's end can't be as flat as that: {self}")
 
     @property
     def _shoulder_mm(self) -> tuple[float, float]:
@@ -66,7 +56,7 @@ class TeatForm:
 
     def middles(self, end: Floats, axis: Floats, behind_mm: Floats) -> Floats:
         """Where the middle runs (n, 3), so far behind the end (n,) along the axis."""
-        u, v = square_to(axis)
+        (u,), (v,) = square_to(axis[None])
         way = np.cos(self.bend_way_rad) * u + np.sin(self.bend_way_rad) * v
         aside = 0.5 * self.bend_per_mm * behind_mm**2
         return np.asarray(end - behind_mm[:, None] * axis + aside[:, None] * way)
@@ -91,13 +81,6 @@ class TeatForm:
         begins, wide = self._shoulder_mm
         foot = self.middles(end, axis, np.array([begins]))[0]
         return (*solids, cylinder(as_point(foot), as_point(end), wide, self.flat_mm))
-
-
-def square_to(axis: Floats) -> tuple[Floats, Floats]:
-    """Two unit vectors (3,) at right angles to an axis (3,) and to each other."""
-    u = np.cross(axis, [1.0, 0.0, 0.0] if abs(axis[0]) < 0.7 else [0.0, 1.0, 0.0])
-    u /= np.linalg.norm(u)
-    return u, np.cross(axis, u)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,11 +115,9 @@ def called(number: int, name: str = "") -> str:
     """How prompts and messages call a teat: ``teat 4, left front (LF)``; ``teat 4`` without a
     name.
     """
-    if not name:
-        return f"teat {number}"
-    return (
-        f"teat {number}, {SPOKEN[name]} ({name})" if name in SPOKEN else f"teat {number} ({name})"
-    )
+    if name in SPOKEN:
+        return f"teat {number}, {spoken_name(number, name)}"
+    return f"teat {number} ({name})" if name else f"teat {number}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,10 +172,6 @@ class Udder:
     quarters_mm: tuple[tuple[float, float], ...]
     height_mm: float
 
-    def __post_init__(self) -> None:
-        if not (self.height_mm > 0.0 and len(self.quarters_mm) > 1):
-            raise ValueError(f"an udder needs a height above zero and two quarters, is {self}")
-
 
 @dataclass(frozen=True, slots=True)
 class Spots:
@@ -220,10 +197,6 @@ class Phantom:
     emissivity: float = 0.95
     udder: Udder | None = None
     spots: tuple[Spots, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.emissivity <= 1.0:
-            raise ValueError(f"an emissivity must be above 0 and at most 1, is {self.emissivity}")
 
     @property
     def called(self) -> tuple[str, ...]:
@@ -285,7 +258,7 @@ class Phantom:
         hulls = []
         for teat, behind, way, radius in spots.places:
             end, axis, shape = self.ends_mm[teat], self.axes[teat], self.teats[teat].shape
-            (u, v), back = square_to(axis), np.array([behind])
+            ((u,), (v,)), back = square_to(axis[None]), np.array([behind])
             skin, on_axis = shape.radius_mm, end - behind * axis
             if shape.form:
                 skin, on_axis = shape.form.radii_mm(back)[0], shape.form.middles(end, axis, back)[0]

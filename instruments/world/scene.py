@@ -29,9 +29,9 @@ from instruments.world.optics import (
     cameras_from_calibration,
     depth_from_calibration,
 )
-from instruments.world.phantom import Phantom, TeatShape, square_to
+from instruments.world.phantom import Phantom, TeatShape
 from instruments.world.sensor import OpticalSensor
-from instruments.world.solids import Bools, meet
+from instruments.world.solids import Bools, meet, square_to
 from instruments.world.state import SceneState, Stage
 from instruments.world.thermal_camera import ThermalCamera, ThermalSensor
 
@@ -169,7 +169,7 @@ def _near_side(end_mm: Floats, axis: Floats, shape: TeatShape, camera: CameraMod
     """Points of the hemisphere that face the camera, (n, 3); of another form, on rings as far
     behind the end as those of a hemisphere.
     """
-    radius_mm, (u, v) = shape.radius_mm, square_to(axis)
+    radius_mm, ((u,), (v,)) = shape.radius_mm, square_to(axis[None])
     middle = end_mm - radius_mm * axis
     polar, round_ = np.meshgrid(np.radians(RINGS_DEG), np.arange(ROUND) * 2.0 * np.pi / ROUND)
     if shape.form:

@@ -53,16 +53,15 @@ class Situation:
         if self.cooler_k:
             teat_temps_c = tuple(np.subtract(teat_temps_c, self.cooler_k).tolist())
         room_c = ambient_c if self.room_c is None else self.room_c
-        temperatures = {
-            "teat_temps_c": teat_temps_c,
-            "hose_temp_c": hose_temp_c,
-            "ambient_c": room_c,
-        }
         if self.ends_cooler_k and teat_temps_c:
             excess_k = max(float(np.mean(teat_temps_c)) - room_c, 1.0)
             usual = more.get("teat_fall", TEAT_FALL)
             more["teat_fall"] = usual + self.ends_cooler_k / excess_k
-        return SceneState(**(own | temperatures | more))
+        return SceneState(
+            **own
+            | {"teat_temps_c": teat_temps_c, "hose_temp_c": hose_temp_c, "ambient_c": room_c}
+            | more
+        )
 
 
 # left, right, thermal
@@ -87,7 +86,7 @@ def faults(situation: Situation) -> tuple[str, ...]:
             )
         stylus = Hull((x, y, z + STYLUS_MM + 1.0), (x, y, z + STYLUS_LONG_MM), 1.0, 1.0)
         for thing in situation.objects:
-            if any(_gap(stylus, hull) < STYLUS_MM for hull in thing.hulls):
+            if _least_gap((stylus,), thing.hulls) < STYLUS_MM:
                 found.append(f"{thing.name} is in the way of touching teat {i}")
         away = end - np.asarray(EYES_MM[2])
         if not (BEARINGS[0] <= away[0] / away[1] <= BEARINGS[1] and abs(away[2] / away[1]) <= RISE):
@@ -101,9 +100,8 @@ def collisions(situation: Situation) -> Iterator[str]:
     for (i, one), (j, other) in combinations(enumerate(teats), 2):
         if _least_gap(one, other) < 0.0:
             yield f"teats {i + 1} and {j + 1} stand in each other"
-    upright = [hull for hulls in teats for hull in hulls]
-    feet = situation.phantom.flange_hulls(), situation.phantom.udder_hulls()
-    solid = (*upright, *feet[0], *feet[1])
+    feet = (*situation.phantom.flange_hulls(), *situation.phantom.udder_hulls())
+    solid = (*(hull for hulls in teats for hull in hulls), *feet)
     for thing in situation.objects:
         if _least_gap(thing.hulls, solid) < GAP_MM:
             yield f"{thing.name} stands within the phantom"
@@ -122,14 +120,12 @@ def collisions(situation: Situation) -> Iterator[str]:
 def hidden_ways(situation: Situation) -> Bools:
     """Whether objects or boards hide each end (n,) from three eyes (n, 3); teats don't count."""
     ends = situation.phantom.ends_mm
+    solids = [hull for thing in situation.objects for hull in thing.hulls]
     hidden = np.zeros((len(ends), len(EYES_MM)), dtype=np.bool_)
     for e, eye in enumerate(EYES_MM):
         for i, end in enumerate(ends):
             way = Hull(eye, tuple(eye + 0.995 * (end - eye)), 0.01, 0.01)
-            solid = any(
-                _gap(way, hull) < 0.0 for thing in situation.objects for hull in thing.hulls
-            )
-            hidden[i, e] = solid or any(
+            hidden[i, e] = _least_gap((way,), solids) < 0.0 or any(
                 _crosses(np.asarray(eye), end, board.outline_mm) for board in situation.boards
             )
     return hidden
@@ -142,24 +138,20 @@ def _crosses(start: Floats, end: Floats, outline: Floats) -> bool:
     return bool(0.0 < part < 1.0 and 0.0 <= u <= 1.0 and 0.0 <= v <= 1.0)
 
 
-def _gap(one: Hull, other: Hull) -> float:
-    """Gap between two solids taken as round, so a little small for flat ends; negative: overlap."""
-    return _least_gap((one,), (other,))
-
-
 ALONG = np.linspace(0.0, 1.0, 33)
 
 
 def _least_gap(ones: Sequence[Hull], others: Sequence[Hull]) -> float:
-    """The least gap between one of these and one of those."""
-    a, b = (np.array([getattr(one, end) for one in ones]) for end in ("a_mm", "b_mm"))
-    start, end = (
-        np.array([getattr(one, radius) for one in ones])
-        for radius in ("radius_a_mm", "radius_b_mm")
+    """The least gap between one of these and one of those, taken as round, so a little small for
+    flat ends; negative: overlap; infinite without any.
+    """
+    a, b, start, end = (
+        np.array([getattr(one, name) for one in ones])
+        for name in ("a_mm", "b_mm", "radius_a_mm", "radius_b_mm")
     )
     points = (a[:, None] + ALONG[:, None] * (b - a)[:, None]).reshape(-1, 3)
     radii = (start[:, None] + ALONG * (end - start)[:, None]).ravel()
-    return min(float((_apart(points, other) - radii).min()) for other in others)
+    return min((float((_apart(points, one) - radii).min()) for one in others), default=np.inf)
 
 
 def _apart(points: Floats, hull: Hull) -> Floats:

@@ -62,10 +62,6 @@ class Lighting:
     )
     ambient: float = 0.50
 
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.brightness) and self.brightness >= 0.0):
-            raise ValueError(f"brightness must be 0 or more, is {self.brightness}")
-
 
 def irradiance(lighting: Lighting, points_mm: Rows, normals: Rows) -> Rows:
     """Light on surface points (3, n) mm with unit normals (3, n) or (3, 1), world frame: (n,)."""

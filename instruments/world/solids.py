@@ -154,6 +154,17 @@ def dot(u: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
 
 
+def square_to(axes: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors across each of these, (k, 3): a cross product written out, for speed."""
+    x, y, z = axes.T
+    steep = np.abs(x) < 0.7
+    nothing = np.zeros_like(x)
+    u = np.where(steep, [nothing, z, -y], [-z, nothing, x])
+    u /= np.sqrt(dot(u, u))
+    v = np.stack([y * u[2] - z * u[1], z * u[0] - x * u[2], x * u[1] - y * u[0]])
+    return u.T, v.T
+
+
 def meet(solids: Solids, which: Ints, x: Floats, y: Floats) -> tuple[Floats, Floats, Bools]:
     """Ray (x, y, 1) with solid ``which``, each (n,), ascending: depth (n,) mm, outward normal
     (3, n), truly hit (n,). ``solids`` are in the frame of the camera, which is outside of them.

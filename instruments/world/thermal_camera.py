@@ -9,15 +9,15 @@ generator, drift from the time.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from instruments.world.backdrop import Backdrop, warmer
+from instruments.world.backdrop import warmer
 from instruments.world.boards import Board
 from instruments.world.compositing import Layer, lay_over
 from instruments.world.objects import SceneObject
@@ -120,9 +120,7 @@ class ThermalReadout:
         rows = sensor.row_k * rng.standard_normal((shape[0], 1))
         columns = sensor.column_k * rng.standard_normal((1, shape[1]))
         self._pattern_k: Floats = sensor.fixed_k * rng.standard_normal(shape) + rows + columns
-        seed_of_drift = int(rng.integers(2**63))
-        # no reference to self: no cycle
-        self._astray = lru_cache(maxsize=2)(partial(_drawn_astray, sensor, seed_of_drift))
+        self._drift_seed = int(rng.integers(2**63))
 
     def gathered(self, radiance: Floats) -> Floats:
         """Radiance on the fine grid (oversample x) through lens and pixels: (height, width)."""
@@ -135,7 +133,7 @@ class ThermalReadout:
     def drift_k(self, time_s: float) -> Floats:
         """How far each pixel has gone astray since the last flat-field event, (height, width)."""
         since, event = self._since(time_s)
-        return self._astray(event) * (since / 60.0)
+        return _astray(self.sensor, self._drift_seed, event) * (since / 60.0)
 
     def shows_shutter(self, time_s: float) -> bool:
         """Whether a flat-field event is going on."""
@@ -177,18 +175,14 @@ class ThermalReadout:
         return max(time_s, 0.0) - event * self.sensor.drift.every_s, event
 
 
-def _drawn_astray(sensor: ThermalSensor, seed: int, event: int) -> Floats:
+@lru_cache(maxsize=4)
+def _astray(sensor: ThermalSensor, seed: int, event: int) -> Floats:
     """Drift after an event, K a minute, (height, width)."""
     rng = np.random.Generator(np.random.SFC64([seed, event]))
     pattern = sensor.drift.pattern_k_per_min * rng.standard_normal(
         (sensor.height_px, sensor.width_px)
     )
     return np.asarray(pattern + sensor.drift.level_k_per_min * rng.standard_normal())
-
-
-def celsius(centikelvin: NDArray[np.uint16]) -> Floats:
-    """degC of a radiometric frame."""
-    return np.asarray(centikelvin / 100.0 - KELVIN_AT_0_C)
 
 
 TRAIL = 12  # moments of a lagging pixel's past
@@ -205,8 +199,6 @@ class ThermalCamera:
         self.view = View(camera.resized(sensor.width_px * fine, sensor.height_px * fine))
         self.readout = ThermalReadout(sensor, seed)
         self._layers = KeptLayers()
-        # no reference to self: no cycle
-        self._warmer = lru_cache(maxsize=3)(partial(_drawn_warmer, self.view.camera))
 
     def expected_k(self, state: SceneState) -> Floats:
         """Apparent temperature before noise, kelvin, un-mirrored, (height, width)."""
@@ -231,54 +223,47 @@ class ThermalCamera:
 
     def _radiance(self, state: SceneState) -> Floats:
         things = state.everything()
-        keys = [(thing.hulls, thing.paint.emissivity) for thing in things]
-        layers = self._layers.of(keys, lambda which: self._things([things[i] for i in which]))
-        boards = self._layers.of(
-            [*state.boards], lambda which: [self._board(state.boards[i]) for i in which]
+        layers = self._layers.of(
+            things, lambda thing: (thing.hulls, thing.paint.emissivity), self._things
         )
-        own = [_own(state, i, *each) for i, each in enumerate(zip(things, layers, strict=True))]
-        own += [_own_of_board(state, *each) for each in zip(state.boards, boards, strict=True)]
-        room, seen = float(radiance_from_c(state.ambient_c)), [*layers, *boards]
-        radiance = radiance_from_c(state.ambient_c + self._warmer(state.backdrop))
-        values = [
-            room + layer.value * (black - room) for layer, black in zip(seen, own, strict=True)
-        ]
-        lay_over(radiance, seen, values)
+        layers += self._layers.of(
+            state.boards, lambda board: board, lambda new: [self._board(board) for board in new]
+        )
+        warm_k = warmer(state.backdrop, self.view.camera).astype(np.float64)
+        room, radiance = (radiance_from_c(state.ambient_c + more) for more in (0.0, warm_k))
+        seen: tuple[SceneObject | Board, ...] = (*things, *state.boards)
+        values = []
+        for number, (thing, layer) in enumerate(zip(seen, layers, strict=True)):
+            black = _black(state, number, thing, layer)
+            values.append(replace(layer, value=room + layer.value * (black - room)))
+        lay_over(radiance, values)
         return radiance
 
     def _things(self, things: Sequence[SceneObject]) -> list[Layer]:
         stage = Stage.of(things)
         seen = self.view.surfaces(stage)
-        facing = np.abs(dot(seen.rays, seen.normals)) / np.sqrt(dot(seen.rays, seen.rays))
         own = np.array([thing.paint.emissivity for thing in things], dtype=np.float64)
-        value = directional_emissivity(own[seen.owner], facing)
+        value = directional_emissivity(own[seen.owner], seen.facing)
         return seen.by_thing(len(things), value, self.view.heights(stage, seen))
 
     def _board(self, board: Board) -> Layer:
         seen = self.view.board(board)
         away = seen.points_mm - self.view.camera.centre_mm[:, None]
-        facing = np.abs(board.normal @ away) / np.sqrt(dot(away, away))
+        facing = np.abs(seen.normal @ away) / np.sqrt(dot(away, away))
         value = directional_emissivity(np.full(len(facing), board.emissivity), facing)
-        at = seen.cover
-        return Layer(at.row, at.column, at.share, seen.depth_mm, value, seen.dark)
+        return seen.layer(value, seen.dark)
 
 
-def _drawn_warmer(camera: CameraModel, backdrop: Backdrop) -> Floats:
-    return warmer(backdrop, camera).astype(np.float64)
-
-
-def _own(state: SceneState, number: int, thing: SceneObject, layer: Layer) -> Floats:
+def _black(state: SceneState, number: int, thing: SceneObject | Board, layer: Layer) -> Floats:
     """Black-body radiance of each pixel of a thing, (n,) or (); teats first, warmer at the base."""
+    if isinstance(thing, Board):
+        light, dark = (
+            radiance_from_c(state.temperature_c(warmth)) for warmth in (thing.light, thing.dark)
+        )
+        return np.asarray(light + (dark - light) * (0.0 if layer.along is None else layer.along))
     if number < len(state.teat_temps_c) and layer.along is not None:
         mean_c = state.teat_temps_c[number]
         return radiance_from_c(
             mean_c + state.teat_fall * (mean_c - state.ambient_c) * (0.5 - layer.along)
         )
     return radiance_from_c(state.temperature_c(thing.temperature) + thing.offset_k)
-
-
-def _own_of_board(state: SceneState, board: Board, layer: Layer) -> Floats:
-    light, dark = (
-        radiance_from_c(state.temperature_c(warmth)) for warmth in (board.light, board.dark)
-    )
-    return np.asarray(light + (dark - light) * (0.0 if layer.along is None else layer.along))

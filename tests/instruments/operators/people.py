@@ -5,36 +5,32 @@ says go, the hands are emulated.
 from __future__ import annotations
 
 import io
-import tomllib
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
-from bench.rig.loading import RIGS
 from bench.script.phantom import shipped_phantom
 from instruments.clock import VirtualClock
 from instruments.operators.console import Console
 from instruments.operators.emulated import EmulatedOperator
 from instruments.operators.operator import Arrangement, Operator
 from instruments.operators.prompted import KINDS, ScriptedAnswers
-from instruments.world.optics import cameras_from_calibration
 from instruments.world.phantom import PlatePose
-from instruments.world.scene import Renderer
 from instruments.world.world import World
+from tests.instruments.world.scenes import renderer
 
 CHECK_POINT_MM = (-190.0, 120.0, 15.0)
 
 
+@cache
 def arrangement(layout: str = "table-5-1", pose: PlatePose | None = None) -> Arrangement:
     return Arrangement(
         "ideal", shipped_phantom(layout), (), "Four teats as in table 5.1.", pose or PlatePose()
     )
 
 
-def world(seed: int = 3) -> World:
-    cameras = cameras_from_calibration(
-        tomllib.loads((RIGS / "calibration.toml").read_text(encoding="utf-8"))
-    )
-    return World(VirtualClock(), seed, Renderer(cameras, seed))
+def world() -> World:
+    return World(VirtualClock(), 3, renderer())
 
 
 def hands(of: World, *, hand_error_mm: float = 0.0, **options: Any) -> EmulatedOperator:

@@ -152,17 +152,13 @@ def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
 
 
 @pytest.mark.parametrize("prompt", PROMPTS)
-def test_a_question_mark_explains_the_prompt_and_it_is_asked_again(prompt: str) -> None:
+def test_every_prompt_is_explained_and_only_a_trial_can_be_skipped_or_repeated(prompt: str) -> None:
     who, out = asked("?\n\n")
     who.ask(PROMPTS[prompt])
     explained = out.getvalue().rsplit(": \n", 2)[1]
     assert ("Skip: " in explained) is (prompt in IN_TRIALS)
     assert "Abort: " in explained
     assert out.getvalue().count("? = explain") == 2
-
-
-@pytest.mark.parametrize("prompt", PROMPTS)
-def test_only_a_trial_can_be_skipped_or_repeated(prompt: str) -> None:
     who, out = asked("s the teat came off\na\n")
     with pytest.raises(op.OperatorSkip if prompt in IN_TRIALS else op.OperatorAbort) as wish:
         who.ask(PROMPTS[prompt])

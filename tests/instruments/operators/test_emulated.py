@@ -44,7 +44,7 @@ def test_placement_errors_have_the_spread_that_was_asked_for(
     here = world()
     who = hands(here, placement_error_mm=ERROR_MM, placement_error_rad=ERROR_RAD)
     # drawn 400 times it takes a minute
-    monkeypatch.setattr(here.renderer, "visible_ends", lambda _: np.ones((4, 2), dtype=bool))
+    monkeypatch.setattr(here.renderer, "visible_ends", lambda _: np.ones((4, 3), dtype=bool))
     errors = []
     for n in range(400):
         # it only errs where it moves something
@@ -138,9 +138,11 @@ def test_a_prompt_takes_its_time_and_the_interlocks_are_looked_at_meanwhile() ->
     assert here.arm_target() is None, "the hand had not got there yet"
 
 
-def test_who_knows_no_check_point_says_so() -> None:
+def test_hands_without_a_check_point_or_a_board_say_so() -> None:
     with pytest.raises(ValueError, match="give it check_point_mm"):
         EmulatedOperator(world(), hand_error_mm=0.1).ask(op.CheckPoint(1, 5))
+    with pytest.raises(ValueError, match="holds no board"):
+        hands(world()).ask(op.BoardTouch(0, "Touch it."))
 
 
 # Calibration boards
@@ -171,13 +173,10 @@ def test_hands_have_had_enough_after_a_while() -> None:
 @pytest.mark.slow
 def test_hands_take_the_phantom_away_meanwhile_and_put_it_back() -> None:
     here = world()
-    who = hands(here)
-    who.ask(HELD)
-    assert len(here.scene().boards) == 1
-    assert here.scene().phantom.teats == ()
+    hands(here).ask(HELD)
+    assert (len(here.scene().boards), here.scene().phantom.teats) == (1, ())
     here.show(None)
-    assert here.scene().boards == ()
-    assert len(here.scene().phantom.teats) == 4
+    assert (here.scene().boards, len(here.scene().phantom.teats)) == ((), 4)
 
 
 @pytest.mark.parametrize("number", [1, 2])
@@ -190,8 +189,3 @@ def test_hands_rest_the_ball_on_the_face_that_the_cameras_see(number: int) -> No
     assert np.linalg.norm(off) == pytest.approx(1.5)
     assert off @ (here.renderer.cameras[0].centre_mm - board.corners_mm[13]) > 0
     assert axis @ off > 0, "the stylus comes from that side too"
-
-
-def test_hands_touch_nothing_where_no_board_is() -> None:
-    with pytest.raises(ValueError, match="holds no board"):
-        hands(world()).ask(op.BoardTouch(0, "Touch it."))

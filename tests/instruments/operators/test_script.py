@@ -118,8 +118,5 @@ def test_an_answer_that_fits_no_such_prompt_is_refused_at_once(
     assert words in str(error.value)
     with pytest.raises(ValueError, match=r"."):
         ScriptedAnswers([], {to: answer}, "x")
-
-
-def test_an_answer_is_given_at_least_once() -> None:
     with pytest.raises(ValueError, match="at least once, not 0 times"):
         ScriptedAnswer("homing", "go", times=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ def with_board(board: Board, **more: object) -> SceneState:
     return replace(NOBODY, boards=(board,), **more)  # type: ignore[arg-type]
 
 
+@cache
 def held(pattern: Pattern) -> tuple[Board, ...]:
     return poses(pattern, renderer().cameras[:2], (450.0, 1200.0), seed=3)
 
@@ -245,10 +247,6 @@ def test_poses_spread_tilt_and_stay_in_view() -> None:
         poses(CHESS, renderer().cameras, (400.0, 450.0), seed=1)
 
 
-def test_boards_without_sense_are_refused() -> None:
-    with pytest.raises(ValueError, match="unit vectors at a right angle"):
-        replace(UPRIGHT, across=(1.0, 0.0, 0.5))
+def test_a_pattern_without_sense_is_refused() -> None:
     with pytest.raises(ValueError, match="squares with a size"):
         Pattern(square_mm=0.0)
-    with pytest.raises(ValueError, match="from 0 to 1"):
-        replace(UPRIGHT, light_albedo=1.5)

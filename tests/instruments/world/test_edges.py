@@ -12,13 +12,21 @@ from instruments.world.boards import Board, Pattern
 from instruments.world.objects import SceneObject
 from instruments.world.optical_camera import OpticalCamera
 from instruments.world.optics import CameraModel, Floats
-from instruments.world.sensor import Focus, Image, blurred, blurred_by_depth, kernel, transfer
+from instruments.world.sensor import Focus, Image, blurred, blurred_by_depth, kernel
 from instruments.world.shading import Lighting, Paint
 from instruments.world.solids import Hull, Ints, ball
 from tests.instruments.world.scenes import NOBODY, by_opencv, centroid, empty, eye, renderer
 
 BLACK = Paint(albedo=0.0)
 PANEL = Pattern("plain", 6, 6, 25.0, 0.0)
+
+
+def transfer(sigma_px: float, cycles_per_px: Floats) -> Floats:
+    """Modulation of lens and square pixel at spatial frequencies (n,): the declared MTF."""
+    return np.asarray(
+        np.abs(np.sinc(cycles_per_px))
+        * np.exp(sigma_px**2 * (np.cos(2.0 * np.pi * cycles_per_px) - 1.0))
+    )
 
 
 @cache
@@ -77,17 +85,16 @@ def test_edges_at_every_sub_pixel_phase(which: str, lean_mm: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("which", ["left", "right"])
 @pytest.mark.parametrize("angle_deg", [0.0, 1.0, 5.0, 17.0, 30.0, 45.0, 60.0, 73.0, 89.0, 90.0])
-def test_edges_of_every_orientation(which: str, angle_deg: float) -> None:
+def test_edges_of_every_orientation(angle_deg: float) -> None:
     """Both edges of a turned post: their mean place over each stretch, below 0.01 px."""
-    camera = eye(which).view.camera
+    camera = eye("left").view.camera
     angle = np.radians(angle_deg)
     way = np.array([np.cos(angle), 0.0, np.sin(angle)])
     middle, worst = np.array([-190.0, 420.0, 320.0]), 0.0
     for phase in np.linspace(0.0, 0.9, 5):
         a, b = middle - 65.0 * way + phase, middle + 65.0 * way + phase
-        share = hidden_share(which, Hull(tuple(a), tuple(b), 9.0, 9.0))
+        share = hidden_share("left", Hull(tuple(a), tuple(b), 9.0, 9.0))
         upright = angle_deg > 45.0
         flat = share if upright else share.T
         limbs = [

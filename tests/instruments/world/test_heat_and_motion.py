@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from instruments.world.backdrop import Backdrop, Poster
+from instruments.world.backdrop import Poster
 from instruments.world.objects import make_object
 from instruments.world.optics import Floats
 from instruments.world.phantom import Phantom, PlatePose, Teat, TeatShape
@@ -99,10 +99,6 @@ def test_posters_hang_where_they_are_put_in_both_cameras() -> None:
         rows, columns = np.indices(gone.shape)
         at = np.array([(gone * columns).sum(), (gone * rows).sum()]) / gone.sum()
         assert at == pytest.approx(0.5 * (low + high), abs=0.1)
-    with pytest.raises(ValueError, match="a size above zero"):
-        Poster(0.0, 0.0, 0.0, 10.0, 0.5)
-    with pytest.raises(ValueError, match="board_albedo must be from 0 to 1"):
-        Backdrop(board_albedo=1.2)
 
 
 def profile(state: SceneState) -> Image:
@@ -159,8 +155,6 @@ def test_longer_exposure_and_gain_brighten_and_saturate() -> None:
     state = replace(NOBODY, exposure=Exposure(0.2))
     flooded = Renderer(renderer().cameras, 7).render(state, np.random.default_rng(1)).left
     assert np.mean(flooded == 255) > 0.4
-    with pytest.raises(ValueError, match="an exposure takes up to 10 s"):
-        Exposure(0.0)
 
 
 def test_drift_follows_the_scene_s_clock() -> None:

@@ -14,9 +14,9 @@ from instruments.world.objects import make_object
 from instruments.world.optical_camera import KEPT_PIXELS, KeptLayers
 from instruments.world.optics import Floats
 from instruments.world.phantom import Phantom, PlatePose, Teat
-from instruments.world.scene import Renderer
 from instruments.world.state import SceneState
-from tests.instruments.world.scenes import PLAIN, renderer
+from tests.instruments.world.scenes import PLAIN, small
+from tests.situations import SITUATIONS, situation
 
 SHAPE = (6, 7)
 
@@ -54,7 +54,7 @@ def test_any_layers_in_any_order_of_depth(seed: int, count: int, mixed: bool) ->
     layers = [some_layer(rng, *span) for span in rng.permutation(spans)] if count else []
     background = rng.random(SHAPE)
     image = background.copy()
-    lay_over(image, layers, [layer.value for layer in layers])
+    lay_over(image, layers)
     assert image == pytest.approx(one_by_one(layers, background), abs=1e-9)
 
 
@@ -63,7 +63,7 @@ def test_pieces_of_one_object_cover_the_larger_share(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pixel = rng.integers(0, 42, 60)
     share, depth, value = rng.random(60), rng.uniform(1000.0, 1010.0, 60), rng.random(60)
-    layer = merged(pixel // 7, pixel % 7, share, depth, value)
+    layer = merged(Layer(pixel // 7, pixel % 7, share, depth, value))
     seen = layer.row * 7 + layer.column
     assert len(np.unique(seen)) == len(seen) == len(np.unique(pixel))
     for at, covered, nearest, mean in zip(
@@ -76,54 +76,51 @@ def test_pieces_of_one_object_cover_the_larger_share(seed: int) -> None:
 
 
 def test_kept_layers_make_each_once_and_forget_the_oldest() -> None:
-    kept, made = KeptLayers(), []
+    kept, made, size = KeptLayers(), list[str](), KEPT_PIXELS // 3
+    nowhere = np.zeros(size, dtype=np.intp)
 
-    def make(which: list[int]) -> list[Layer]:
+    def make(which: list[str]) -> list[Layer]:
         made.extend(which)
-        size = KEPT_PIXELS // 3
-        return [
-            Layer(np.zeros(size, dtype=np.intp), np.zeros(size, dtype=np.intp), *np.ones((3, size)))
-            for _ in which
-        ]
+        return [Layer(nowhere, nowhere, *np.ones((3, size))) for _ in which]
 
-    kept.of(["a", "b"], make)
-    kept.of(["b", "a"], make)
-    assert made == [0, 1]
-    kept.of(["c", "d"], make)  # too much for all: b, asked for the longest ago, goes
-    kept.of(["a", "c", "d"], make)
-    assert made == [0, 1, 0, 1]
-    kept.of(["b"], make)
-    assert made == [0, 1, 0, 1, 0]
+    for asked, in_all in (
+        ("ab", "ab"),
+        ("ba", "ab"),
+        ("cd", "abcd"),  # too much for all: b, asked for the longest ago, goes
+        ("acd", "abcd"),
+        ("b", "abcdb"),
+    ):
+        kept.of(asked, str.upper, make)
+        assert "".join(made) == in_all
 
 
-def scene(pose: PlatePose, **more: object) -> SceneState:
-    phantom = Phantom((Teat((-110.0, 284.0)), Teat((-160.0, 192.0)), Teat((-225.0, 199.0))), pose)
-    return SceneState(
-        phantom,
-        (32.0, 32.5, 33.0),
-        33.0,
-        20.0,
-        (make_object("warm_arm"), make_object("hot_cup")),
-        backdrop=PLAIN,
-        **more,  # type: ignore[arg-type]
-    )
+PHANTOM = Phantom((Teat((-110.0, 284.0)), Teat((-160.0, 192.0)), Teat((-225.0, 199.0))))
+SCENE = SceneState(
+    PHANTOM, (32.0, 32.5, 33.0), 33.0, 20.0,
+    (make_object("warm_arm"), make_object("hot_cup")), backdrop=PLAIN,
+)  # fmt: skip
+
+
+def at(x_mm: float) -> SceneState:
+    return replace(SCENE, phantom=PHANTOM.moved(PlatePose(x_mm)))
 
 
 @pytest.mark.slow
-def test_a_kept_arm_looks_as_one_drawn_anew() -> None:
-    kept = Renderer(renderer().cameras, camera_seed=7)
-    for x in (0.0, 3.0, 7.5):
-        kept.render(scene(PlatePose(x)), np.random.default_rng(1))
-    last = scene(PlatePose(11.0))
-    one = kept.render(last, np.random.default_rng(2))
-    two = Renderer(renderer().cameras, camera_seed=7).render(last, np.random.default_rng(2))
+def test_what_was_drawn_before_leaves_no_trace() -> None:
+    kept, last = small(), at(11.0)
+    for before in (*map(at, (0.0, 3.0, 7.5)), *map(situation, SITUATIONS)):
+        kept.render(before, np.random.default_rng(1))
+    same = [eyes.render(last, np.random.default_rng(2)) for eyes in (kept, small())]
+    other = [eyes.render(last, np.random.default_rng(s)) for eyes, s in ((kept, 3), (small(8), 2))]
     for name in ("left", "right", "thermal_8bit", "thermal_ck"):
-        assert np.array_equal(getattr(one, name), getattr(two, name))
+        one, two, *others = (getattr(frames, name) for frames in (*same, *other))
+        assert np.array_equal(one, two)
+        assert not any(np.array_equal(one, another) for another in others)
 
 
 @pytest.mark.slow
-def test_temperatures_light_and_paint_are_no_part_of_what_is_kept() -> None:
-    eyes, first = Renderer(renderer().cameras, camera_seed=7), scene(PlatePose())
+def test_temperatures_are_no_part_of_what_is_kept_but_light_and_paint_are() -> None:
+    eyes, first = small(), SCENE
     before = eyes.left.expected(first), eyes.thermal.expected_k(first)
     warmer = replace(first, teat_temps_c=(34.0, 34.0, 34.0))
     assert np.array_equal(eyes.left.expected(warmer), before[0])

@@ -13,17 +13,12 @@ from tests.instruments.world.scenes import NOBODY
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_every_kind_stands_on_the_table_by_default(kind: str) -> None:
+def test_every_kind_stands_on_the_table_is_placed_and_painted(kind: str) -> None:
     thing = make_object(kind)
     assert thing.name == kind
     assert Solids.from_hulls(thing.hulls).nearest_depth().min() >= -1e-9
-
-
-@pytest.mark.parametrize("kind", sorted(KINDS))
-def test_every_kind_is_placed_and_painted(kind: str) -> None:
-    assert {"x_mm", "y_mm", "albedo", "gloss", "emissivity", "temperature", "offset_k"} <= set(
-        parameters(kind)
-    )
+    looks = {"x_mm", "y_mm", "albedo", "gloss", "emissivity", "temperature", "offset_k"}
+    assert looks <= set(parameters(kind))
     here, there = make_object(kind, x_mm=0.0, albedo=0.4), make_object(kind, x_mm=25.0, albedo=0.4)
     assert there.hulls[0].a_mm[0] - here.hulls[0].a_mm[0] == pytest.approx(25.0)
     assert here.paint.albedo == 0.4
@@ -51,21 +46,13 @@ def test_temperatures_absolute_teat_ambient_and_offset() -> None:
         (
             "hot_cup",
             {"radius": 30.0},
-            r"'radius' is no parameter of hot_cup; did you mean 'radius_mm'\?",
+            r"'radius' is no parameter of .*; did you mean 'radius_mm'\?",
         ),
         ("hot_cup", {"radius_mm": -3.0}, r"hot_cup: a solid needs .* radii above zero"),
-        (
-            "hot_cup",
-            {"radius_mm": "wide"},
-            r"hot_cup: radius_mm must be a finite number, is 'wide'",
-        ),
+        ("hot_cup", {"radius_mm": "wide"}, r"radius_mm must be a finite number, is 'wide'"),
         ("hot_cup", {"radius_mm": True}, r"hot_cup: radius_mm must be a finite number"),
         ("hot_cup", {"height_mm": float("nan")}, r"hot_cup: height_mm must be a finite number"),
-        (
-            "hot_cup",
-            {"temperature": "teet"},
-            r"'teet' is no temperature of hot_cup .*; did you mean 'teat'\?",
-        ),
+        ("hot_cup", {"temperature": "teet"}, r"'teet' is no temperature .*; did you mean 'teat'\?"),
         ("warm_arm", {"albedo": 1.5}, r"warm_arm: albedo must be from 0 to 1, is 1.5"),
         ("cooler_body", {"height_mm": 20.0}, r"cooler_body: height_mm must be more than"),
     ],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import getitem
 from typing import Any
 
 import cv2
@@ -11,11 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from instruments.world.optics import CameraModel, cameras_from_calibration, rotation_from_vector
+from instruments.world.phantom import TABLE_5_1_MM as TABLE_5_1
 from tests.instruments.world.scenes import by_opencv, calibration_table
 
-TABLE_5_1_MM = np.array(
-    [[-110.2, 284.2, 134.2], [-161.9, 192.6, 137.6], [-224.9, 199.4, 136.7], [-260.6, 267.1, 136.3]]
-)
+TABLE_5_1_MM = np.array(TABLE_5_1)
 
 
 def model(kc: list[float], alpha_c: float = 0.0) -> CameraModel:
@@ -30,14 +31,11 @@ def test_shipped_cameras_project_as_opencv_does(which: int) -> None:
     camera = cameras_from_calibration(calibration_table())[which]
     rng = np.random.default_rng(1)
     points = np.concatenate([TABLE_5_1_MM, rng.uniform([-700, 0, -100], [300, 900, 500], (300, 3))])
-    assert np.abs(camera.project(points) - by_opencv(camera, points)).max() < 1e-9
-
-
-def test_the_teat_ends_lie_in_all_three_images() -> None:
-    for camera in cameras_from_calibration(calibration_table()):
-        pixels = camera.project(TABLE_5_1_MM)
-        assert (pixels > 0).all()
-        assert (pixels < [camera.width_px, camera.height_px]).all()
+    pixels = camera.project(points)
+    assert np.abs(pixels - by_opencv(camera, points)).max() < 1e-9
+    assert np.all((pixels[:4] > 0) & (pixels[:4] < [camera.width_px, camera.height_px]))
+    behind = camera.centre_mm - 100.0 * camera.R[2]  # has no picture
+    assert np.isnan(camera.project(behind[None, :])).all()
 
 
 def test_motions_chain_as_published() -> None:
@@ -94,37 +92,27 @@ def test_another_grid_over_the_same_sensor() -> None:
     assert camera.project(TABLE_5_1_MM) == pytest.approx(4.0 * small.project(TABLE_5_1_MM) + 1.5)
 
 
-def test_what_is_behind_the_camera_has_no_picture() -> None:
-    camera = cameras_from_calibration(calibration_table())[0]
-    behind = camera.centre_mm - 100.0 * camera.R[2]
-    assert np.isnan(camera.project(behind[None, :])).all()
-
-
 def test_a_lens_that_folds_over_is_refused() -> None:
     with pytest.raises(ValueError, match=r"camera test: the distortion kc .* can't be undone"):
         model([-0.9, 0.0, 0.0, 0.0, 0.0]).rays()
 
 
 @pytest.mark.parametrize(
-    ("block", "key", "value", "message"),
+    ("path", "value", "message"),
     [
-        ("stereo", "om", None, r"stereo\.om is missing"),
-        ("world", "T", [1.0, 2.0], r"world\.T must be 3"),
-        ("thermal", "om", ["a", 0, 0], r"thermal\.om must be 3"),
-        ("stereo", "T", [1.0, 2.0, float("nan")], r"stereo\.T must be 3 finite"),
+        ("stereo.om", None, r"stereo\.om is missing"),
+        ("world.T", [1.0, 2.0], r"world\.T must be 3"),
+        ("thermal.om", ["a", 0, 0], r"thermal\.om must be 3"),
+        ("stereo.T", [1.0, 2.0, float("nan")], r"stereo\.T must be 3 finite"),
+        ("cameras.left.fc", [1291.0, -1.0], r"cameras\.left\.fc must be above zero"),
     ],
 )
-def test_a_wrong_calibration_names_the_key(block: str, key: str, value: Any, message: str) -> None:
+def test_a_wrong_calibration_names_the_key(path: str, value: Any, message: str) -> None:
     table = calibration_table()
-    del table[block][key]
+    *blocks, key = path.split(".")
+    block = reduce(getitem, blocks, table)
+    del block[key]
     if value is not None:
-        table[block][key] = value
+        block[key] = value
     with pytest.raises(ValueError, match=message):
-        cameras_from_calibration(table)
-
-
-def test_a_negative_focal_length_is_refused() -> None:
-    table = calibration_table()
-    table["cameras"]["left"]["fc"] = [1291.0, -1.0]
-    with pytest.raises(ValueError, match=r"cameras\.left\.fc must be above zero"):
         cameras_from_calibration(table)

@@ -26,53 +26,38 @@ def test_segments_are_apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.n
 
 def test_crossing_and_parallel_segments_by_hand() -> None:
     x = np.array([1.0, 0.0, 0.0])
-    assert segments_apart_mm(
-        -x, x, np.array([0.0, -1.0, 3.0]), np.array([0.0, 1.0, 3.0])
-    ) == pytest.approx(3.0)
-    assert segments_apart_mm(
-        -x, x, np.array([5.0, 4.0, 0.0]), np.array([7.0, 4.0, 0.0])
-    ) == pytest.approx(np.hypot(4.0, 4.0))
+    for start, end, apart in (((0, -1, 3), (0, 1, 3), 3.0), ((5, 4, 0), (7, 4, 0), np.hypot(4, 4))):
+        found = segments_apart_mm(-x, x, np.array(start, float), np.array(end, float))
+        assert found == pytest.approx(apart)
     assert segments_apart_mm(x, x, x, x) == 0.0
 
 
 def test_clearance_is_from_surface_to_surface() -> None:
-    assert clearance_mm(ball((0.0, 0.0, 0.0), 3.0), ball((10.0, 0.0, 0.0), 4.0)) == pytest.approx(
-        3.0
-    )
+    balls = ball((0.0, 0.0, 0.0), 3.0), ball((10.0, 0.0, 0.0), 4.0)
+    assert clearance_mm(*balls) == pytest.approx(3.0)
     teat = Hull((0.0, 0.0, 0.0), (0.0, 0.0, 100.0), 11.0, 11.0, flat_a=True)
-    assert clearance_mm(
-        teat, cylinder((20.0, 0.0, 0.0), (20.0, 0.0, 50.0), 5.0, 12.0)
-    ) == pytest.approx(-3.0)
+    cup = cylinder((20.0, 0.0, 0.0), (20.0, 0.0, 50.0), 5.0, 12.0)
+    assert clearance_mm(teat, cup) == pytest.approx(-3.0)
 
 
 radius = st.floats(1, 60)
 
 
 @pytest.mark.slow
-@given(a=point, b=point, c=point, d=point, narrow=radius, wide=radius, other=radius)
+@given(ends=st.tuples(point, point, point, point), radii=st.tuples(radius, radius, radius))
 def test_a_tapered_solid_is_as_near_as_the_nearest_of_its_slices(
-    a: np.ndarray,
-    b: np.ndarray,
-    c: np.ndarray,
-    d: np.ndarray,
-    narrow: float,
-    wide: float,
-    other: float,
+    ends: tuple[np.ndarray, ...], radii: tuple[float, float, float]
 ) -> None:
-    assume(float(np.linalg.norm(b - a)) > 1.0)
-    assume(float(np.linalg.norm(d - c)) > 1.0)
-    cone = cylinder(tuple(a), tuple(b), narrow, wide)
-    slices = [
-        segments_apart_mm(a + t * (b - a), a + t * (b - a), c, d)
-        - narrow
-        - t * (wide - narrow)
-        - other
-        for t in T[:, 0]
-    ]
+    (a, b, c, d), (narrow, wide, other) = ends, radii
+    assume(min(float(np.linalg.norm(b - a)), float(np.linalg.norm(d - c))) > 1.0)
+    middles = a + T * (b - a)
+    away = np.array([segments_apart_mm(middle, middle, c, d) for middle in middles])
+    nearest = float((away - narrow - T[:, 0] * (wide - narrow) - other).min())
     grain = 0.01 * (float(np.linalg.norm(b - a)) + abs(wide - narrow))
+    cone = cylinder(tuple(a), tuple(b), narrow, wide)
     gap = clearance_mm(cone, cylinder(tuple(c), tuple(d), other))
-    assert gap <= min(slices) + 1e-3
-    assert gap >= min(slices) - grain - 1e-3 or gap >= 0.0 <= min(slices)
+    assert gap <= nearest + 1e-3
+    assert gap >= nearest - grain - 1e-3 or gap >= 0.0 <= nearest
 
 
 def test_a_cup_that_widens_above_a_flange_leaves_it_alone() -> None:

@@ -22,12 +22,8 @@ def test_the_world_stands_as_the_situation_says() -> None:
     found, bench = situation("missing_or_hidden", 3), world()
     bench.arrange(found.phantom, [{"kind": "rod", "y_mm": 900.0}], found)
     seen = bench.scene()
-    assert (seen.lighting, seen.backdrop, seen.teat_paint, seen.boards) == (
-        found.lighting,
-        found.backdrop,
-        found.teat_paint,
-        found.boards,
-    )
+    for name in ("lighting", "backdrop", "teat_paint", "boards"):
+        assert getattr(seen, name) == getattr(found, name)
     assert seen.objects == (*found.objects, make_object("rod", y_mm=900.0))
     assert np.array_equal(seen.phantom.ends_mm, found.phantom.ends_mm)
 
