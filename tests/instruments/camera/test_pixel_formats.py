@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.camera.pixel_formats import BY_CODE, FORMATS, format_of, unpack
+from instruments.camera.pixel_formats import BY_CODE, FORMATS, unpack
 from tests.instruments.bath.peers import absent
 
 CODES = {known.name: known.code for known in FORMATS}
@@ -118,7 +118,7 @@ def test_what_cannot_be_unpacked_is_said() -> None:
     with pytest.raises(
         ValueError, match="0x01080002 is not one that is unpacked here; choose one of Mono8"
     ):
-        format_of(0x01080002)
+        unpack(b"", 0x01080002, 1, 1)
 
 
 def test_codes_are_those_of_aravis() -> None:
