@@ -98,17 +98,16 @@ class _Layout:
     @classmethod
     def of(cls, start: Rig, poses: int, freedom: Freedom) -> _Layout:
         """The parameters that ``freedom`` leaves to ``poses`` views of the cameras of ``start``."""
-        held = {(name, "fy") for name in freedom.aspect}
-        lens = [
+        fc = {name: start.cameras[name].fc for name in freedom.aspect}
+        shared = [
             (name, p)
             for name in start.cameras
             for p in LENS
-            if p in freedom.lens.get(name, ()) and (name, p) not in held
+            if p in freedom.lens.get(name, ()) and not (name in fc and p == "fy")
         ]
-        others = [n for n in start.cameras if n != start.reference] if freedom.motions else []
-        fc = {name: start.cameras[name].fc for name in freedom.aspect}
-        ratio = {name: fy / fx for name, (fx, fy) in fc.items()}
-        return cls((*lens, *((name, p) for name in others for p in POSE)), ratio, poses)
+        others = [name for name in start.cameras if name != start.reference]
+        shared += [(name, p) for name in others for p in POSE if freedom.motions]
+        return cls(tuple(shared), {name: fy / fx for name, (fx, fy) in fc.items()}, poses)
 
     @property
     def size(self) -> int:

@@ -123,7 +123,21 @@ cc = [159.5, 119.5]
 kc = [0.01, 0.0, 0.0, 0.0, 0.0]
 """
 DEPTH = LENS_OF_DEPTH, "\n[depth]\nom = [0.0, 0.05, 0.0]\nT = [-40.0, 25.0, 1.0]\n"
+RECORD = '[record]\nby = ""\nwith_what = ""\ncameras = {}\ninputs = {}\nmade = "yesterday"\n'
+
+
+def uncertain(parameters: str, rows: str) -> Edit:
+    return lambda t: f"{t}\n[uncertainty]\nparameters = [{parameters}]\ncovariance = [{rows}]\n"
+
+
+COVARIANCE = "uncertainty.covariance"
 CASES: list[tuple[Edit, str, str]] = [
+    (lambda t: f"{t}\n{RECORD}", "record.made", "a day such as"),
+    (uncertain('"left fx"', "[-1.0]"), COVARIANCE, "not a covariance"),
+    (uncertain('"left fx"', "[1.0], [0.0, 1.0]"), COVARIANCE, "1 x 1 finite numbers"),
+    (uncertain('"left focus"', "[1.0]"), COVARIANCE, "no such parameter: left focus"),
+    (uncertain('"left fx", "left fx"', "[1.0], [0.0, 1.0]"), COVARIANCE, "named twice"),
+    (uncertain('"left fx"', "[1.0, 2.0]"), COVARIANCE, "lower triangle"),
     (put(LENS, "fc = [-1291.0"), "cameras.left.fc", "above zero"),
     (put(LENS + ", ", "fc = ["), "cameras.left.fc", "must have 2 numbers"),
     (put(LENS, 'fc = ["1291"'), "cameras.left.fc", "must be a number, not text"),

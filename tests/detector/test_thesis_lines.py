@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -79,7 +79,6 @@ def literal_merge_columns(x: list[int], reach: int) -> list[int]:
 
 @pytest.mark.slow
 @given(columns_of_points, st.integers(0, 6), st.booleans())
-@settings(max_examples=300)
 def test_merging_columns_is_the_double_loop(columns: list[int], reach: int, in_order: bool) -> None:
     columns = sorted(columns) if in_order else columns
     assert merge_columns(columns, reach) == literal_merge_columns(columns, reach)
@@ -99,7 +98,6 @@ def test_merging_columns_is_the_double_loop_at_full_size() -> None:
     st.integers(0, 3),
     st.integers(0, 20),
 )
-@settings(max_examples=300)
 def test_merging_rows(points: list[tuple[int, int]], row_reach: int, column_reach: int) -> None:
     points = sorted(points)
     rows, columns = (np.array([p[k] for p in points], dtype=np.int64) for k in (0, 1))
@@ -113,7 +111,6 @@ def test_merging_rows(points: list[tuple[int, int]], row_reach: int, column_reac
 
 @pytest.mark.slow
 @given(st.lists(st.integers(1, 80), max_size=60))
-@settings(max_examples=200)
 def test_segments_are_the_listings(columns: list[int]) -> None:
     x, k, middles = sorted(columns), 1, []  # the listing's own count, from 1
     while k + 5 <= len(x):

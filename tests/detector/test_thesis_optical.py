@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -109,7 +109,6 @@ def literal_search(dark: NDArray[np.bool_]) -> tuple[int, int, int] | None:
 
 @pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 0.97))
-@settings(max_examples=200)
 def test_row_search_is_the_listings(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     dark = (rng.random((41, 41)) < share) & (rng.random((41, 1)) < 0.3)
