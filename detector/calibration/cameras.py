@@ -119,10 +119,8 @@ def flat_pose(board_mm: Floats, pixels_px: Floats, lens: Camera) -> Motion:
 
 def _refuse_too_few(name: str, views: Sequence[View]) -> None:
     if len(views) < LEAST_VIEWS:
-        raise TooFewViewsError(
-            f"{name} has {len(views)} usable views of the board, at least {LEAST_VIEWS} are needed,"
-            " 15 to 30 are good"
-        )
+        what = f"{name} has {len(views)} usable views of the board"
+        raise TooFewViewsError(f"{what}, at least {LEAST_VIEWS} are needed, 15 to 30 are good")
 
 
 def _alone(
@@ -151,10 +149,8 @@ def join_cameras(
         seen = dict(zip(alone[name].views, alone[name].fit.poses, strict=True))
         both = [pose @ in_first[v].inverse() for v, pose in seen.items() if v in in_first]
         if len(both) < LEAST_VIEWS:
-            raise TooFewViewsError(
-                f"{first} and {name} share {len(both)} views, at least {LEAST_VIEWS} are"
-                " needed: show the board where both see all of it"
-            )
+            what = f"{first} and {name} share {len(both)} views, at least {LEAST_VIEWS} are needed"
+            raise TooFewViewsError(f"{what}: show the board where both see all of it")
         # to start with, the median over the views that both saw
         middle = np.median([motion.T for motion in both], axis=0)
         nearest = min(both, key=lambda motion: float(np.linalg.norm(motion.T - middle)))
@@ -268,9 +264,8 @@ class Coverage:
                 found.append(f"tilt the board by 20 to 40 degrees, {side}")
         near, far = self.distances_mm or (0.0, 0.0)
         if self.distances_mm and far < DISTANCE_RATIO * near:
-            found.append(
-                f"hold the board nearer and farther: all views are {near:.0f} to {far:.0f} mm away"
-            )
+            away = f"all views are {near:.0f} to {far:.0f} mm away"
+            found.append(f"hold the board nearer and farther: {away}")
         more = ENOUGH_VIEWS - self.views
         if more > 0:
             found.append(f"{more} more view{'s' if more > 1 else ''}")

@@ -199,10 +199,8 @@ def fit_world(
     in_right = pair.in_right_mm(data[0], data[1])
     if not np.isfinite(in_right).all():
         bad = int(np.flatnonzero(~np.isfinite(in_right).all(axis=1))[0]) + 1
-        raise ValueError(
-            f"point {bad} can't be triangulated: its pixels are outside of what the lenses were"
-            " calibrated for"
-        )
+        why = "its pixels are outside of what the lenses were calibrated for"
+        raise ValueError(f"point {bad} can't be triangulated: {why}")
     here = rigid_fit(data[2], in_right)
     given = pair_covariance or ParameterCovariance((), np.zeros((0, 0)))
 

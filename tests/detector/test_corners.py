@@ -44,9 +44,7 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
         edge = round(margin * dots_per_mm)
         paper[edge : edge + inner.shape[0], edge : edge + inner.shape[1]] = inner
         return paper, to_paper
-    rows, columns = np.mgrid[0 : paper.shape[0], 0 : paper.shape[1]]
-    x = ((columns + 0.5) / dots_per_mm - margin) / board.pitch_mm
-    y = ((rows + 0.5) / dots_per_mm - margin) / board.pitch_mm
+    y, x = ((np.mgrid[: dots[0], : dots[1]] + 0.5) / dots_per_mm - margin) / board.pitch_mm
     if board.kind == "chessboard":
         on = (x >= 0) & (y >= 0) & (x < board.columns + 1) & (y < board.rows + 1)
         paper[on & ((np.floor(x) + np.floor(y)) % 2 == 0)] = 0
@@ -54,9 +52,8 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
     assert board.circle_mm
     radius = board.circle_mm / 2 / board.pitch_mm
     x, y = x - radius, y - radius
-    nearest_x = np.clip(np.rint(x), 0, board.columns - 1)
-    nearest_y = np.clip(np.rint(y), 0, board.rows - 1)
-    paper[np.hypot(x - nearest_x, y - nearest_y) < radius] = 0
+    nearest = np.clip(np.rint(x), 0, board.columns - 1), np.clip(np.rint(y), 0, board.rows - 1)
+    paper[np.hypot(x - nearest[0], y - nearest[1]) < radius] = 0
     to_paper[:2, 2] = (margin + board.circle_mm / 2) * dots_per_mm - 0.5
     return paper, to_paper
 

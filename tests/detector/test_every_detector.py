@@ -35,15 +35,18 @@ def frames(draw: Draw, teats_mm: NDArray[np.float64]) -> Pictures:
 def every(change: Callable[[NDArray[Any]], NDArray[Any]]) -> Callable[[Pictures], Pictures]:
     def changed(frames: Pictures) -> Pictures:
         assert frames.thermal is not None
-        return Pictures(
-            change(frames.left), change(frames.right), change(frames.thermal), frames.thermal_k
-        )
+        left, right, thermal = map(change, (frames.left, frames.right, frames.thermal))
+        return Pictures(left, right, thermal, frames.thermal_k)
 
     return changed
 
 
 def noise(like: NDArray[Any]) -> NDArray[Any]:
     return np.random.default_rng(like.size).integers(0, 256, like.shape).astype(np.uint8)
+
+
+def kelvin(frames: Pictures, thermal_k: NDArray[Any]) -> Pictures:
+    return replace(frames, thermal=None, thermal_k=thermal_k)
 
 
 MET: dict[str, Callable[[Pictures], Pictures]] = {
@@ -65,11 +68,9 @@ MET: dict[str, Callable[[Pictures], Pictures]] = {
     "thermal noise": lambda f: replace(f, thermal=noise(np.zeros((480, 640)))),
     "swapped": lambda f: replace(f, left=f.right, right=f.left),
     "no thermal": lambda f: replace(f, thermal=None),
-    "kelvin of one pixel": lambda f: replace(f, thermal=None, thermal_k=np.full((1, 1), 305.0)),
-    "kelvin not a number": lambda f: replace(
-        f, thermal=None, thermal_k=np.full((120, 160), np.nan)
-    ),
-    "kelvin in a row": lambda f: replace(f, thermal=None, thermal_k=np.full(7, 305.0)),
+    "kelvin of one pixel": lambda f: kelvin(f, np.full((1, 1), 305.0)),
+    "kelvin not a number": lambda f: kelvin(f, np.full((120, 160), np.nan)),
+    "kelvin in a row": lambda f: kelvin(f, np.full(7, 305.0)),
 }
 HOPELESS = {
     *("1 x 1", "1 x 1 thermal", "1 x 1 left", "half size", "turned", "empty", "one row"),

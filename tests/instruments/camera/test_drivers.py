@@ -245,22 +245,17 @@ def test_what_a_camera_refuses_to_take_or_to_tell_is_a_fault_too() -> None:
     assert notes == ("gain was refused: not writable", "fps can't be read back: not writable")
 
 
-def test_the_least_delay_is_the_offset() -> None:
+def test_the_least_delay_is_the_offset_until_the_clock_begins_anew() -> None:
     time = DeviceTime()
-    # the first: nothing better is known than its arrival
-    assert time.bench_s(1000.0, 10.5) == pytest.approx(10.5)
-    # came faster: 0.3 s of the first were delay
-    assert time.bench_s(1001.0, 11.2) == pytest.approx(11.2)
-    # came late, was exposed in time
-    assert time.bench_s(1002.0, 13.0) == pytest.approx(12.2, abs=1e-3)
-
-
-def test_a_camera_without_stamps_or_started_anew() -> None:
-    time = DeviceTime()
-    assert time.bench_s(0.0, 5.0) == 5.0
-    time.bench_s(1000.0, 6.0)
-    assert time.bench_s(3.0, 9.0) == 9.0, "its clock began again: the old offset must not be used"
-    assert time.bench_s(4.0, 11.0) == pytest.approx(10.0, abs=1e-3)
+    for stamp_s, arrived_s, exposed_s in (
+        (0.0, 5.0, 5.0),  # without a stamp
+        (1000.0, 10.5, 10.5),  # the first: nothing better is known than its arrival
+        (1001.0, 11.2, 11.2),  # came faster: 0.3 s of the first were delay
+        (1002.0, 13.0, 12.2),  # came late, was exposed in time
+        (3.0, 19.0, 19.0),  # its clock began again: the old offset must not be used
+        (4.0, 21.0, 20.0),
+    ):
+        assert time.bench_s(stamp_s, arrived_s) == pytest.approx(exposed_s, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -70,24 +70,19 @@ def whole(camera: GenicamCamera) -> RawFrame:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("pixel_format", "kind", "bits", "dimensions"),
-    [
-        ("Mono8", "uint8", 8, 2),
-        ("Mono16", "uint16", 16, 2),
-        ("RGB8", "uint8", 8, 3),
-        ("BayerRG8", "uint8", 8, 3),
-    ],
+    ("pixel_format", "bits", "dimensions"),
+    [("Mono8", 8, 2), ("Mono16", 16, 2), ("RGB8", 8, 3), ("BayerRG8", 8, 3)],
 )
 def test_pixel_formats_of_the_camera_in_this_process(
-    aravis: Any, clock: RealClock, pixel_format: str, kind: str, bits: int, dimensions: int
+    aravis: Any, clock: RealClock, pixel_format: str, bits: int, dimensions: int
 ) -> None:
     with opened(IN_PROCESS, clock, pixel_format=pixel_format, resolution=(320, 240)) as camera:
         assert camera.identity == f"Aravis Fake 1 (320 x 240, {pixel_format})"
         frame = whole(camera)
     pixels = frame.pixels
     assert (pixels.shape[:2], pixels.ndim) == ((240, 320), dimensions)
-    assert (str(pixels.dtype), frame.bits) == (kind, bits)
-    assert frame.pixels.max() > frame.pixels.min()
+    assert (str(pixels.dtype), frame.bits) == (f"uint{bits}", bits)
+    assert pixels.max() > pixels.min()
 
 
 @pytest.mark.slow
