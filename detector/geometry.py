@@ -66,10 +66,8 @@ class Motion:
             or not (np.abs(R @ R.T - np.eye(3)) <= 1e-9 + 1e-5 * np.eye(3)).all()
             or np.linalg.det(R) < 0
         ):
-            raise ValueError(
-                f"not a rotation matrix (orthogonal, determinant +1): {R.tolist()}; fit it with"
-                " `rigid_fit`"
-            )
+            what = "not a rotation matrix (orthogonal, determinant +1)"
+            raise ValueError(f"{what}: {R.tolist()}; fit it with `rigid_fit`")
         R.setflags(write=False)
         T.setflags(write=False)
         object.__setattr__(self, "R", R)
@@ -113,10 +111,8 @@ def rigid_fit(target_mm: ArrayLike, source_mm: ArrayLike) -> Motion:
     """
     target, source = _rows(target_mm, 3, "target points"), _rows(source_mm, 3, "source points")
     if len(target) != len(source) or len(source) < 3:
-        raise ValueError(
-            f"a rigid fit needs at least 3 pairs, got {len(source)} source and {len(target)} target"
-            " points"
-        )
+        got = f"{len(source)} source and {len(target)} target points"
+        raise ValueError(f"a rigid fit needs at least 3 pairs, got {got}")
     centre_t, centre_s = target.mean(axis=0), source.mean(axis=0)
     U, spread, Vt = np.linalg.svd((target - centre_t).T @ (source - centre_s))
     if spread[1] <= 1e-12 * max(float(spread[0]), np.finfo(float).tiny):
@@ -200,9 +196,8 @@ def triangulate(
     a = homogeneous(left.normalize(left_px)) @ right_from_left.R.T
     b = homogeneous(right.normalize(right_px))
     if len(a) != len(b):
-        raise ValueError(
-            f"triangulation needs pairs: {len(a)} left and {len(b)} right pixels were given"
-        )
+        given = f"{len(a)} left and {len(b)} right pixels were given"
+        raise ValueError(f"triangulation needs pairs: {given}")
     T = right_from_left.T
     aa, bb, ab = (np.einsum("ij,ij->i", u, v) for u, v in ((a, a), (b, b), (a, b)))
     aT, bT = a @ T, b @ T

@@ -16,7 +16,7 @@ from itertools import permutations
 import numpy as np
 
 from detector.geometry import Array
-from detector.protocol import Context, Teat, Visit
+from detector.protocol import Context, Teat
 
 FILLING_H = 8.0  # after so long, an udder has 63 % of what it gets
 SHRINKS, SHRINKS_SD = 0.35, 0.15  # share of a distance from the middle that milking takes
@@ -53,8 +53,8 @@ def laid_over(ends_mm: Array, onto_mm: Array) -> tuple[Array, Array]:
     middle, there = ends_mm.mean(axis=0), onto_mm.mean(axis=0)
     (x, y), (u, v) = (ends_mm - middle).T[:2], (onto_mm - there).T[:2]
     angle = np.arctan2((x * v - y * u).sum(), (x * u + y * v).sum()) if len(ends_mm) > 1 else 0.0
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0]])
-    turn = np.vstack([turn, [0.0, 0.0, 1.0]])
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return turn, there - turn @ middle
 
 
@@ -159,31 +159,24 @@ def _assigned(udder: Udder, ends_mm: Array, stated_mm2: float) -> list[int]:
 
 def _covariance(udder: Udder, i: int, which: Sequence[int], turn: Array) -> Array:
     """(3, 3) mm^2 of an end placed by those of ``which``: its own, and the placing's."""
-    mine = np.diag(udder.variance_mm2[i] + udder.own_mm2)
-    by = np.mean(udder.variance_mm2[list(which)] + udder.own_mm2, axis=0)
-    flat = udder.ends_mm[list(which), :2] - udder.ends_mm[list(which), :2].mean(axis=0)
-    x, y = udder.ends_mm[i, :2] - udder.ends_mm[list(which), :2].mean(axis=0)
+    variance, flat, seen = udder.variance_mm2 + udder.own_mm2, udder.ends_mm[:, :2], list(which)
+    mine, by = np.diag(variance[i]), np.mean(variance[seen], axis=0)
+    flat = flat - flat[seen].mean(axis=0)
+    x, y = flat[i]
     lever = np.array([-y, x, 0.0])
-    turned = np.outer(lever, lever) * by[:2].mean() / max(float((flat**2).sum()), 1.0)
+    turned = np.outer(lever, lever) * by[:2].mean() / max(float((flat[seen] ** 2).sum()), 1.0)
     return np.asarray(turn @ (mine + np.diag(by) / len(which) + turned) @ turn.T)
 
 
 def last_visit(context: Context, seen: Sequence[Teat]) -> Mapping[int, Array]:
     """To compare with: what the last visit that has more ends says, laid over those seen."""
-    for visit in reversed(context.visits):
-        if len(visit.teats) > len(seen) >= LEAST_SEEN:
-            return _of_visit(visit, np.array([teat.world_mm for teat in seen]))
-    return {}
-
-
-def _of_visit(visit: Visit, ends_mm: Array) -> Mapping[int, Array]:
-    nothing = np.zeros((len(visit.teats), 3))
-    loose = Udder(visit.teats, visit.ends_mm, nothing, 36.0)  # at another fill
-    if not (which := _assigned(loose, ends_mm, 1.0)):
+    enough = (v for v in reversed(context.visits) if len(v.teats) > len(seen) >= LEAST_SEEN)
+    if (visit := next(enough, None)) is None:
         return {}
-    turn, shift = laid_over(visit.ends_mm[which], ends_mm)
-    return {
-        teat: turn @ visit.ends_mm[i] + shift
-        for i, teat in enumerate(visit.teats)
-        if i not in which
-    }
+    ends, there = np.array([teat.world_mm for teat in seen]), visit.ends_mm
+    loose = Udder(visit.teats, there, np.zeros(there.shape), 36.0)  # at another fill
+    if not (which := _assigned(loose, ends, 1.0)):
+        return {}
+    turn, shift = laid_over(there[which], ends)
+    others = [i for i in range(len(visit.teats)) if i not in which]
+    return {visit.teats[i]: turn @ there[i] + shift for i in others}

@@ -153,11 +153,11 @@ class Context:
 
 @runtime_checkable
 class WithContext(Protocol):
-    """A detector that can use a cow's history; plain `detect` works without."""
+    """A detector that can use a cow's history for ``predicted`` ends, as well as plain `detect`."""
 
-    def detect_with(self, frames: Frames, calibration: Calibration, context: Context) -> Detection:
-        """As `detect`, with ``predicted`` ends."""
-        ...
+    def detect_with(
+        self, frames: Frames, calibration: Calibration, context: Context
+    ) -> Detection: ...
 
 
 class Outcome(Enum):
@@ -182,7 +182,11 @@ class Served(Protocol):
     """A detector in another process: `Detector`, and what happens around a call.
 
     patience_s: the longest `prepare` and `detect` together. start_up_s: of the last `prepare`, None
-    where it ran already.
+    where it ran already. introduce: start the process, so that it says what it was trained on and
+    its device; where it can't be started, `prepare` fails. prepare: start it where none runs, and
+    write its pictures; check: its limits between calls, outside of its time; both raise
+    DetectionFailure. said: its standard error since the last call, the end of it where long. close:
+    end its processes and remove its files; once more is no error.
     """
 
     @property
@@ -190,24 +194,8 @@ class Served(Protocol):
     @property
     def start_up_s(self) -> float | None: ...
 
-    def introduce(self) -> None:
-        """Start the process, so that it says what it was trained on and its device. Where it can't
-        be started, `prepare` fails.
-        """
-        ...
-
-    def prepare(self, frames: Frames, calibration: Calibration) -> None:
-        """Start the process, write its pictures. Raises DetectionFailure."""
-        ...
-
-    def check(self) -> None:
-        """Check its limits between calls, outside of its time. Raises DetectionFailure."""
-        ...
-
-    def said(self) -> str:
-        """Its standard error since the last call, the end of it where long."""
-        ...
-
-    def close(self) -> None:
-        """End its processes and remove its files. Once more is no error."""
-        ...
+    def introduce(self) -> None: ...
+    def prepare(self, frames: Frames, calibration: Calibration) -> None: ...
+    def check(self) -> None: ...
+    def said(self) -> str: ...
+    def close(self) -> None: ...

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 GROUP = "teatbench.detectors"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")  # it becomes a part of files' names
-
-
 _PHRASES = ("device", "computed_by", "covariance_leaves_out")  # that the report quotes
 
 # name: where what makes it is, and one line on it
@@ -96,15 +94,11 @@ def broken(plugs: Iterable[EntryPoint] | None = None) -> dict[str, str]:
     for plug in _plugs(plugs):
         fault = None
         if not _NAME.fullmatch(plug.name):
-            fault = (
-                "gives it a name that no file could bear: letters, digits, dots, _ and - are"
-                " allowed"
-            )
+            allowed = "letters, digits, dots, _ and - are allowed"
+            fault = f"gives it a name that no file could bear: {allowed}"
         elif plug.name in _SHIPPED:
-            fault = (
-                "brings a detector of this name, which is the name of one that ships: it is left"
-                " out"
-            )
+            shipped = "which is the name of one that ships: it is left out"
+            fault = f"brings a detector of this name, {shipped}"
         elif plug.name in seen:
             fault = "brings a second detector of this name: the first is used"
         if fault:
@@ -129,9 +123,8 @@ def create(name: str, plugs: Iterable[EntryPoint] | None = None) -> Detector:
         known = sorted(available(plugs))
         near = get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise UnknownDetectorError(
-            f"no detector is called {name!r}{hint} There are: {', '.join(known)}."
-        )
+        there = f"There are: {', '.join(known)}."
+        raise UnknownDetectorError(f"no detector is called {name!r}{hint} {there}")
     return _plugged(plug)
 
 
@@ -142,6 +135,7 @@ def _plugs(plugs: Iterable[EntryPoint] | None) -> list[EntryPoint]:
 def _plugged(plug: EntryPoint) -> Plugged:
     from detector.protocol import trained_on_of  # numpy: not for a list of names
 
+    who = f"detector {plug.name!r} of {_source(plug)}"
     # another's code: it may fail in any way, and not every library's errors are Exceptions
     try:
         given = plug.load()
@@ -158,14 +152,10 @@ def _plugged(plug: EntryPoint) -> Plugged:
             said = _line(f"{type(error).__name__}: {error}")
         except Exception:  # its own words fail
             said = type(error).__name__
-        raise BrokenDetectorError(
-            f"detector {plug.name!r} of {_source(plug)} can't be loaded: {said}"
-        ) from error
+        raise BrokenDetectorError(f"{who} can't be loaded: {said}") from error
     if not callable(getattr(made, "detect", None)):
-        raise BrokenDetectorError(
-            f"detector {plug.name!r} of {_source(plug)} is a {type(made).__name__}, which has no"
-            " detect(frame_set, calibration)"
-        )
+        what = f"is a {type(made).__name__}, which has no detect(frame_set, calibration)"
+        raise BrokenDetectorError(f"{who} {what}")
     return Plugged(plug.name, version, parameters, made, trained_on, **phrases)
 
 

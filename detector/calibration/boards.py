@@ -5,6 +5,7 @@ The frame: x along the columns, y along the rows, z = 0, the first point at (0, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -36,42 +37,37 @@ class Board:
     circle_mm: float | None = None
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ValueError(f"no board {self.kind!r}; there are {', '.join(KINDS)}")
-        if not (3 <= self.columns <= 100 and 3 <= self.rows <= 100):
-            raise ValueError(
-                f"a board has from 3 x 3 to 100 x 100 points, not {self.columns} x {self.rows}"
-            )
-        if not (np.isfinite(self.pitch_mm) and 0.1 <= self.pitch_mm <= 1000.0):
-            raise ValueError(
-                f"the points' distance must be from 0.1 to 1000 mm, is {self.pitch_mm}"
-            )
-        self._check_parts()
+        if fault := next(self._faults(), None):
+            raise ValueError(fault)
 
-    def _check_parts(self) -> None:
+    def _faults(self) -> Iterator[str]:
+        if self.kind not in KINDS:
+            yield f"no board {self.kind!r}; there are {', '.join(KINDS)}"
+        if not (3 <= self.columns <= 100 and 3 <= self.rows <= 100):
+            yield f"a board has from 3 x 3 to 100 x 100 points, not {self.columns} x {self.rows}"
+        if not 0.1 <= self.pitch_mm <= 1000.0:
+            yield f"the points' distance must be from 0.1 to 1000 mm, is {self.pitch_mm}"
         charuco = self.kind == "charuco"
-        if charuco != (self.marker_mm is not None) or charuco != (self.dictionary is not None):
-            raise ValueError("marker_mm and dictionary belong to a charuco board, which needs both")
-        if (self.kind == "circles") != (self.circle_mm is not None):
-            raise ValueError("circle_mm belongs to a board of circles, which needs it")
         part = self.marker_mm if charuco else self.circle_mm
+        if {charuco} != {self.marker_mm is not None, self.dictionary is not None}:
+            yield "marker_mm and dictionary belong to a charuco board, which needs both"
+        if (self.kind == "circles") != (self.circle_mm is not None):
+            yield "circle_mm belongs to a board of circles, which needs it"
         if part is not None and not 0.0 < part < self.pitch_mm:
-            raise ValueError(
-                f"a marker or circle of {part:g} mm does not fit between points {self.pitch_mm:g}"
-                " mm apart"
-            )
-        if self.dictionary is not None and self.dictionary not in DICTIONARIES:
-            raise ValueError(
-                f"no marker dictionary {self.dictionary!r}; there are {', '.join(DICTIONARIES)}"
-            )
-        if self.dictionary is not None:
-            needed = (self.columns + 1) * (self.rows + 1) // 2
-            markers = cv2.aruco.getPredefinedDictionary(DICTIONARIES[self.dictionary])
-            if needed > markers.bytesList.shape[0]:
-                raise ValueError(
-                    f"the board needs {needed} markers, more than {self.dictionary} has; take a"
-                    " larger dictionary"
-                )
+            fits = f"does not fit between points {self.pitch_mm:g} mm apart"
+            yield f"a marker or circle of {part:g} mm {fits}"
+        if self.dictionary is None:
+            return
+        if self.dictionary not in DICTIONARIES:
+            yield f"no marker dictionary {self.dictionary!r}; there are {', '.join(DICTIONARIES)}"
+        needed = (self.columns + 1) * (self.rows + 1) // 2
+        if needed > len(self._markers.bytesList):
+            larger = "take a larger dictionary"
+            yield f"the board needs {needed} markers, more than {self.dictionary} has; {larger}"
+
+    @property
+    def _markers(self) -> cv2.aruco.Dictionary:
+        return cv2.aruco.getPredefinedDictionary(DICTIONARIES[self.dictionary or ""])
 
     @property
     def points_mm(self) -> Array:
@@ -90,16 +86,13 @@ class Board:
     @property
     def reads_the_same_turned(self) -> bool:
         """Whether half a turn changes nothing, so a picture can't tell its first point."""
-        return self.kind == "circles" or (
-            self.kind == "chessboard" and (self.columns + self.rows) % 2 == 0
-        )
+        even = (self.columns + self.rows) % 2 == 0
+        return self.kind == "circles" or (self.kind == "chessboard" and even)
 
     @property
     def aruco(self) -> cv2.aruco.CharucoBoard:
         """OpenCV's own description of a ChArUco board. Raises ValueError for another kind."""
-        if self.marker_mm is None or self.dictionary is None:
+        if self.marker_mm is None:
             raise ValueError(f"a board of the kind {self.kind} has no markers")
-        markers = cv2.aruco.getPredefinedDictionary(DICTIONARIES[self.dictionary])
-        return cv2.aruco.CharucoBoard(
-            (self.columns + 1, self.rows + 1), self.pitch_mm, self.marker_mm, markers
-        )
+        squares = self.columns + 1, self.rows + 1
+        return cv2.aruco.CharucoBoard(squares, self.pitch_mm, self.marker_mm, self._markers)

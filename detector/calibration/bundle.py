@@ -79,9 +79,8 @@ class Adjusted:
 
     def sd(self, camera: str, name: str) -> float | None:
         """Standard deviation of one parameter; None where it was held fixed."""
-        variances = dict(zip(self.names, np.diag(self.covariance).tolist(), strict=True))
-        variance = variances.get((camera, name))
-        return None if variance is None else float(np.sqrt(variance))
+        sds = np.sqrt(np.diag(self.covariance)).tolist()
+        return dict(zip(self.names, sds, strict=True)).get((camera, name))
 
 
 _State = tuple[Rig, tuple[Motion, ...]]  # reference_from_board of each view
@@ -98,17 +97,16 @@ class _Layout:
     @classmethod
     def of(cls, start: Rig, poses: int, freedom: Freedom) -> _Layout:
         """The parameters that ``freedom`` leaves to ``poses`` views of the cameras of ``start``."""
-        held = {(name, "fy") for name in freedom.aspect}
-        lens = [
+        fc = {name: start.cameras[name].fc for name in freedom.aspect}
+        shared = [
             (name, p)
             for name in start.cameras
             for p in LENS
-            if p in freedom.lens.get(name, ()) and (name, p) not in held
+            if p in freedom.lens.get(name, ()) and not (name in fc and p == "fy")
         ]
-        others = [n for n in start.cameras if n != start.reference] if freedom.motions else []
-        fc = {name: start.cameras[name].fc for name in freedom.aspect}
-        ratio = {name: fy / fx for name, (fx, fy) in fc.items()}
-        return cls((*lens, *((name, p) for name in others for p in POSE)), ratio, poses)
+        others = [name for name in start.cameras if name != start.reference]
+        shared += [(name, p) for name in others for p in POSE if freedom.motions]
+        return cls(tuple(shared), {name: fy / fx for name, (fx, fy) in fc.items()}, poses)
 
     @property
     def size(self) -> int:
@@ -116,9 +114,8 @@ class _Layout:
 
     def columns(self, camera: str, names: Sequence[str]) -> tuple[list[int], list[int]]:
         """Free ones of a camera's parameters: places among ``names``, and columns."""
-        at = {key: column for column, key in enumerate(self.shared)}
-        places = [i for i, name in enumerate(names) if (camera, name) in at]
-        return places, [at[camera, names[i]] for i in places]
+        places = [i for i, name in enumerate(names) if (camera, name) in self.shared]
+        return places, [self.shared.index((camera, names[i])) for i in places]
 
     def moved(self, state: _State, step: Array) -> _State:
         """The state after a step (size,)."""
@@ -159,10 +156,8 @@ def adjust(
     layout = _Layout.of(start, len(poses), freedom)
     rows = sum(2 * len(s.board_mm) for s in sightings)
     if rows <= layout.size:
-        raise BundleError(
-            f"{rows // 2} corners can't fix {layout.size} parameters: more views, or fewer free"
-            " parameters"
-        )
+        what = f"{rows // 2} corners can't fix {layout.size} parameters"
+        raise BundleError(f"{what}: more views, or fewer free parameters")
     state, normal = _descend((start, tuple(poses)), layout, sightings)
     variance = normal.cost / (rows - layout.size)
     k = len(layout.shared)
@@ -171,10 +166,8 @@ def adjust(
     values, directions = np.linalg.eigh(scaled) if k else (np.ones(1), np.ones((1, 1)))
     if values[0] < SINGULAR * values[-1]:
         weakest = int(np.argmax(np.abs(directions[:, 0])))
-        raise BundleError(
-            f"the views don't tell {layout.describe(weakest)} apart from the rest: tilt the board"
-            " more, or hold it fixed"
-        )
+        what = f"the views don't tell {layout.describe(weakest)} apart from the rest"
+        raise BundleError(f"{what}: tilt the board more, or hold it fixed")
     covariance = np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale)) * variance
     sigma_px = float(np.sqrt(variance))
     return Adjusted(*state, layout.shared, covariance, sigma_px, normal.residuals_px)
@@ -222,10 +215,8 @@ def _descend(
     own = np.diagonal(normal.own, axis1=1, axis2=2).reshape(-1)
     diagonal = np.concatenate([np.diag(normal.shared), own])
     if not diagonal.all():
-        raise BundleError(
-            f"no corner determines {layout.describe(int(np.argmin(diagonal)))}: hold it fixed, or"
-            " add views"
-        )
+        what = f"no corner determines {layout.describe(int(np.argmin(diagonal)))}"
+        raise BundleError(f"{what}: hold it fixed, or add views")
     for _ in range(STEPS):
         better = False
         while damping < 1e12 and not better:
@@ -267,9 +258,8 @@ def _linearised(state: _State, layout: _Layout, seen: Sighting) -> tuple[Array, 
     by_pose, by_motion = (
         np.block([[by_part[i], by_part[i + 1]], [by_part[i + 4], by_part[i + 5]]]) for i in (0, 2)
     )
-    predicted, by = cv2.projectPoints(
-        seen.board_mm.reshape(-1, 1, 3), om, T, camera.matrix, np.array(camera.kc)
-    )
+    board, kc = seen.board_mm.reshape(-1, 1, 3), np.array(camera.kc)
+    predicted, by = cv2.projectPoints(board, om, T, camera.matrix, kc)
     residual = (seen.pixels_px - predicted.reshape(-1, 2)).reshape(-1)
     # its columns: rotation 0:3, translation 3:6, then f, c, k in the order of LENS
     by_whole, lens = (np.array(part, dtype=np.float64) for part in (by[:, :6], by[:, 6:15]))

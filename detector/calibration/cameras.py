@@ -15,16 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from detector.calibration.bundle import (
-    LENS,
-    POSE,
-    Adjusted,
-    BundleError,
-    Freedom,
-    Rig,
-    Sighting,
-    adjust,
-)
+from detector.calibration import bundle
+from detector.calibration.bundle import LENS, POSE, BundleError, Freedom, Rig, Sighting
 from detector.calibration.values import Pair
 from detector.geometry import Array, Camera, Motion
 
@@ -41,6 +33,9 @@ LENS_MODELS: dict[str, frozenset[str]] = {
     "k1 k2 p1 p2": PLAIN | {"k1", "k2", "p1", "p2"},
     "k1 k2 p1 p2 k3": frozenset(LENS),
 }
+# what keeps OpenCV's solver from a parameter
+HELD = {"k1": cv2.CALIB_FIX_K1, "k2": cv2.CALIB_FIX_K2, "k3": cv2.CALIB_FIX_K3}
+HELD["p1"] = cv2.CALIB_ZERO_TANGENT_DIST
 
 
 class TooFewViewsError(BundleError):
@@ -60,7 +55,7 @@ class View:
 class Calibrated:
     """One adjustment: views in the order of their poses, and the sightings of each."""
 
-    fit: Adjusted
+    fit: bundle.Adjusted
     views: tuple[str, ...]
     sightings: tuple[Sighting, ...]
 
@@ -87,17 +82,9 @@ def calibrate_camera(
     """
     _refuse_too_few(name, views)
     free, flags = LENS_MODELS[model], cv2.CALIB_FIX_ASPECT_RATIO if square_pixels else 0
-    for parameter, flag in (
-        ("k1", cv2.CALIB_FIX_K1),
-        ("k2", cv2.CALIB_FIX_K2),
-        ("k3", cv2.CALIB_FIX_K3),
-        ("p1", cv2.CALIB_ZERO_TANGENT_DIST),
-    ):
-        flags |= 0 if parameter in free else flag
-    board, seen = (
-        [np.asarray(getattr(view, part), dtype=np.float32) for view in views]
-        for part in ("board_mm", "pixels_px")
-    )
+    flags += sum(flag for parameter, flag in HELD.items() if parameter not in free)
+    board = [np.asarray(view.board_mm, dtype=np.float32) for view in views]
+    seen = [np.asarray(view.pixels_px, dtype=np.float32) for view in views]
     guess = np.eye(3) if square_pixels else None
     _, K, kc, turns, shifts = cv2.calibrateCamera(
         board, seen, image_size, guess, None, flags=flags
@@ -119,31 +106,28 @@ def calibrate_camera(
 def place_board(name: str, views: Sequence[View], lens: Camera) -> Calibrated:
     """Where the board was before a camera whose lens is known and held. Raises TooFewViewsError."""
     _refuse_too_few(name, views)
-    poses = [
-        flat_pose(view.board_mm, view.pixels_px, lens.matrix, np.array(lens.kc)) for view in views
-    ]
+    poses = [flat_pose(view.board_mm, view.pixels_px, lens) for view in views]
     return _alone(name, views, lens, poses, Freedom({}, motions=False))
 
 
-def flat_pose(board_mm: Floats, pixels_px: Floats, matrix: Array, kc: Array) -> Motion:
+def flat_pose(board_mm: Floats, pixels_px: Floats, lens: Camera) -> Motion:
     """camera_from_board of a flat board's points (n, 3) at (n, 2) px."""
-    _, turn, shift = cv2.solvePnP(board_mm, pixels_px, matrix, kc, flags=cv2.SOLVEPNP_IPPE)
+    K, kc = lens.matrix, np.array(lens.kc)
+    _, turn, shift = cv2.solvePnP(board_mm, pixels_px, K, kc, flags=cv2.SOLVEPNP_IPPE)
     return Motion.from_vectors(turn, shift)
 
 
 def _refuse_too_few(name: str, views: Sequence[View]) -> None:
     if len(views) < LEAST_VIEWS:
-        raise TooFewViewsError(
-            f"{name} has {len(views)} usable views of the board, at least {LEAST_VIEWS} are needed,"
-            " 15 to 30 are good"
-        )
+        what = f"{name} has {len(views)} usable views of the board"
+        raise TooFewViewsError(f"{what}, at least {LEAST_VIEWS} are needed, 15 to 30 are good")
 
 
 def _alone(
     name: str, views: Sequence[View], camera: Camera, poses: Sequence[Motion], freedom: Freedom
 ) -> Calibrated:
     sightings = tuple(Sighting(name, i, v.board_mm, v.pixels_px) for i, v in enumerate(views))
-    fit = adjust(Rig({name: camera}, {name: Motion.identity()}), poses, sightings, freedom)
+    fit = bundle.adjust(Rig({name: camera}, {name: Motion.identity()}), poses, sightings, freedom)
     return Calibrated(fit, tuple(view.name for view in views), sightings)
 
 
@@ -165,10 +149,8 @@ def join_cameras(
         seen = dict(zip(alone[name].views, alone[name].fit.poses, strict=True))
         both = [pose @ in_first[v].inverse() for v, pose in seen.items() if v in in_first]
         if len(both) < LEAST_VIEWS:
-            raise TooFewViewsError(
-                f"{first} and {name} share {len(both)} views, at least {LEAST_VIEWS} are"
-                " needed: show the board where both see all of it"
-            )
+            what = f"{first} and {name} share {len(both)} views, at least {LEAST_VIEWS} are needed"
+            raise TooFewViewsError(f"{what}: show the board where both see all of it")
         # to start with, the median over the views that both saw
         middle = np.median([motion.T for motion in both], axis=0)
         nearest = min(both, key=lambda motion: float(np.linalg.norm(motion.T - middle)))
@@ -184,7 +166,7 @@ def join_cameras(
     rig = Rig({name: c.fit.rig.cameras[name] for name, c in alone.items()}, motions)
     aspect = frozenset(joint_lenses) if square_pixels else frozenset()
     freedom = Freedom(dict.fromkeys(joint_lenses, LENS_MODELS[model]), aspect)
-    fit = adjust(rig, list(poses.values()), sightings, freedom)
+    fit = bundle.adjust(rig, list(poses.values()), sightings, freedom)
     return Calibrated(fit, tuple(poses), sightings)
 
 
@@ -247,11 +229,8 @@ DISTANCE_RATIO = 1.3  # farthest over nearest view
 ENOUGH_VIEWS = 12
 # what a rough focal length is believed to be, in widths of the picture
 FOCAL_OVER_WIDTH = (0.5, 8.0)
-SIDES = (
-    "its left edge towards the cameras",
-    "its right edge towards the cameras",
-    "its upper edge towards the cameras",
-    "its lower edge towards the cameras",
+SIDES = tuple(
+    f"its {side} edge towards the cameras" for side in ("left", "right", "upper", "lower")
 )
 _ROW_NAMES = ("top", "middle", "bottom")
 _COLUMN_NAMES = ("far left", "left", "right", "far right")
@@ -275,20 +254,18 @@ class Coverage:
     def missing(self) -> tuple[str, ...]:
         """What is still to be shown, as instructions; empty when nothing is."""
         found = []
-        empty = [
-            f"{_ROW_NAMES[row]} {_COLUMN_NAMES[column]}"
-            for row, column in np.argwhere(self.corners < LEAST_CORNERS)
-        ]
-        if empty:
-            found.append(f"show the board in the picture's {', '.join(empty)}")
+        empty = np.argwhere(self.corners < LEAST_CORNERS)
+        if cells := ", ".join(
+            f"{_ROW_NAMES[row]} {_COLUMN_NAMES[column]}" for row, column in empty
+        ):
+            found.append(f"show the board in the picture's {cells}")
         for side, count in zip(SIDES, self.tilted, strict=True):
             if count < LEAST_TILTED:
                 found.append(f"tilt the board by 20 to 40 degrees, {side}")
         near, far = self.distances_mm or (0.0, 0.0)
         if self.distances_mm and far < DISTANCE_RATIO * near:
-            found.append(
-                f"hold the board nearer and farther: all views are {near:.0f} to {far:.0f} mm away"
-            )
+            away = f"all views are {near:.0f} to {far:.0f} mm away"
+            found.append(f"hold the board nearer and farther: {away}")
         more = ENOUGH_VIEWS - self.views
         if more > 0:
             found.append(f"{more} more view{'s' if more > 1 else ''}")
@@ -299,12 +276,10 @@ def coverage(
     pixels_px: Sequence[Array], image_size: tuple[int, int], poses: Sequence[Motion] = ()
 ) -> Coverage:
     """Of views with corners (n, 2) in (columns, rows) px; ``poses``: camera_from_board if known."""
-    corners = np.zeros((ROWS, COLUMNS), dtype=np.float64)
+    corners, cells = np.zeros((ROWS, COLUMNS)), np.array([COLUMNS, ROWS])
     for pixels in pixels_px:
-        cell = np.clip(
-            (pixels + 0.5) / image_size * (COLUMNS, ROWS), 0, (COLUMNS - 1e-9, ROWS - 1e-9)
-        ).astype(int)
-        np.add.at(corners, (cell[:, 1], cell[:, 0]), 1.0)
+        columns, rows = np.clip((pixels + 0.5) / image_size * cells, 0, cells - 1e-9).astype(int).T
+        np.add.at(corners, (rows, columns), 1.0)
     # a normal (away from the camera) that points to the right: the left edge is farther away
     normals = np.array([pose.R[:2, 2] * np.copysign(1, pose.R[2, 2]) for pose in poses])
     x, y = np.degrees(np.arcsin(np.clip(normals.reshape(-1, 2), -1.0, 1.0))).T
@@ -323,15 +298,11 @@ def rough_poses(
     """
     if not board_mm:
         return []
-    object_points, image_points = (
-        [np.asarray(part, dtype=np.float32) for part in parts] for parts in (board_mm, pixels_px)
-    )
-    guessed = float(cv2.initCameraMatrix2D(object_points, image_points, image_size, 1.0)[0, 0])
+    boards = [np.asarray(board, dtype=np.float32) for board in board_mm]
+    seen = [np.asarray(pixels, dtype=np.float32) for pixels in pixels_px]
+    guessed = float(cv2.initCameraMatrix2D(boards, seen, image_size, 1.0)[0, 0])
     low, high = (ratio * image_size[0] for ratio in FOCAL_OVER_WIDTH)
     focal = min(max(guessed, low), high) if np.isfinite(guessed) else float(image_size[0])
     middle = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
     lens = Camera(image_size, (focal, focal), middle)
-    return [
-        flat_pose(board, pixels, lens.matrix, np.array(lens.kc))
-        for board, pixels in zip(object_points, image_points, strict=True)
-    ]
+    return [flat_pose(*each, lens) for each in zip(boards, seen, strict=True)]

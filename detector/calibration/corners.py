@@ -7,7 +7,6 @@ column.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -100,39 +99,33 @@ class Found:
 def find_board(image: Gray, board: Board, *, sub_pixel: SubPixel = SubPixel()) -> Found:
     """The board in an 8-bit picture, dark or bright. Raises ViewRefusedError."""
     if image.ndim != 2 or image.dtype != np.uint8:
-        raise ValueError(
-            f"find_board wants an 8-bit grey picture, not {image.dtype} of shape {image.shape}"
-        )
+        kind = f"{image.dtype} of shape {image.shape}"
+        raise ValueError(f"find_board wants an 8-bit grey picture, not {kind}")
     finder = {"chessboard": _chessboard, "charuco": _charuco, "circles": _circles}[board.kind]
     for picture in (image, np.asarray(255 - image, dtype=np.uint8)):  # a heated board is bright
         if found := finder(picture, board, sub_pixel):
-            worse, better = max(found.edges_px or (0.0,)), min(found.edges_px or (0.0,))
+            better, worse = sorted(found.edges_px or (0.0, 0.0))
+            wide = f"edges are {worse:.1f} px wide"
             if worse > BLURRED_PX and worse > MOVED_RATIO * better:
-                raise ViewRefusedError(
-                    f"the board moved: edges are {worse:.1f} px wide along one direction,"
-                    f" {better:.1f} px along the other"
-                )
+                other = f"along one direction, {better:.1f} px along the other"
+                raise ViewRefusedError(f"the board moved: {wide} {other}")
             if worse > BLURRED_PX:
-                raise ViewRefusedError(
-                    f"blurred: edges are {worse:.1f} px wide, at most {BLURRED_PX:g} px are of"
-                    " use; focus, or hold it still"
-                )
+                hint = f"at most {BLURRED_PX:g} px are of use; focus, or hold it still"
+                raise ViewRefusedError(f"blurred: {wide}, {hint}")
             return found
-    raise ViewRefusedError(
-        f"no {board.columns} x {board.rows} {board.kind} found: is the whole board in the picture,"
-        " sharp and lit?"
-    )
+    what = f"no {board.columns} x {board.rows} {board.kind} found"
+    raise ViewRefusedError(f"{what}: is the whole board in the picture, sharp and lit?")
 
 
 def order_alike(first: Found, second: Found, board: Board) -> Found:
     """``second`` counted from ``first``'s end; the cameras differ by less than a right angle."""
     if not board.reads_the_same_turned:
         return second
-    ways = []
-    for found in (first, second):
-        grid = homogeneous(board.points_mm[found.ids, :2])
-        ways.append(np.linalg.lstsq(grid, found.pixels_px, rcond=None)[0][0])
-    return second if float(ways[0] @ ways[1]) >= 0.0 else second.turned(board)
+    one, other = (
+        np.linalg.lstsq(homogeneous(board.points_mm[found.ids, :2]), found.pixels_px, rcond=None)[0]
+        for found in (first, second)
+    )
+    return second if float(one[0] @ other[0]) >= 0.0 else second.turned(board)
 
 
 def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
@@ -150,18 +143,15 @@ def _chessboard(image: Gray, board: Board, sub_pixel: SubPixel) -> Found | None:
         fine = placed.astype(np.float32).reshape(-1, 1, 2)
         fine, window = sub_pixel.refine(image, fine, fine.reshape(grid))
         if lost := int(strays(fine.reshape(grid)).sum()):
-            raise ViewRefusedError(
-                f"{lost} corners lie beside their places among the others: does something cover the"
-                " board, or glare?"
-            )
+            what = f"{lost} corners lie beside their places among the others"
+            raise ViewRefusedError(f"{what}: does something cover the board, or glare?")
     pixels = np.asarray(fine.reshape(-1, 2), dtype=np.float64)
     if not board.reads_the_same_turned and not _dark_before_first(image, pixels.reshape(grid)):
         pixels = pixels[::-1].copy()
-    sharpness = (
-        cv2.estimateChessboardSharpness(image, shape, fine, 0.8, vertical)[0]
+    along, across = (
+        float(np.ravel(cv2.estimateChessboardSharpness(image, shape, fine, 0.8, vertical)[0])[0])
         for vertical in (False, True)
     )
-    along, across = (float(np.ravel(each)[0]) for each in sharpness)
     return Found(np.arange(len(pixels)), pixels, (along, across), window)
 
 
@@ -182,20 +172,16 @@ def _circles(image: Gray, board: Board, _: SubPixel) -> Found | None:
     """Dark blobs in OpenCV's grid finder (its own detector needs 8 px), by one threshold or by
     their surroundings.
     """
-    for dark in _darknesses(image):
-        pixels = _grid_of_blobs(image, dark, board)
-        if pixels is not None:
-            return Found(np.arange(len(pixels)), pixels, None, 0)
-    return None
-
-
-def _darknesses(image: Gray) -> Iterator[NDArray[Any]]:
-    yield cv2.threshold(image, 0, 255, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
+    dark = cv2.threshold(image, 0, 255, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)[1]
     low, high = np.percentile(image, [1.0, 99.0])
     how, step = (cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV), LEAST_STEP * (high - low)
-    for share in AROUND:
-        side = int(share * image.shape[1]) | 1
-        yield cv2.adaptiveThreshold(image, 255, *how, side, float(step))
+    for share in (None, *AROUND):
+        if share is not None:
+            side = int(share * image.shape[1]) | 1
+            dark = cv2.adaptiveThreshold(image, 255, *how, side, float(step))
+        if (pixels := _grid_of_blobs(image, dark, board)) is not None:
+            return Found(np.arange(len(pixels)), pixels, None, 0)
+    return None
 
 
 def _grid_of_blobs(image: Gray, dark: NDArray[Any], board: Board) -> Array | None:

@@ -166,23 +166,18 @@ class Finding:
 
 def swapped(right_from_left: Motion) -> list[Finding]:
     """Whether what is called left stands on the right. The pair is taken to stand upright."""
-    x = float((-right_from_left.R.T @ right_from_left.T)[0])
-    said = (
-        f"the right camera stands {-x:.0f} mm to the left of the left one: the cameras' names, or"
-        " their cables, are swapped"
-    )
+    x = float(right_from_left.inverse().T[0])
+    why = "the cameras' names, or their cables, are swapped"
+    said = f"the right camera stands {-x:.0f} mm to the left of the left one: {why}"
     return [] if x > 0 else [Finding("swapped cameras", said)]
 
 
 def outlier_views(rms_px: Mapping[str, float], camera: str) -> list[Finding]:
     """Views that fit far worse than the others: listed, never dropped."""
     middle = float(np.median(list(rms_px.values()))) if len(rms_px) >= 4 else np.inf
+    text = "view {} of {} misses by {:.2f} px, the median view by {:.2f} px: look at it, and decide"
     return [
-        Finding(
-            "outlier view",
-            f"view {name} of {camera} misses by {value:.2f} px, the median view by {middle:.2f} px:"
-            " look at it, and decide",
-        )
+        Finding("outlier view", text.format(name, camera, value, middle))
         for name, value in rms_px.items()
         if value > OUTLIER_RATIO * middle
     ]
@@ -231,11 +226,8 @@ def _scale(again: Remeasured, pair: Pair) -> list[Finding]:
         return []
     said = f"the board is measured {100 * abs(off):.2f} % too {'large' if off > 0 else 'small'}"
     if not again.grows_with_distance:
-        said += (
-            " at every distance: the baseline is wrong by that factor, or the board is not"
-            " the one described"
-        )
-        return [Finding("wrong baseline", said)]
+        why = "the baseline is wrong by that factor, or the board is not the one described"
+        return [Finding("wrong baseline", f"{said} at every distance: {why}")]
     # a disparity wrong by d px makes lengths at the distance Z wrong by d Z / (f B)
     depth_mm = float(np.mean([view.depth_mm for view in again.views]))
     shift_px = off * pair.right.fc[0] * float(np.linalg.norm(pair.right_from_left.T)) / depth_mm
@@ -249,8 +241,6 @@ def _scale(again: Remeasured, pair: Pair) -> list[Finding]:
 def bent(again: Remeasured) -> list[Finding]:
     """Whether the middle stands off the rim, beyond what the calibration's lenses took up."""
     bend, least = again.bend[0], BEND_MATTERS * float(np.hypot(*again.board.size_mm))
-    said = (
-        f"the board's middle stands {abs(bend):.2f} mm {'before' if bend > 0 else 'behind'} its"
-        " rim: it is bent"
-    )
+    side = "before" if bend > 0 else "behind"
+    said = f"the board's middle stands {abs(bend):.2f} mm {side} its rim: it is bent"
     return [Finding("bent board", said)] if _matters(again.bend, least, again) else []

@@ -186,12 +186,12 @@ def _size(value: Any) -> tuple[int, int]:
     return value[0], value[1]
 
 
-def _polarity(value: Any) -> str:
-    if value in POLARITIES:
-        return str(value)
+def _polarity(value: Any) -> Any:
     near = get_close_matches(str(value), POLARITIES, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise _WrongError(f"must be one of {', '.join(map(repr, POLARITIES))}, got {value!r}{hint}")
+    known = ", ".join(map(repr, POLARITIES))
+    _refuse(value not in POLARITIES, f"must be one of {known}, got {value!r}{hint}")
+    return value
 
 
 def _matrix(value: Any) -> tuple[tuple[float, ...], ...]:
@@ -200,11 +200,9 @@ def _matrix(value: Any) -> tuple[tuple[float, ...], ...]:
     rows: tuple[tuple[float, ...], ...] = tuple(map(_numbers(3, "a row of a homography"), value))
     (a, b, c), (d, e, f), (g, h, i) = rows
     determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    _refuse(
-        not (i > 0 and 0 < determinant < math.inf),
-        "must be a homography that neither mirrors nor flattens, its last entry above zero: "
-        f"determinant {determinant:g}, last entry {i:g}",
-    )
+    wanted = "a homography that neither mirrors nor flattens, its last entry above zero"
+    seen = f"determinant {determinant:g}, last entry {i:g}"
+    _refuse(not (i > 0 and 0 < determinant < math.inf), f"must be {wanted}: {seen}")
     return rows
 
 
@@ -359,12 +357,6 @@ def _checked(path: Path, *, whole: bool) -> dict[Key, dict[str, Any]]:
         elif whole and key not in _OPTIONAL_BLOCKS:
             faults.append(Fault(key, f"missing block [{dotted}]"))
     faults += _faults_between(found)
-    there = {key for key in DEPTH if key in found}
-    faults += [
-        Fault(key, f"missing block [{'.'.join(key)}]: a depth camera has a lens and a pose")
-        for key in DEPTH
-        if there and key not in there
-    ]
     if whole and isinstance(cameras, dict) and isinstance(cameras.get("thermal"), dict):
         faults += _thermal_faults(cameras["thermal"], document)
     if faults:
@@ -374,11 +366,10 @@ def _checked(path: Path, *, whole: bool) -> dict[Key, dict[str, Any]]:
 
 def _unknown(at: Key, table: Mapping[str, Any], allowed: list[str], what: str) -> list[Fault]:
     faults = []
-    for name in table:
-        if name not in allowed:
-            near = get_close_matches(name, allowed, n=1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(allowed)}"
-            faults.append(Fault((*at, name), f"unknown {what}; {hint}"))
+    for name in (name for name in table if name not in allowed):
+        near = get_close_matches(name, allowed, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(allowed)}"
+        faults.append(Fault((*at, name), f"unknown {what}; {hint}"))
     return faults
 
 
@@ -423,7 +414,11 @@ def _thermal_faults(camera: Mapping[str, Any], document: Mapping[str, Any]) -> l
 
 def _faults_between(found: dict[Key, dict[str, Any]]) -> list[Fault]:
     """What only shows in several values; adds the matrix of the uncertainty."""
-    faults = []
+    why = "a depth camera has a lens and a pose"
+    absent = [key for key in DEPTH if key not in found]
+    faults = [
+        Fault(key, f"missing block [{'.'.join(key)}]: {why}") for key in absent if len(absent) == 1
+    ]
     if found.get(("stereo",), {}).get("T") == (0.0, 0.0, 0.0):
         why = "must not be zero: two cameras in one place see no depth"
         faults.append(Fault(("stereo", "T"), why))

@@ -40,16 +40,13 @@ def fit_homography(thermal_px: ArrayLike, optical_px: ArrayLike) -> MappedPairs:
     """From pairs (n, 2) each. Raises ValueError for too few, or points on a line."""
     thermal, optical = (np.asarray(points, dtype=np.float64) for points in (thermal_px, optical_px))
     if len(thermal) != len(optical) or len(thermal) < LEAST_PAIRS:
-        raise ValueError(
-            f"a homography needs at least {LEAST_PAIRS} pairs, got {len(thermal)} thermal and"
-            f" {len(optical)} optical points"
-        )
+        got = f"{len(thermal)} thermal and {len(optical)} optical points"
+        raise ValueError(f"a homography needs at least {LEAST_PAIRS} pairs, got {got}")
     for points, which in ((thermal, "thermal"), (optical, "optical")):
         extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         if extent[1] < 1e-3 * extent[0]:
-            raise ValueError(
-                f"the {which} points lie on one line: they must spread over the picture"
-            )
+            what = "lie on one line: they must spread over the picture"
+            raise ValueError(f"the {which} points {what}")
     cv2.setRNGSeed(RANSAC_SEED)
     H, marked = cv2.findHomography(thermal, optical, cv2.RANSAC, RANSAC_PX)
     if H is None or int(marked.sum()) < LEAST_PAIRS:
@@ -102,12 +99,9 @@ def plane_homography(
     on_plane = through_plane(grid, thermal, thermal_from_right, plane_depth_mm)
     seen = optical.project(optical_from_right.apply(on_plane))
     if not plane_depth_mm > 0 or not np.isfinite(seen).all():
-        raise ValueError(
-            f"the plane at {plane_depth_mm} mm isn't in front of both cameras over the whole"
-            " thermal picture"
-        )
-    # from float64 pairs, every pair counted alike: a plain least-squares fit, the same on every
-    # machine but for the last digits
+        what = "isn't in front of both cameras over the whole thermal picture"
+        raise ValueError(f"the plane at {plane_depth_mm} mm {what}")
+    # every pair counted alike: a plain least-squares fit
     H, _ = cv2.findHomography(grid, seen, 0)
     return np.asarray(H / H[2, 2], dtype=np.float64)
 

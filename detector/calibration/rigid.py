@@ -8,7 +8,6 @@ Imaging 17 (1998) 694 (fiducial and target error).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +44,9 @@ class Fit:
         return np.asarray(np.asarray(points_mm, dtype=np.float64) @ self.A.T + self.t)
 
 
+MODELS = ("rigid", "similarity", "affine")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
     """The three fits, and each one's held-out rms error in mm (None: too few pairs)."""
@@ -59,89 +61,58 @@ class Comparison:
         return self.rigid, self.similarity, self.affine
 
 
-def fit_rigid(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
-    """Rotation and shift, no reflection. Raises ValueError as `detector.geometry.rigid_fit`."""
-    motion = rigid_fit(target_mm, source_mm)
-    return _fit("rigid", motion.R, motion.T, *_arrays(target_mm, source_mm))
-
-
-def fit_similarity(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
-    """Rotation, shift and one scale (Umeyama 1991, eq. 42). Raises ValueError as the rigid fit."""
-    motion = rigid_fit(target_mm, source_mm)
-    target, source = _arrays(target_mm, source_mm)
+def fit_points(model: str, target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
+    """One of `MODELS` from pairs (n, 3): "rigid" without reflection; "similarity" with one scale
+    (Umeyama 1991, eq. 42); "affine", where a plane's normal goes to the other's. Raises ValueError
+    as `detector.geometry.rigid_fit`.
+    """
+    target, source = (np.asarray(each, dtype=np.float64) for each in (target_mm, source_mm))
+    A = rigid_fit(target, source).R
     centred_t, centred_s = target - target.mean(axis=0), source - source.mean(axis=0)
-    scale = float(np.sum(centred_t * (centred_s @ motion.R.T)) / np.sum(centred_s**2))
-    return _fit("similarity", scale * motion.R, None, target, source)
-
-
-def fit_affine(target_mm: ArrayLike, source_mm: ArrayLike) -> Fit:
-    """A linear map and a shift; a plane's normal goes to the other's. Raises ValueError."""
-    target, source = _arrays(target_mm, source_mm)
-    rigid_fit(target, source)  # refuses what determines no fit, in the same words
-    centred_t, centred_s = target - target.mean(axis=0), source - source.mean(axis=0)
-    _, extent, axes = np.linalg.svd(centred_s, full_matrices=True)
-    rank = int(np.count_nonzero(extent > _FLAT * extent[0]))
-    slopes = np.linalg.lstsq(centred_s @ axes[:rank].T, centred_t, rcond=None)[0].T
-    if rank == 2:
-        normal = np.cross(slopes[:, 0], slopes[:, 1]) * np.sign(np.linalg.det(axes))
-        slopes = np.column_stack([slopes, normal / np.linalg.norm(normal)])
-    return _fit("affine", slopes @ axes, None, target, source)
-
-
-def _arrays(*given: ArrayLike) -> tuple[Array, ...]:
-    return tuple(np.asarray(each, dtype=np.float64) for each in given)
-
-
-def _fit(model: str, A: Array, t: Array | None, target: Array, source: Array) -> Fit:
-    """With the shift that takes mean to mean, unless given."""
-    t = target.mean(axis=0) - A @ source.mean(axis=0) if t is None else t
+    if model == "similarity":
+        A = A * float(np.sum(centred_t * (centred_s @ A.T)) / np.sum(centred_s**2))
+    if model == "affine":
+        _, extent, axes = np.linalg.svd(centred_s, full_matrices=True)
+        rank = int(np.count_nonzero(extent > _FLAT * extent[0]))
+        slopes = np.linalg.lstsq(centred_s @ axes[:rank].T, centred_t, rcond=None)[0].T
+        if rank == 2:
+            normal = np.cross(slopes[:, 0], slopes[:, 1]) * np.sign(np.linalg.det(axes))
+            slopes = np.column_stack([slopes, normal / np.linalg.norm(normal)])
+        A = slopes @ axes
+    t = target.mean(axis=0) - A @ source.mean(axis=0)
     return Fit(model, A, t, target - (source @ A.T + t))
 
 
 def compare(target_mm: ArrayLike, source_mm: ArrayLike) -> Comparison:
     """All three fits of pairs (n, 3) with held-out errors. Raises ValueError as the rigid fit."""
-    fits, held_out = [], {}
-    for fit in (fit_rigid, fit_similarity, fit_affine):
-        fits.append(fit(target_mm, source_mm))
-        missed = held_out_mm(fit, target_mm, source_mm)
+    rigid, similarity, affine = (fit_points(model, target_mm, source_mm) for model in MODELS)
+    held_out: dict[str, float | None] = {}
+    for model in MODELS:
+        missed = held_out_mm(model, target_mm, source_mm)
         known = missed[np.isfinite(missed)]
-        held_out[fits[-1].model] = float(np.sqrt(np.mean(known**2))) if len(known) else None
-    rigid, similarity, affine = fits
+        held_out[model] = float(np.sqrt(np.mean(known**2))) if len(known) else None
     return Comparison(rigid, similarity, affine, held_out)
 
 
-def held_out_mm(
-    fit: Callable[[ArrayLike, ArrayLike], Fit], target_mm: ArrayLike, source_mm: ArrayLike
-) -> Array:
+def held_out_mm(model: str, target_mm: ArrayLike, source_mm: ArrayLike) -> Array:
     """Distances (n,) of pairs (n, 3) from the fit of all others; NaN where those determine none."""
-    target, source = _arrays(target_mm, source_mm)
+    target, source = (np.asarray(each, dtype=np.float64) for each in (target_mm, source_mm))
     missed = np.full(len(source), np.nan)
     rank = np.linalg.matrix_rank(source - source.mean(axis=0))
     for row in range(len(source)):
         others = np.arange(len(source)) != row
         rest = source[others] - source[others].mean(axis=0)
         if others.sum() >= 3 and np.linalg.matrix_rank(rest) >= rank:
-            found = fit(target[others], source[others]).apply(source[row])
+            found = fit_points(model, target[others], source[others]).apply(source[row])
             missed[row] = np.linalg.norm(target[row] - found)
     return missed
-
-
-def expected_fre_mm(fle_mm: float, n: int) -> float:
-    """Root of <FRE^2> = (1 - 2/N) <FLE^2>; ``fle_mm``: rms. Raises ValueError below 3."""
-    return fle_mm * float(np.sqrt(1.0 - 2.0 / _enough(n)))
-
-
-def fle_from_fre_mm(fre_mm: float, n: int) -> float:
-    """The fiducial localisation error from the FRE of ``n`` points. Raises ValueError below 3."""
-    return fre_mm / float(np.sqrt(1.0 - 2.0 / _enough(n)))
 
 
 def target_error_mm(fle_mm: float, fiducials_mm: ArrayLike, at_mm: ArrayLike) -> Array:
     """Expected target error (m,) at points (m, 3): <TRE^2(r)> = <FLE^2>/N (1 + 1/3 sum d_k^2 /
     f_k^2), d_k, f_k (rms): distances from principal axis k (Fitzpatrick et al. 1998, eq. 46).
     """
-    source, at = _arrays(fiducials_mm, np.atleast_2d(at_mm))
-    _enough(len(source))
+    source, at = _fiducials(fiducials_mm), np.atleast_2d(np.asarray(at_mm, dtype=np.float64))
     centre = source.mean(axis=0)
     axes = np.linalg.svd(source - centre, full_matrices=True)[2]
     own, there = (source - centre) @ axes.T, (at - centre) @ axes.T
@@ -155,8 +126,7 @@ def rotation_covariance(fiducials_mm: ArrayLike, u_mm: float) -> Array:
     """Covariance (3, 3) rad^2 of a fit's rotation about the axes of fiducials (n, 3), first order.
     ``u_mm``: of each coordinate. Raises ValueError for a line.
     """
-    source = np.asarray(fiducials_mm, dtype=np.float64)
-    _enough(len(source))
+    source = _fiducials(fiducials_mm)
     centred = source - source.mean(axis=0)
     inertia = np.sum(centred**2) * np.eye(3) - centred.T @ centred
     if np.linalg.eigvalsh(inertia)[0] <= _FLAT * np.trace(inertia):
@@ -170,10 +140,11 @@ def cross_matrix(vector: ArrayLike) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def _enough(n: int) -> int:
-    if n < 3:
-        raise ValueError(f"a registration needs at least 3 points, has {n}")
-    return n
+def _fiducials(points_mm: ArrayLike) -> Array:
+    points = np.asarray(points_mm, dtype=np.float64)
+    if len(points) < 3:
+        raise ValueError(f"a registration needs at least 3 points, has {len(points)}")
+    return points
 
 
 POINT_STEP_MM = 0.01
@@ -206,8 +177,9 @@ class WorldFit:
 
     def target_error_mm(self, world_mm: ArrayLike) -> Array:
         """Expected error (m,) at world points (m, 3), by the fit's residuals."""
-        fle_mm = fle_from_fre_mm(self.comparison.rigid.fre_mm, len(self.touched_mm))
-        return target_error_mm(fle_mm, self.touched_mm, world_mm)
+        # <FRE^2> = (1 - 2/N) <FLE^2>
+        fle_mm = self.comparison.rigid.fre_mm / np.sqrt(1.0 - 2.0 / len(self.touched_mm))
+        return target_error_mm(float(fle_mm), self.touched_mm, world_mm)
 
 
 def fit_world(
@@ -227,10 +199,8 @@ def fit_world(
     in_right = pair.in_right_mm(data[0], data[1])
     if not np.isfinite(in_right).all():
         bad = int(np.flatnonzero(~np.isfinite(in_right).all(axis=1))[0]) + 1
-        raise ValueError(
-            f"point {bad} can't be triangulated: its pixels are outside of what the lenses were"
-            " calibrated for"
-        )
+        why = "its pixels are outside of what the lenses were calibrated for"
+        raise ValueError(f"point {bad} can't be triangulated: {why}")
     here = rigid_fit(data[2], in_right)
     given = pair_covariance or ParameterCovariance((), np.zeros((0, 0)))
 

@@ -42,18 +42,14 @@ class ParameterCovariance:
         if len(set(self.names)) < k:
             raise ValueError("a parameter is named twice")
         if matrix.shape != (k, k) or not np.isfinite(matrix).all():
-            raise ValueError(
-                f"the covariance must be {k} x {k} finite numbers, a row and a column for each"
-                f" name; it has the shape {matrix.shape}"
-            )
+            wanted = f"{k} x {k} finite numbers, a row and a column for each name"
+            raise ValueError(f"the covariance must be {wanted}; it has the shape {matrix.shape}")
         scale = np.sqrt(np.clip(np.diag(matrix), np.finfo(float).tiny, None))
         scaled = matrix / np.outer(scale, scale)
         sound = np.allclose(scaled, scaled.T, atol=1e-6) and (np.diag(matrix) >= 0).all()
         if not sound or np.linalg.eigvalsh(scaled).min(initial=0.0) < -1e-6:
-            raise ValueError(
-                "not a covariance: it must be symmetric, without a negative variance in any"
-                " direction"
-            )
+            wanted = "symmetric, without a negative variance in any direction"
+            raise ValueError(f"not a covariance: it must be {wanted}")
         matrix.setflags(write=False)
         object.__setattr__(self, "matrix", matrix)
 

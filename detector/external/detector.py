@@ -19,14 +19,7 @@ import cv2
 import numpy as np
 
 from detector.calibration import Calibration, dump_calibration
-from detector.external.lines import (
-    BadAnswer,
-    Garbled,
-    Ready,
-    check_ready,
-    parse_answer,
-    request_line,
-)
+from detector.external import lines
 from detector.external.process import Child, ChildFault, ChildSilent
 from detector.protocol import (
     Context,
@@ -90,7 +83,7 @@ class ExternalDetector:
         }
         self.patience_s = self._limits.start_s + self._limits.answer_s + 10.0
         self.start_up_s: float | None = None
-        self._ready = Ready()
+        self._ready = lines.Ready()
         self._started_s: float | None = None  # of a start that no call has had yet
         self._not_started: DetectionFailure | None = None
         self._child: Child | None = None
@@ -136,15 +129,12 @@ class ExternalDetector:
 
     def detect(self, frames: Frames, calibration: Calibration) -> Detection:
         """Ask about the frames that were prepared, or prepare them. Raises DetectionFailure."""
-        return self._answer(frames, calibration, None)
+        return self.detect_with(frames, calibration, None)
 
-    def detect_with(self, frames: Frames, calibration: Calibration, context: Context) -> Detection:
-        """As `detect`; the question has the ``context``."""
-        return self._answer(frames, calibration, context)
-
-    def _answer(
+    def detect_with(
         self, frames: Frames, calibration: Calibration, context: Context | None
     ) -> Detection:
+        """As `detect`; the question has the ``context``."""
         if not self._asked:
             self.prepare(frames, calibration)
         asked, self._asked = self._asked, ""
@@ -152,11 +142,11 @@ class ExternalDetector:
         if child is None or desk is None:
             raise DetectionFailure("it was closed")
         with self._ended_on_faults(f"gave no answer within {self._limits.answer_s:g} s"):
-            child.ask(request_line(asked, desk.pictures, desk.calibration, context))
+            child.ask(lines.request_line(asked, desk.pictures, desk.calibration, context))
             line = child.line(self._limits.answer_s)
             try:
-                detection = parse_answer(line, asked, calibration)
-            except BadAnswer as fault:
+                detection = lines.parse_answer(line, asked, calibration)
+            except lines.BadAnswer as fault:
                 self._faults_in_a_row = 0
                 raise DetectionFailure(str(fault)) from None
         self._faults_in_a_row = 0
@@ -184,14 +174,12 @@ class ExternalDetector:
     def _start(self) -> None:
         start_s, limit_s = self._stopwatch(), self._limits.start_s
         self._starts += 1
-        memory_mib = self._limits.memory_mib
+        how = self._limits.memory_mib, self._stopwatch, self._environment
         try:
             late = f"was not ready within {limit_s:g} s of its start"
             with self._ended_on_faults(late, " before it was ready"):
-                self._child = Child(
-                    self._command, self._folder, memory_mib, self._stopwatch, self._environment
-                )
-                self._ready = check_ready(self._child.line(limit_s))
+                self._child = Child(self._command, self._folder, *how)
+                self._ready = lines.check_ready(self._child.line(limit_s))
         except OSError as error:
             raise self._fault(f"it can't be started: {error.strerror or error}") from None
         self._started_s = self._stopwatch() - start_s
@@ -205,7 +193,7 @@ class ExternalDetector:
             raise self._fault(f"it {late}{silent}", Outcome.TIMEOUT) from None
         except ChildFault as fault:
             raise self._fault(f"it {fault}{when}") from None
-        except Garbled as fault:
+        except lines.Garbled as fault:
             raise self._fault(str(fault)) from None
 
     def _fault(self, reason: str, outcome: Outcome = Outcome.FAILED) -> DetectionFailure:
@@ -218,10 +206,9 @@ class ExternalDetector:
             why = f"{self._starts} starts"
         else:
             return DetectionFailure(reason, outcome)
-        self._off = f"switched off for the rest of the run after {why}; the last: {reason}"
-        return DetectionFailure(
-            f"{reason}. After {why} it is switched off for the rest of the run", outcome
-        )
+        off = "switched off for the rest of the run"
+        self._off = f"{off} after {why}; the last: {reason}"
+        return DetectionFailure(f"{reason}. After {why} it is {off}", outcome)
 
     def _end(self, grace_s: float = 0.0) -> None:
         if self._child is not None:
@@ -240,16 +227,11 @@ class _Desk:
         self.calibration = self._folder / "calibration.toml"
         self.pictures: dict[str, Path] = {}
         self._known: Calibration | None = None
-        self._count = 0
-
-    @property
-    def frame(self) -> str:
-        """The name of the frame set that lies there."""
-        return str(self._count)
+        self.frame = "0"  # the name of the frame set that lies there
 
     def lay_out(self, frames: Frames, calibration: Calibration) -> None:
         """Replace the frame set. Raises DetectionFailure where PNG or disk can't hold it."""
-        self._count += 1
+        self.frame = str(int(self.frame) + 1)
         try:
             for path in self.pictures.values():
                 path.unlink(missing_ok=True)
@@ -259,36 +241,28 @@ class _Desk:
                 text = dump_calibration(calibration)
                 self.calibration.write_text(text, encoding="utf-8", newline="\n")
                 self._known = calibration
-            self.pictures = {
-                name: self._write(name, image) for name, image in _images(frames).items()
-            }
+            self.pictures = {name: self._write(name, one) for name, one in _images(frames).items()}
         except OSError as error:
-            raise DetectionFailure(
-                f"its pictures can't be put into {self._folder}: {error.strerror or error}"
-            ) from None
+            what = f"its pictures can't be put into {self._folder}"
+            raise DetectionFailure(f"{what}: {error.strerror or error}") from None
 
     def clear(self) -> None:
         self._held.cleanup()
 
     def _write(self, name: str, image: Image) -> Path:
-        path = self._folder / f"{self._count}-{name}.png"
+        path = self._folder / f"{self.frame}-{name}.png"
         try:
             _, data = cv2.imencode(".png", image, _PNG_FAST)
         except cv2.error:
-            raise DetectionFailure(
-                f"the {name} picture ({image.shape}, {image.dtype}) can't be written as PNG"
-            ) from None
+            what = f"the {name} picture ({image.shape}, {image.dtype})"
+            raise DetectionFailure(f"{what} can't be written as PNG") from None
         path.write_bytes(data.tobytes())
         return path
 
 
 def _images(frames: Frames) -> dict[str, Image]:
     """The pictures that there are, kelvin in hundredths, depth in tenths of a mm, 0 unmeasured."""
-    images: dict[str, Image | None] = {
-        "left": frames.left,
-        "right": frames.right,
-        "thermal": frames.thermal,
-    }
+    images = {name: getattr(frames, name) for name in ("left", "right", "thermal")}
     if frames.thermal_k is not None:
         hundredths = np.rint(np.clip(frames.thermal_k * 100.0, 0.0, 65535.0))
         images["thermal_radiometric"] = hundredths.astype(np.uint16)

@@ -76,13 +76,7 @@ def context_in(asked: Mapping[str, Any]) -> Context | None:
 def answer_line(frame: str, detection: Detection) -> bytes:
     """An answer, as a detector in Python gives it."""
     teats, predicted = (
-        [
-            {
-                name: None if value is None else np.asarray(value).tolist()
-                for name, value in (("world_mm", t.world_mm), ("covariance_mm2", t.covariance_mm2))
-            }
-            for t in some
-        ]
+        [{"world_mm": t.world_mm, "covariance_mm2": t.covariance_mm2} for t in some]
         for some in (detection.teats, detection.predicted)
     )
     answer = {"frame": frame, "teats": teats} | ({"predicted": predicted} if predicted else {})
@@ -122,9 +116,8 @@ def parse_answer(line: bytes, frame: str, calibration: Calibration) -> Detection
     if not isinstance(teats, list):
         raise BadAnswer('its answer has no list "teats"; an empty list says that there are none')
     if isinstance(hidden, bool) or not isinstance(hidden, int):
-        raise BadAnswer(
-            f'"hidden" of its answer is {json.dumps(hidden)[:_SHOWN]}, not a whole number'
-        )
+        seen = json.dumps(hidden)[:_SHOWN]
+        raise BadAnswer(f'"hidden" of its answer is {seen}, not a whole number')
     if reason is not None and not isinstance(reason, str):
         raise BadAnswer(f'"reason" of its answer is {json.dumps(reason)[:_SHOWN]}, not text')
     predicted = answer.get("predicted", [])
@@ -153,34 +146,26 @@ def _object(line: bytes) -> dict[str, Any]:
     return found
 
 
+_SHAPES = {"world_mm": (3,), "covariance_mm2": (3, 3), "left_px": (2,), "right_px": (2,)}
+
+
 def _teat(number: int, given: Any, calibration: Calibration) -> Teat:
+    who, pair = f"teat {number} of its answer", '"left_px" and "right_px"'
     if not isinstance(given, dict):
-        raise BadAnswer(
-            f'teat {number} of its answer is no object with "world_mm", or "left_px" and "right_px"'
-        )
-
-    def numbers(name: str, *shape: int) -> Array | None:
-        value = given.get(name)
-        return None if value is None else _numbers(value, shape, f'"{name}" of teat {number}')
-
-    spread, left, right = (
-        numbers("covariance_mm2", 3, 3), numbers("left_px", 2), numbers("right_px", 2)
+        raise BadAnswer(f'{who} is no object with "world_mm", or {pair}')
+    world_mm, spread, left, right = (
+        None if given.get(name) is None
+        else _numbers(given[name], shape, f'"{name}" of teat {number}')
+        for name, shape in _SHAPES.items()
     )  # fmt: skip
-    world_mm = numbers("world_mm", 3)
-    if world_mm is not None:
-        return Teat(world_mm, spread, left, right)
-    if left is None or right is None:
-        raise BadAnswer(
-            f'teat {number} of its answer has neither "world_mm" nor both of "left_px" and'
-            ' "right_px"'
-        )
-    with np.errstate(all="ignore"):  # pixels may be anywhere; what comes of them is looked at
-        world_mm = calibration.place(left[None], right[None])[0]
-    if not np.isfinite(world_mm).all():
-        raise BadAnswer(
-            f'"left_px" {left.tolist()} and "right_px" {right.tolist()} of teat {number} lead to no'
-            " point in space"
-        )
+    if world_mm is None:
+        if left is None or right is None:
+            raise BadAnswer(f'{who} has neither "world_mm" nor both of {pair}')
+        with np.errstate(all="ignore"):  # pixels may be anywhere; what comes of them is looked at
+            world_mm = calibration.place(left[None], right[None])[0]
+        if not np.isfinite(world_mm).all():
+            seen = f'"left_px" {left.tolist()} and "right_px" {right.tolist()} of teat {number}'
+            raise BadAnswer(f"{seen} lead to no point in space")
     return Teat(world_mm, spread, left, right)
 
 
@@ -196,5 +181,5 @@ def _numbers(given: Any, shape: tuple[int, ...], what: str) -> Array:
 
 
 def _line(message: Mapping[str, Any]) -> bytes:
-    arrays = np.ndarray.tolist
-    return json.dumps(message, ensure_ascii=False, default=arrays).encode() + b"\n"
+    text = json.dumps(message, ensure_ascii=False, default=lambda each: np.asarray(each).tolist())
+    return text.encode() + b"\n"

@@ -71,13 +71,11 @@ class Child:
         self._in = cast(IO[bytes], self._process.stdin)
         self._lines, self._complaints = _Lines(), _Complaints()
         self._readers = []
-        for name, pipe, take in (
+        for name, *how in (
             ("answers", self._process.stdout, self._lines.take),
             ("complaints", self._process.stderr, self._complaints.take),
         ):
-            reader = threading.Thread(
-                target=_read, args=(pipe, take), name=f"detector's {name}", daemon=True
-            )
+            reader = threading.Thread(None, _read, f"detector's {name}", how, daemon=True)
             self._readers.append(reader)
             reader.start()
 
@@ -113,9 +111,8 @@ class Child:
             raise ChildFault(f"has lost its supervisor, which was ended by signal {-code}")
         used_mib = resident_mib(self._process.pid)
         if self._memory_mib is not None and used_mib is not None and used_mib > self._memory_mib:
-            raise ChildFault(
-                f"took {used_mib:.0f} MiB of memory, {self._memory_mib:g} MiB are allowed"
-            )
+            allowed = f"{self._memory_mib:g} MiB are allowed"
+            raise ChildFault(f"took {used_mib:.0f} MiB of memory, {allowed}")
 
     def complaints(self) -> str:
         """What came on its standard error since this was last asked."""
@@ -257,11 +254,9 @@ def _spawn(
     far, near = os.pipe()
     python = [sys.executable, "-I", "-S", str(Path(process_supervisor.__file__))]
     held = [*python, str(far), str(hard_mib), *command]
+    settings |= {"pass_fds": (far,), "start_new_session": True}
     try:
-        return (
-            subprocess.Popen(held, pass_fds=(far,), start_new_session=True, **settings),  # noqa: S603
-            near,
-        )
+        return subprocess.Popen(held, **settings), near  # noqa: S603
     except OSError:
         os.close(near)
         raise

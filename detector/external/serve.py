@@ -42,10 +42,10 @@ def serve(name: str, questions: IO[bytes], answers: IO[bytes]) -> None:
         asked = json.loads(line)
         calibration = load_calibration(Path(asked["calibration"]))
         context, pictures = context_in(asked), read_pictures(asked)
-        if context is None or not isinstance(detector, WithContext):
-            detection = detector.detect(pictures, calibration)
-        else:
+        if context and isinstance(detector, WithContext):
             detection = detector.detect_with(pictures, calibration, context)
+        else:
+            detection = detector.detect(pictures, calibration)
         answers.write(answer_line(asked["frame"], detection))
         answers.flush()
 
@@ -62,22 +62,17 @@ def read_pictures(asked: dict[str, str]) -> Pictures:
                 raise ValueError(f"{asked[name]} is no picture")
             images[name] = image
     kelvin, tenths = images.get("thermal_radiometric"), images.get("depth")
-    return Pictures(
-        images["left"],
-        images["right"],
-        images.get("thermal"),
-        None if kelvin is None else kelvin / 100.0,
-        None if tenths is None else np.where(tenths > 0, tenths / 10.0, np.nan),
-        images.get("depth_amplitude"),
-    )
+    kelvin = None if kelvin is None else kelvin / 100.0
+    depth_mm = None if tenths is None else np.where(tenths > 0, tenths / 10.0, np.nan)
+    given = images["left"], images["right"], images.get("thermal"), kelvin
+    return Pictures(*given, depth_mm, images.get("depth_amplitude"))
 
 
 def main(arguments: list[str]) -> int:
     """Serve the detector named; 2 and a sentence where there is none."""
     if len(arguments) != 1:
-        sys.stderr.write(
-            "python -m detector.external.serve needs the name of one detector, such as thesis\n"
-        )
+        needs = "needs the name of one detector, such as thesis"
+        sys.stderr.write(f"python -m detector.external.serve {needs}\n")
         return 2
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

@@ -8,7 +8,7 @@ without optical refinement (4.2, 4.3).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -16,21 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration, Homographies
-from detector.calibration.thesis_rig import (
-    HOMOGRAPHY_LEFT,
-    HOMOGRAPHY_RIGHT,
-    IMAGE_SIZE,
-    THERMAL_IMAGE_SIZE,
-)
+from detector.calibration import thesis_rig as printed
 from detector.geometry import Array, triangulate
 from detector.protocol import Detection, Frames, Stage, Teat
-from detector.thesis.lines import (
-    horizontal_middles,
-    teat_ends,
-    vertical_ends,
-    window_centre,
-    window_fits,
-)
+from detector.thesis import lines
 from detector.thesis.optical import Refined, keep, nominate, refine
 from detector.thesis.parameters import Parameters
 from detector.thesis.thermal import (
@@ -42,7 +31,9 @@ from detector.thesis.thermal import (
     unmirror,
 )
 
-PUBLISHED_HOMOGRAPHIES = Homographies(np.array(HOMOGRAPHY_LEFT), np.array(HOMOGRAPHY_RIGHT), None)
+PUBLISHED_HOMOGRAPHIES = Homographies(
+    np.array(printed.HOMOGRAPHY_LEFT), np.array(printed.HOMOGRAPHY_RIGHT), None
+)
 
 
 class _NoAnswer(Exception):  # noqa: N818 (ends a detection early, caught in `detect`; never seen by a caller)
@@ -76,9 +67,8 @@ class ThesisDetector:
         try:
             left = _optical(frames.left, calibration.left.image_size, "left")
             right = _optical(frames.right, calibration.right.image_size, "right")
-            thermal_px, hidden = _find_in_thermal(
-                _thermal(frames, calibration), self.settings, trace
-            )
+            thermal = _thermal(frames, calibration)
+            thermal_px, hidden = _find_in_thermal(thermal, self.settings, trace)
             teats, reason = _locate(left, right, thermal_px, calibration, self.settings, trace)
         except _NoAnswer as stop:
             return Detection((), stop.hidden, str(stop), tuple(trace))
@@ -112,55 +102,42 @@ def _thermal(frames: Frames, calibration: Calibration) -> Grey:
 
 def _check_size(picture: NDArray[Any], size: tuple[int, int], camera: str) -> None:
     if picture.shape[:2] != (size[1], size[0]):
-        given = " x ".join(map(str, picture.shape[1::-1]))
-        raise _NoAnswer(
-            f"the {camera} picture is {given}, the calibration is for {size[0]} x {size[1]}"
-        )
+        given, wanted = (" x ".join(map(str, one)) for one in (picture.shape[1::-1], size))
+        raise _NoAnswer(f"the {camera} picture is {given}, the calibration is for {wanted}")
 
 
 def _find_in_thermal(picture: Grey, p: Parameters, trace: list[Stage]) -> tuple[Array, int]:
     """Thermal teat ends (n, 2) px, at least one, and how many are hidden (4.1.1 to 4.1.7)."""
-    trace.append(Stage("thermal", {"picture": picture}))
+
+    def reached(stage: str, **data: Any) -> None:
+        trace.append(Stage(stage, data))
+
+    reached("thermal", picture=picture)
     edges = find_edges(picture, p)
-    trace.append(
-        Stage("edges", {"mask": edges.mask, "thresholds": np.array([edges.low, edges.high])})
-    )
+    reached("edges", mask=edges.mask, thresholds=np.array([edges.low, edges.high]))
     verticals = order_filter(edges.mask, p.vertical_domain)
     horizontals = order_filter(edges.mask, p.horizontal_domain)
-    trace.append(Stage("verticals", {"mask": verticals}))
-    trace.append(Stage("horizontals", {"mask": horizontals}))
-    ends = vertical_ends(verticals, p)
-    trace.append(Stage("vertical ends", {"points_px": ends}))
+    reached("verticals", mask=verticals)
+    reached("horizontals", mask=horizontals)
+    ends = lines.vertical_ends(verticals, p)
+    reached("vertical ends", points_px=ends)
     if len(ends) == 0:
-        raise _NoAnswer(
-            f"the thermal picture shows no vertical line of {p.vertical_least_points} points",
-            p.teat_count,
-        )
-    centre = window_centre(ends)
-    if p.window_outside == "refuse" and not window_fits(picture.shape, centre, p):
-        raise _NoAnswer(
-            f"the window around column {centre[0]}, row {centre[1]} leaves the thermal picture",
-            p.teat_count,
-        )
-    middles = horizontal_middles(horizontals, centre, p)
-    trace.append(
-        Stage(
-            "horizontal middles",
-            {"points_px": middles, "window_centre_px": np.array(centre, dtype=np.float64)},
-        )
-    )
+        what = f"no vertical line of {p.vertical_least_points} points"
+        raise _NoAnswer(f"the thermal picture shows {what}", p.teat_count)
+    centre = lines.window_centre(ends)
+    if p.window_outside == "refuse" and not lines.window_fits(picture.shape, centre, p):
+        what = f"the window around column {centre[0]}, row {centre[1]}"
+        raise _NoAnswer(f"{what} leaves the thermal picture", p.teat_count)
+    middles = lines.horizontal_middles(horizontals, centre, p)
+    reached("horizontal middles", points_px=middles, window_centre_px=np.array(centre, np.float64))
     if len(middles) == 0:
-        raise _NoAnswer(
-            "the thermal picture shows no short horizontal line near the ends of the vertical ones",
-            p.teat_count,
-        )
-    teats_px, hidden = teat_ends(middles, p)
-    trace.append(Stage("teat ends", {"points_px": teats_px}))
+        what = "no short horizontal line near the ends of the vertical ones"
+        raise _NoAnswer(f"the thermal picture shows {what}", p.teat_count)
+    teats_px, hidden = lines.teat_ends(middles, p)
+    reached("teat ends", points_px=teats_px)
     if len(teats_px) == 0:
-        raise _NoAnswer(
-            f"no horizontal line lies within {p.teat_row_tolerance_px} rows of their mean",
-            p.teat_count,
-        )
+        what = f"no horizontal line lies within {p.teat_row_tolerance_px} rows of their mean"
+        raise _NoAnswer(what, p.teat_count)
     return teats_px, hidden
 
 
@@ -178,26 +155,24 @@ def _locate(
     trace.append(Stage("nominations", {"left_px": nominated[0], "right_px": nominated[1]}))
     look = refine if p.refinement else keep
     refined = {
-        "left": [look(left, n, p) for n in nominated[0]],
-        "right": [look(right, n, p) for n in nominated[1]],
+        side: [look(picture, px, p) for px in ends]
+        for (side, picture), ends in zip((("left", left), ("right", right)), nominated, strict=True)
     }
     seen = {
         name: {side: np.array([getattr(r, name) for r in found]) for side, found in refined.items()}
         for name in Refined.__slots__
     }
-    bright = {f"{side}_bright": seen["bright"][side] for side in refined}
+    bright = {f"{side}_bright": mask for side, mask in seen["bright"].items()}
     trace.append(Stage("regions", {**seen["region"], **bright}))
-    ends = {f"{side}_px": seen["end_px"][side] for side in refined}
-    moved = {f"{side}_moved": seen["moved"][side] for side in refined}
-    trace.append(Stage("ends", {**ends, **moved}))
-    left_px, right_px = ends.values()
+    moved = {f"{side}_moved": each for side, each in seen["moved"].items()}
+    left_px, right_px = seen["end_px"].values()
+    trace.append(Stage("ends", {"left_px": left_px, "right_px": right_px, **moved}))
     right_mm, gap_mm = triangulate(
         left_px, right_px, calibration.left, calibration.right, calibration.right_from_left
     )
     world_mm = calibration.world_from_right.apply(right_mm)
-    trace.append(
-        Stage("triangulation", {"right_mm": right_mm, "gap_mm": gap_mm, "world_mm": world_mm})
-    )
+    found = {"right_mm": right_mm, "gap_mm": gap_mm, "world_mm": world_mm}
+    trace.append(Stage("triangulation", found))
     usable = _inside(left_px, left) & _inside(right_px, right) & np.isfinite(world_mm).all(axis=1)
     rows = zip(world_mm, left_px, right_px, thermal_px, usable, strict=True)
     teats = tuple(Teat(world, None, *pixels) for world, *pixels, kept in rows if kept)
@@ -211,31 +186,24 @@ def _homographies(calibration: Calibration, p: Parameters) -> Homographies:
         return calibration.homographies
     cameras = calibration.thermal, calibration.left, calibration.right
     sizes = tuple(camera.image_size for camera in cameras)
-    if sizes != (THERMAL_IMAGE_SIZE, IMAGE_SIZE, IMAGE_SIZE):
-        raise _NoAnswer(
-            "the published homographies are for pictures of 640 x 480 and 1360 x 1024, not for the"
-            " calibration's",
-            p.teat_count,
-        )
+    if sizes != (printed.THERMAL_IMAGE_SIZE, printed.IMAGE_SIZE, printed.IMAGE_SIZE):
+        what = "pictures of 640 x 480 and 1360 x 1024, not for the calibration's"
+        raise _NoAnswer(f"the published homographies are for {what}", p.teat_count)
     return PUBLISHED_HOMOGRAPHIES
 
 
 def _inside(points_px: Array, picture: Grey) -> NDArray[np.bool_]:
     """Which points (n, 2) lie on the picture."""
+    beyond = np.array(picture.shape[::-1]) - 0.5
     with np.errstate(invalid="ignore"):
-        return np.asarray(
-            np.all((points_px >= -0.5) & (points_px < np.array(picture.shape[::-1]) - 0.5), axis=1)
-        )
+        return np.asarray(np.all((points_px >= -0.5) & (points_px < beyond), axis=1))
 
 
 # the printed homographies (right at 1168 mm, some 6 px off at the teats); without the optical
 # pictures; both
-published_homography = partial(
-    ThesisDetector, Parameters(homographies="published"), "thesis-published-homography"
-)
+_PUBLISHED, _PLAIN = Parameters(homographies="published"), "thesis-published-homography"
+published_homography = partial(ThesisDetector, _PUBLISHED, _PLAIN)
 no_refinement = partial(ThesisDetector, Parameters(refinement=False), "thesis-no-refinement")
 published_homography_no_refinement = partial(
-    ThesisDetector,
-    Parameters(homographies="published", refinement=False),
-    "thesis-published-homography-no-refinement",
+    ThesisDetector, replace(_PUBLISHED, refinement=False), f"{_PLAIN}-no-refinement"
 )

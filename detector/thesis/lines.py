@@ -133,18 +133,19 @@ _WINDOW_SLIP_PX = 1  # see above
 
 def window_fits(shape: tuple[int, ...], centre: tuple[int, int], p: Parameters) -> bool:
     """Whether the window at (column, row) lies within a picture (rows, columns)."""
-    x, y = centre
-    return (
-        y >= p.window_rows[0]
-        and y + p.window_rows[1] < shape[0]
-        and x >= p.window_columns[0]
-        and x + p.window_columns[1] < shape[1]
-    )
+    (x, y), (up, down), (before, after) = centre, p.window_rows, p.window_columns
+    return up <= y < shape[0] - down and before <= x < shape[1] - after
 
 
 def horizontal_middles(mask: Mask, centre: tuple[int, int], p: Parameters) -> Array:
     """Middles (n, 2) px of short horizontal lines in the window at (column, row), by row."""
-    rows, columns = _points_in_window(mask, centre, p)
+    top, left = max(centre[1] - p.window_rows[0], 0), max(centre[0] - p.window_columns[0], 0)
+    bottom, right = (
+        max(middle + after + 1, 0)
+        for middle, (_, after) in ((centre[1], p.window_rows), (centre[0], p.window_columns))
+    )
+    rows, columns = np.nonzero(mask[top:bottom, left:right])  # by row, then column
+    rows, columns = rows.astype(np.int64) + top, columns.astype(np.int64) + left
     rows = merge_rows(rows, columns, p.horizontal_merge_rows, p.horizontal_merge_columns)
     values, counts = np.unique(rows, return_counts=True)
     low, high = p.horizontal_points_between
@@ -165,11 +166,8 @@ def merge_rows(rows: Whole, columns: Whole, row_reach: int, column_reach: int) -
     merged = rows.copy()
     for i in range(len(merged) - 1):
         y, after = merged[i], merged[i + 1 :]
-        after[
-            (after > y)
-            & (after <= y + row_reach)
-            & (np.abs(columns[i + 1 :] - columns[i]) <= column_reach)
-        ] = y
+        beside = np.abs(columns[i + 1 :] - columns[i]) <= column_reach
+        after[(after > y) & (after <= y + row_reach) & beside] = y
     return merged
 
 
@@ -199,15 +197,3 @@ def teat_ends(middles: Array, p: Parameters) -> tuple[Array, int]:
         if len(ends) < p.teat_count and apart and abs(middle[1] - row) <= p.teat_row_tolerance_px:
             ends.append(middle)
     return np.array(ends, dtype=np.float64).reshape(-1, 2), p.teat_count - len(ends)
-
-
-def _points_in_window(mask: Mask, centre: tuple[int, int], p: Parameters) -> tuple[Whole, Whole]:
-    """Rows and columns (n,) of true pixels in the window, by row, then column."""
-    top, left = max(centre[1] - p.window_rows[0], 0), max(centre[0] - p.window_columns[0], 0)
-    rows, columns = np.nonzero(
-        mask[
-            top : max(centre[1] + p.window_rows[1] + 1, 0),
-            left : max(centre[0] + p.window_columns[1] + 1, 0),
-        ]
-    )
-    return rows.astype(np.int64) + top, columns.astype(np.int64) + left

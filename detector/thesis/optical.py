@@ -64,23 +64,17 @@ def refine(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
 
 def keep(picture: Grey, nomination_px: Array, p: Parameters) -> Refined:
     """The end as nominated; nothing is looked for in the region (zeros beyond the picture)."""
-    side = 2 * p.region_reach_px + 1
     region = cut_region(picture, nomination_px, p.region_reach_px)
-    blank = np.zeros((side, side), dtype=np.uint8)
-    return Refined(
-        nomination_px,
-        False,
-        blank if region is None else region,
-        np.zeros((side, side), dtype=np.bool_),
-    )
+    blank = np.zeros((2 * p.region_reach_px + 1,) * 2, dtype=np.uint8)
+    cut = blank if region is None else region
+    return Refined(nomination_px, False, cut, blank.astype(np.bool_))
 
 
 def cut_region(picture: Grey, centre_px: Array, reach_px: int) -> Grey | None:
     """The square (2 reach + 1, 2 reach + 1) around a whole pixel (2,); None beyond the picture."""
     x, y = (int(v) for v in np.nan_to_num(centre_px, nan=-1.0))
-    if not (
-        reach_px <= x < picture.shape[1] - reach_px and reach_px <= y < picture.shape[0] - reach_px
-    ):
+    height, width = picture.shape
+    if not (reach_px <= x < width - reach_px and reach_px <= y < height - reach_px):
         return None
     return picture[y - reach_px : y + reach_px + 1, x - reach_px : x + reach_px + 1]
 
@@ -90,16 +84,13 @@ def grey_dilation(region: Grey, p: Parameters) -> Grey:
     element = np.ones(p.grey_dilation_size, dtype=np.uint8)
     element[:2, [0, -1]] = 0
     element[0, [1, -2]] = 0
-    return np.asarray(_dilate(region, element), dtype=np.uint8)
+    return _dilate(region, element)
 
 
 def binary_dilation(bright: Mask, p: Parameters) -> Mask:
     """Binary dilation with a rectangle of 10 rows by 7 columns (section 4.3.3)."""
-    return np.asarray(
-        _dilate(bright.astype(np.uint8), np.ones(p.binary_dilation_size, dtype=np.uint8)).astype(
-            np.bool_
-        )
-    )
+    element = np.ones(p.binary_dilation_size, dtype=np.uint8)
+    return _dilate(bright.astype(np.uint8), element).astype(np.bool_)
 
 
 def locate_end(dark: Mask, p: Parameters) -> Array | None:

@@ -63,9 +63,8 @@ def kernels(sigma_px: float, reach_px: int) -> tuple[Single, Single]:
     t = np.arange(-reach_px, reach_px + 1, dtype=np.float64)
     t = t[(np.exp(-(t * t) / (2 * sigma_px**2)) > _DIE_OFF) | (np.abs(t) <= 1)]
     gauss = np.exp(-(t * t) / (2 * sigma_px**2))
-    return (gauss / gauss.sum()).astype(np.float32), (t * gauss / (t * t * gauss).sum()).astype(
-        np.float32
-    )
+    slope = t * gauss / (t * t * gauss).sum()
+    return (gauss / gauss.sum()).astype(np.float32), slope.astype(np.float32)
 
 
 def gradient(picture: NDArray[np.uint8], sigma_px: float, reach_px: int) -> tuple[Single, Single]:
@@ -74,9 +73,8 @@ def gradient(picture: NDArray[np.uint8], sigma_px: float, reach_px: int) -> tupl
 
     def filtered(image: Single, along: Single, across: Single) -> Single:
         border = cv2.BORDER_REPLICATE
-        return np.asarray(
-            cv2.sepFilter2D(image, cv2.CV_32F, along, across, borderType=border), dtype=np.float32
-        )
+        seen = cv2.sepFilter2D(image, cv2.CV_32F, along, across, borderType=border)
+        return np.asarray(seen, dtype=np.float32)
 
     smooth = filtered(picture.astype(np.float32), gauss, gauss)
     return filtered(smooth, slope, gauss), filtered(smooth, gauss, slope)
@@ -144,9 +142,8 @@ def thin_once(mask: Mask) -> Mask:
 def eight_bit(image: NDArray[Any]) -> Grey:
     """Grey as uint8: the upper byte of 16 bits. Raises ValueError for other pixels."""
     if image.ndim != 2:
-        raise ValueError(
-            f"must be a grey picture of rows and columns, its array has the shape {image.shape}"
-        )
+        what = "must be a grey picture of rows and columns"
+        raise ValueError(f"{what}, its array has the shape {image.shape}")
     if image.dtype == np.uint16:
         return (image >> 8).astype(np.uint8)
     if image.dtype != np.uint8:
@@ -165,15 +162,10 @@ def picture_from_kelvin(thermal_k: NDArray[Any], image_size: tuple[int, int]) ->
     """
     kelvin = np.asarray(thermal_k, dtype=np.float32)
     if kelvin.ndim != 2 or kelvin.size == 0 or not np.all(np.isfinite(kelvin)):
-        raise ValueError(
-            f"must be rows and columns of finite kelvin, its array has the shape {kelvin.shape}"
-        )
+        what = "must be rows and columns of finite kelvin"
+        raise ValueError(f"{what}, its array has the shape {kelvin.shape}")
     coldest, hottest = float(kelvin.min()), float(kelvin.max())
-    grey = (
-        (hottest - kelvin) * (255.0 / (hottest - coldest))
-        if hottest > coldest
-        else np.zeros_like(kelvin)
-    )
+    grey = (hottest - kelvin) * (255.0 / (hottest - coldest) if hottest > coldest else 0.0)
     resized = cv2.resize(grey, image_size, interpolation=cv2.INTER_LINEAR)
     return np.rint(resized).astype(np.uint8)
 

@@ -16,21 +16,19 @@ DEPTH = "depth"
 
 
 class Camera(Protocol):
-    """One camera with its settings made."""
+    """One camera with its settings made; ``identity``: who it is, and what it was set to.
 
-    identity: str  # who it is, and what it was set to
+    ``prepare`` waits for what it needs before all are exposed together. ``begin`` triggers, or asks
+    for a fresh frame, and ``take`` waits for that; they raise FrameError, or LinkError when gone.
+    ``close`` lets the camera go, and may be called again.
+    """
 
-    def prepare(self) -> None:
-        """What a camera needs before all are exposed together; waits for it."""
+    identity: str
 
-    def begin(self) -> None:
-        """Trigger, or ask for a fresh frame. Does not wait for it."""
-
-    def take(self) -> RawFrame:
-        """The frame that ``begin`` asked for. Raises FrameError, or LinkError when gone."""
-
-    def close(self) -> None:
-        """Let the camera go; may be called again."""
+    def prepare(self) -> None: ...
+    def begin(self) -> None: ...
+    def take(self) -> RawFrame: ...
+    def close(self) -> None: ...
 
 
 class CameraSet:
@@ -66,7 +64,6 @@ class CameraSet:
         for camera in self._cameras.values():
             camera.begin()
         raw = {name: camera.take() for name, camera in self._cameras.items()}
-        exposed_s = {name: frame.exposed_s for name, frame in raw.items()}
         images: dict[str, Any] = {}
         try:
             for name, frame in raw.items():
@@ -80,6 +77,7 @@ class CameraSet:
         except ValueError as fault:
             hint = "Correct what the rig file declares of the cameras."
             raise ProtocolError("cameras", str(fault), asked="a frame", hint=hint) from fault
+        exposed_s = {name: frame.exposed_s for name, frame in raw.items()}
         return FrameSet(**images, exposed_s=exposed_s, identity=self.identity)
 
     def close(self) -> None:

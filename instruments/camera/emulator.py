@@ -20,16 +20,9 @@ from instruments.world.state import SceneState
 
 # what an emulated camera can have, and by default which one; a wrong size is a wrong rig file
 FAULTS: Mapping[FrameFault, str] = {
-    FrameFault.DROPPED: "left",
-    FrameFault.LOST_PACKETS: "left",
-    FrameFault.LATE: "thermal",
-    FrameFault.FROZEN: "left",
-    FrameFault.BLACK: "left",
-    FrameFault.SATURATED: "left",
-    FrameFault.HALF: "left",
-    FrameFault.FLAT_FIELD: "thermal",
-    FrameFault.OUT_OF_FOCUS: "left",
-    FrameFault.SWAPPED: "left",
+    fault: "thermal" if fault in (FrameFault.LATE, FrameFault.FLAT_FIELD) else "left"
+    for fault in FrameFault
+    if fault is not FrameFault.WRONG_SIZE
 }
 KEPT_BACK: Mapping[FrameFault, str] = {
     FrameFault.DROPPED: "no frame came",
@@ -43,8 +36,6 @@ AMOUNTS: Mapping[FrameFault, tuple[float, str]] = {
 }
 BLACK_DN, READ_NOISE_DN = 4.0, 0.5
 SHUTTER_CK, SHUTTER_NOISE_CK = 29900.0, 8.0
-
-
 Spoiling = Mapping[FrameFault, tuple[str, float]]  # each fault with its camera and its amount
 
 
@@ -67,9 +58,9 @@ class CameraFaults:
         """Start a fault at the next frame set. Raises ValueError for an unknown name or amount."""
         fault = named(name)
         check_amount(fault, amount)
-        given = AMOUNTS.get(fault, (0.0, ""))[0] if amount is None else amount
+        usual = AMOUNTS.get(fault, (0.0, ""))[0]
         with self._lock:
-            self._on[fault] = (camera or FAULTS[fault], given, times)
+            self._on[fault] = camera or FAULTS[fault], usual if amount is None else amount, times
 
     def clear(self, name: str) -> None:
         """End a fault, whether it was on or not."""
@@ -120,7 +111,8 @@ def spoiled(
         elif fault is FrameFault.FROZEN and last is not None:
             new = {part: getattr(last, part) for part in old}
         elif fault is FrameFault.HALF:
-            new = {part: _upper_half(image) for part, image in old.items()}
+            for part, image in old.items():
+                new[part] = np.where(np.arange(len(image))[:, None] < len(image) // 2, image, 0)
         elif camera == "thermal":
             new = _spoiled_thermal(fault, old["thermal"], old["thermal_ck"], amount, rng)
         elif fault is FrameFault.BLACK:
@@ -153,10 +145,6 @@ def _spoiled_thermal(
     return {"thermal": _bytes(shown), "thermal_ck": np.rint(kelvin).astype(np.uint16)}
 
 
-def _upper_half(image: NDArray[Any]) -> NDArray[Any]:
-    return np.where(np.arange(len(image))[:, None] < len(image) // 2, image, 0)
-
-
 def _parts(camera: str) -> tuple[str, ...]:
     return ("thermal", "thermal_ck") if camera == "thermal" else (camera,)
 
@@ -180,12 +168,9 @@ class SeenWorld(Protocol):
     """What emulated cameras need of the world."""
 
     @property
-    def renderer(self) -> Renderer:
-        """The three cameras' pictures of a state."""
-
+    def renderer(self) -> Renderer: ...
     @property
-    def clock(self) -> Clock:
-        """The bench's clock."""
+    def clock(self) -> Clock: ...
 
     def scene(self) -> SceneState:
         """What stands before the cameras now."""
@@ -208,8 +193,10 @@ class EmulatedCameras:
         """Who each camera is."""
         renderer = self._world.renderer
         deep = [renderer.depth.view.camera] if renderer.depth else []
-        cameras = [*renderer.cameras, *deep]
-        return {one.name: f"emulated {one.width_px} x {one.height_px}" for one in cameras}
+        return {
+            one.name: f"emulated {one.width_px} x {one.height_px}"
+            for one in [*renderer.cameras, *deep]
+        }
 
     def capture(self) -> FrameSet:
         """A frame set of the present world. Raises FrameError where a fault keeps a frame back."""
@@ -236,20 +223,12 @@ class EmulatedCameras:
         """Nothing is held open."""
 
     def _seen(self) -> FrameSet:
-        taken = self._world.renderer.render(
-            self._world.scene(), self._world.frame_rng("cameras", self._taken)
-        )
+        rng = self._world.frame_rng("cameras", self._taken)
         self._taken += 1
-        return frame_set(taken)
+        return frame_set(self._world.renderer.render(self._world.scene(), rng))
 
 
 def frame_set(taken: RenderedSet) -> FrameSet:
     """What was rendered, as cameras deliver it."""
-    return FrameSet(
-        taken.left,
-        taken.right,
-        taken.thermal_8bit,
-        taken.thermal_ck,
-        depth_dmm=taken.depth_dmm,
-        amplitude=taken.amplitude,
-    )
+    images = taken.left, taken.right, taken.thermal_8bit, taken.thermal_ck
+    return FrameSet(*images, depth_dmm=taken.depth_dmm, amplitude=taken.amplitude)

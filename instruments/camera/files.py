@@ -73,11 +73,9 @@ def pictures_at(place: Path) -> list[Path]:
     """What `FileCamera` reads, by name; numbers in names count as numbers."""
     at = [place / "*"] if place.is_dir() else [place]
     found = [path for one in at for path in one.parent.glob(one.name) if path.is_file()]
-    return sorted((path for path in found if path.suffix.lower() in ENDINGS), key=_by_number)
 
+    def by_number(path: Path) -> list[tuple[int, str]]:
+        parts = re.split(r"(\d+)", path.name)
+        return [(int(part), "") if part.isdecimal() else (0, part) for part in parts]
 
-def _by_number(path: Path) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in _PARTS.split(path.name)]
-
-
-_PARTS = re.compile(r"(\d+)")
+    return sorted((path for path in found if path.suffix.lower() in ENDINGS), key=by_number)

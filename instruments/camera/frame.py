@@ -62,9 +62,8 @@ class FrameSet:
             if image.dtype != dtype or image.ndim != 2 or image.size == 0:
                 seen = f"{image.shape} of {image.dtype}"
                 raise ValueError(f"{wanted}, is {seen}; `grey8` makes 8-bit grey of raw images")
-        if self.amplitude is not None and (
-            self.depth_dmm is None or self.amplitude.shape != self.depth_dmm.shape
-        ):
+        depth_size = None if self.depth_dmm is None else self.depth_dmm.shape
+        if self.amplitude is not None and self.amplitude.shape != depth_size:
             raise ValueError("a frame set's amplitude goes with a depth picture of its size")
 
     @property
@@ -75,9 +74,8 @@ class FrameSet:
     @property
     def depth_mm(self) -> NDArray[np.float64] | None:
         """Along the depth camera's optical axis, NaN where nothing was measured; None without."""
-        if self.depth_dmm is None:
-            return None
-        return np.where(self.depth_dmm > 0, self.depth_dmm / 10.0, np.nan)
+        depth = self.depth_dmm
+        return None if depth is None else np.where(depth > 0, depth / 10.0, np.nan)
 
 
 def grey8(image: NDArray[Any], full_scale: int = 65535) -> Grey:
@@ -192,25 +190,19 @@ class Conversion:
         """
         ranging = self.ranging or raw.ranging
         if ranging is None:
-            raise ValueError(
-                "nothing says how far a count of the depth camera is: set mm_per_count in"
-                " [cameras.depth]"
-            )
+            what = "nothing says how far a count of the depth camera is"
+            raise ValueError(f"{what}: set mm_per_count in [cameras.depth]")
         counts = self._upright(raw.pixels)
         if counts.ndim != 2 or counts.dtype == np.uint8:
-            seen = f"{counts.shape} of {counts.dtype}"
-            raise ValueError(
-                f"depth comes from a grey frame of 16 bits or more, this one is {seen}"
-            )
+            seen = f"this one is {counts.shape} of {counts.dtype}"
+            raise ValueError(f"depth comes from a grey frame of 16 bits or more, {seen}")
         tenths = np.rint(10.0 * (ranging.mm_at_zero + ranging.mm_per_count * counts.astype(float)))
         measured = (tenths >= 1.0) & (tenths <= 65535.0)  # false for what is no number
         if ranging.none is not None:
             measured &= counts != counts.dtype.type(ranging.none)
-        strength = None if raw.amplitude is None else self._upright(raw.amplitude)
-        return (
-            np.where(measured, tenths, 0.0).astype(np.uint16),
-            None if strength is None else strength.astype(np.uint16),
-        )
+        found = np.where(measured, tenths, 0.0).astype(np.uint16)
+        given = raw.amplitude
+        return found, None if given is None else self._upright(given).astype(np.uint16)
 
     def _upright(self, image: NDArray[Any]) -> NDArray[Any]:
         if image.ndim == 3 and self.grey in _BGR:

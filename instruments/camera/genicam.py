@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -90,26 +91,6 @@ def _size(camera: Any) -> tuple[int, int]:
     return int(region.width), int(region.height)
 
 
-def _by_name(
-    who: str, device: Any, name: str
-) -> tuple[Callable[[Value], object], Callable[[], object]]:
-    """How to write and read a feature of any kind; both raise DeviceError where it is missing."""
-
-    def node() -> Any:
-        found = device.get_feature(name)
-        if found is None or not hasattr(found, "set_value_from_string"):
-            near = difflib.get_close_matches(name, list(feature_names(device)), n=1, cutoff=0.8)
-            hint = f'; did you mean "{near[0]}"?' if near else ""
-            raise DeviceError(who, f'the camera has no feature "{name}"{hint}')
-        return found
-
-    def write(value: Value) -> None:
-        text = str(value).lower() if isinstance(value, bool) else str(value)
-        node().set_value_from_string(text)
-
-    return write, lambda: node().get_value_as_string()
-
-
 def feature_names(device: Any) -> list[str]:
     """All features that a camera lists, by its categories."""
     names, categories, seen = set(), ["Root"], set()
@@ -163,14 +144,9 @@ class GenicamCamera:
         patience_s: float = PATIENCE_S,
         in_step: DeviceTime | None = None,
     ) -> None:
-        self._in_step = in_step
-        self._name = name
-        self._who = f"{name} camera genicam:{device}"
-        self._clock = clock
-        self._settings = settings or Settings()
-        self._patience_s = patience_s
-        self._device = device
-        self._lost_control = False
+        self._name, self._device, self._who = name, device, f"{name} camera genicam:{device}"
+        self._clock, self._settings = clock, settings or Settings()
+        self._patience_s, self._in_step = patience_s, in_step
         self._aravis = load_aravis()
         self._failure: type[Exception] = importlib.import_module("gi.repository.GLib").Error
         if device.startswith(FAKE):
@@ -179,9 +155,7 @@ class GenicamCamera:
         self._open()
 
     def _open(self) -> None:
-        self._time = DeviceTime()
-        if self._in_step and self._settings.ptp:
-            self._time = self._in_step
+        self._time = (self._settings.ptp and self._in_step) or DeviceTime()
         self._camera = self._found(self._device)
         self._lost_control = False
         try:
@@ -208,43 +182,56 @@ class GenicamCamera:
             raise
 
     def _apply_settings(self) -> tuple[str, ...]:
-        camera, who = self._camera, self._who
-
+        c, asked = self._camera, self._settings
         ways = {
-            "pixel_format": (
-                camera.set_pixel_format_from_string,
-                camera.get_pixel_format_as_string,
-            ),
-            "resolution": (lambda size: camera.set_region(0, 0, *size), lambda: _size(camera)),
-            "fps": (camera.set_frame_rate, camera.get_frame_rate),
-            "exposure": (camera.set_exposure_time, camera.get_exposure_time),
-            "gain": (camera.set_gain, camera.get_gain),
+            "pixel_format": (c.set_pixel_format_from_string, c.get_pixel_format_as_string),
+            "resolution": (lambda size: c.set_region(0, 0, *size), lambda: _size(c)),
+            "fps": (c.set_frame_rate, c.get_frame_rate),
+            "exposure": (c.set_exposure_time, c.get_exposure_time),
+            "gain": (c.set_gain, c.get_gain),
         }
-        device = camera.get_device()
-        ways |= {name: _by_name(who, device, name) for name in self._settings.features}
-        failures = (self._failure, DeviceError)
-        offered = [name for name in AUTOMATIC if name not in self._settings.features]
+        ways |= {name: self._feature(name) for name in asked.features}
         automatic = {
             name: partial(self._automatic, name)
-            for name in offered
-            if device.get_feature(name) is not None and device.is_feature_available(name)
+            for name in AUTOMATIC
+            if name not in asked.features and self._offers(name)
         }
-        held = hold_still(who, self._settings, automatic)
-        notes = (*held, *apply(who, self._settings, ways, failures))
-        return (*notes, self._ptp()) if self._settings.ptp else notes
+        held = hold_still(self._who, asked, automatic)
+        notes = (*held, *apply(self._who, asked, ways, (self._failure, DeviceError)))
+        return (*notes, self._ptp()) if asked.ptp else notes
+
+    def _offers(self, name: str) -> bool:
+        device = self._camera.get_device()
+        return device.get_feature(name) is not None and bool(device.is_feature_available(name))
+
+    def _feature(self, name: str) -> tuple[Callable[[Value], object], Callable[[], object]]:
+        """How to write and read one of any kind; both raise DeviceError where it is missing."""
+        device = self._camera.get_device()
+
+        def node() -> Any:
+            found = device.get_feature(name)
+            if found is None or not hasattr(found, "set_value_from_string"):
+                near = difflib.get_close_matches(name, list(feature_names(device)), n=1, cutoff=0.8)
+                hint = f'; did you mean "{near[0]}"?' if near else ""
+                raise DeviceError(self._who, f'the camera has no feature "{name}"{hint}')
+            return found
+
+        def write(value: Value) -> None:
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            node().set_value_from_string(text)
+
+        return write, lambda: node().get_value_as_string()
 
     def _scan3d(self) -> Ranging | None:
         """What the camera says of its distances; None where it says nothing. Raises DeviceError for
         one that sends none along its axis.
         """
-        device = self._camera.get_device()
 
         def said(name: str, usual: str = "") -> str:
-            offered = device.get_feature(name) is not None and device.is_feature_available(name)
-            return str(_by_name(self._who, device, name)[1]()) if offered else usual
+            return str(self._feature(name)[1]()) if self._offers(name) else usual
 
         if said("Scan3dCoordinateSelector"):
-            _by_name(self._who, device, "Scan3dCoordinateSelector")[0]("CoordinateC")
+            self._feature("Scan3dCoordinateSelector")[0]("CoordinateC")
         wanted = {
             "Scan3dOutputMode": DEPTHS,
             "Scan3dCoordinateSystem": (SYSTEM,),
@@ -264,12 +251,11 @@ class GenicamCamera:
 
     def _ptp(self) -> str:
         """Have PTP set its clock, and wait until it does. Raises DeviceError."""
-        device = self._camera.get_device()
         for enable, status in PTP:
-            if device.get_feature(enable) is None:
+            if self._camera.get_device().get_feature(enable) is None:
                 continue
-            _by_name(self._who, device, enable)[0](True)
-            _, read = _by_name(self._who, device, status)
+            self._feature(enable)[0](True)
+            _, read = self._feature(status)
             end_s = self._clock.now() + PTP_S
             while (state := str(read())) not in IN_STEP:
                 if self._clock.now() >= end_s:
@@ -283,12 +269,10 @@ class GenicamCamera:
 
     def _automatic(self, name: str, switch_off: bool) -> str:
         """What an automatic function is set to; "" where it is off."""
-        write, read = _by_name(self._who, self._camera.get_device(), name)
-        try:
+        write, read = self._feature(name)
+        with suppress(self._failure):  # what it says then decides
             if switch_off and read() != OFF:
                 write(OFF)
-        except self._failure:  # what it says now decides
-            pass
         try:
             state = str(read())
         except self._failure as error:
@@ -335,11 +319,10 @@ class GenicamCamera:
         arrived_s = self._clock.now()
         if buffer is None:
             self._check_control()
+            waits = self._settings.trigger == "hardware"
             hint = "Check cable, power and the network's packet size."
-            if self._settings.trigger == "hardware":
-                hint = "Did its trigger come?"
-            seconds = self._patience_s
-            raise self._fault(FrameFault.DROPPED, "no frame came", hint, seconds=seconds)
+            hint = "Did its trigger come?" if waits else hint
+            raise self._fault(FrameFault.DROPPED, "no frame came", hint, self._patience_s)
         try:
             (pixels, bits), amplitude = self._pixels(buffer)
             exposed_s = self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s)
@@ -351,13 +334,9 @@ class GenicamCamera:
         """Let it go; may be called again."""
         self._lost_control = False
         if self._stream is not None:
-            self._stream = None
-            try:
-                self._camera.stop_acquisition()
-            except self._failure:  # it has gone already
-                return
-            finally:
-                self._camera = None
+            camera, self._stream, self._camera = self._camera, None, None
+            with suppress(self._failure):  # it has gone already
+                camera.stop_acquisition()
 
     def _found(self, device: str) -> Any:
         try:
@@ -388,13 +367,12 @@ class GenicamCamera:
         self._stream = self._camera = None
         self._lost_control = True
         what = "no frame came: the camera is no longer under this program's control"
-        hint = (
-            "Another program took it, or its power was off. It is opened again for the next frame."
-        )
+        hint = "Another program took it, or its power was off."
+        hint += " It is opened again for the next frame."
         raise self._fault(FrameFault.DROPPED, what, hint)
 
     def _fault(
-        self, fault: FrameFault, what: str, hint: str, *, seconds: float | None = None
+        self, fault: FrameFault, what: str, hint: str, seconds: float | None = None
     ) -> FrameError:
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
@@ -414,14 +392,10 @@ class GenicamCamera:
         try:
             if kind == "multipart":
                 return _of_parts(buffer)
-            whole = unpack(
-                buffer.get_data(),
-                buffer.get_image_pixel_format(),
-                buffer.get_image_width(),
-                buffer.get_image_height(),
-                int(buffer.get_image_padding().x_padding),
-            )
-            return whole, None
+            size = buffer.get_image_width(), buffer.get_image_height()
+            padding = int(buffer.get_image_padding().x_padding)
+            code = buffer.get_image_pixel_format()
+            return unpack(buffer.get_data(), code, *size, padding), None
         except ValueError as fault:
             hint = "Set another pixel_format in the rig file."
             raise ProtocolError(self._who, str(fault), asked="a frame", hint=hint) from fault

@@ -83,10 +83,8 @@ class LiveReader:
         end_s = self._clock.now() + patience_s
         while self._clock.now() < end_s:
             with self._lock:
-                if self._got is not None:
+                if self._got is not None or self.broken:
                     return self._got
-            if self.broken:
-                return None
             self._clock.sleep(LOOK_S)
         return None
 
@@ -129,11 +127,9 @@ class OpenCvCamera:
         *,
         patience_s: float = PATIENCE_S,
     ) -> None:
-        self._name = name
-        self._source = source
-        self._clock = clock
-        self._settings = settings or Settings()
-        self._patience_s = patience_s
+        self._name, self._source, self._clock = name, source, clock
+        self._who = f"{name} camera at {source}"
+        self._settings, self._patience_s = settings or Settings(), patience_s
         self._live: LiveReader | None = None
         self._file: cv2.VideoCapture | None = None
         self._begun_s: float | None = None
@@ -158,8 +154,7 @@ class OpenCvCamera:
     def take(self) -> RawFrame:
         """The frame. Raises FrameError where none came or it can't be decoded."""
         if self._live is not None:
-            answer = self._live.answer(self._patience_s)
-            if answer is None:
+            if (answer := self._live.answer(self._patience_s)) is None:
                 if self._live.broken:
                     raise self._fault(FrameFault.DROPPED, "the stream broke off")
                 raise self._fault(FrameFault.DROPPED, "no frame came", self._patience_s)
@@ -190,27 +185,9 @@ class OpenCvCamera:
             self._file.release()
         self._file = None
 
-    @property
-    def _who(self) -> str:
-        return f"{self._name} camera at {self._source}"
-
     def _fault(self, fault: FrameFault, what: str, seconds: float | None = None) -> FrameError:
         hint = "Is it still connected, and is the network fast enough?"
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
-
-    def _unseen_size(self, capture: cv2.VideoCapture) -> str:
-        """The note for a stream whose frames the library scales to the size of the first. Raises
-        DeviceError where that was not allowed.
-        """
-        codec = fourcc_name(capture.get(cv2.CAP_PROP_FOURCC))
-        what = f"{UNSEEN_SIZE}: the library scales frames of {codec} back"
-        if not {"all", "resolution"} & self._settings.tries:
-            capture.release()
-            hint = (
-                'Have it send MJPEG; or try = ["resolution"] in the rig file: the report says so.'
-            )
-            raise DeviceError(self._who, what, hint=hint)
-        return what
 
     def _open(self) -> None:
         if _is_url(self._source):
@@ -219,34 +196,42 @@ class OpenCvCamera:
             capture = cv2.VideoCapture(self._source, cv2.CAP_FFMPEG, parameters)
         else:
             capture = cv2.VideoCapture(self._source)
-        if not capture.isOpened():
+        try:
+            notes = self._set_up(capture)
+        except BaseException:
             capture.release()
+            raise
+        width, height = self._size
+        known = f"{self._source} ({capture.getBackendName()}, {width} x {height})"
+        self.identity = "; ".join([known, *notes])
+        if is_live(self._source):
+            self._live = LiveReader(capture, self._clock, self._name)
+        else:
+            self._file = capture
+
+    def _set_up(self, capture: cv2.VideoCapture) -> tuple[str, ...]:
+        """Make the settings; notes about what did not take."""
+        if not capture.isOpened():
             asked = f"cv2.VideoCapture({self._source!r})"
             hint = "Check its number, path or URL, and that no other program holds it."
             if used_by := in_use(self._source):
                 hint = f"It is in use by {used_by}: end that program."
             raise LinkError(self._who, "can't be opened", asked=asked, hint=hint)
-        try:
-            notes = apply_settings(self._who, capture, self._settings)
-            if is_device(self._source):
-                notes = (*_held_still(self._who, capture, self._settings), *notes)
-        except BaseException:
-            capture.release()
-            raise
-        width, height = self._size = _size(capture)
-        self.identity = "; ".join(
-            [f"{self._source} ({capture.getBackendName()}, {width} x {height})", *notes]
-        )
+        notes = apply_settings(self._who, capture, self._settings)
+        if is_device(self._source):
+            notes = (*_held_still(self._who, capture, self._settings), *notes)
+        self._size = _size(capture)
         # undecoded, since the library scales a frame of another size to the first one's
-        is_mjpeg = fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)) == "MJPG"
-        is_mjpeg &= capture.getBackendName() == "FFMPEG"
+        codec = fourcc_name(capture.get(cv2.CAP_PROP_FOURCC))
+        is_mjpeg = codec == "MJPG" and capture.getBackendName() == "FFMPEG"
         self._is_jpeg = is_mjpeg and capture.set(cv2.CAP_PROP_FORMAT, -1)
-        if _is_url(self._source) and not self._is_jpeg:
-            self.identity += f"; {self._unseen_size(capture)}"
-        if is_live(self._source):
-            self._live = LiveReader(capture, self._clock, self._name)
-        else:
-            self._file = capture
+        if not _is_url(self._source) or self._is_jpeg:
+            return notes
+        what = f"{UNSEEN_SIZE}: the library scales frames of {codec} back"
+        if not {"all", "resolution"} & self._settings.tries:
+            hint = 'Have it send MJPEG; or try = ["resolution"] in the rig file: the report says'
+            raise DeviceError(self._who, what, hint=f"{hint} so.")
+        return (*notes, what)
 
 
 def in_use(source: Source) -> str:
@@ -263,7 +248,7 @@ def in_use(source: Source) -> str:
 def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> tuple[str, ...]:
     """Write and read back; notes about tries. Raises DeviceError for what did not take."""
 
-    def set_pixel_format(name: str) -> None:
+    def set_fourcc(name: str) -> None:
         capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*name[:4].ljust(4)))
 
     def set_size(size: tuple[int, int]) -> None:
@@ -271,16 +256,11 @@ def apply_settings(who: str, capture: cv2.VideoCapture, settings: Settings) -> t
             capture.set(prop, value)
 
     ways: dict[str, tuple[Callable[[Any], object], Callable[[], object]]] = {
-        "pixel_format": (
-            set_pixel_format,
-            lambda: fourcc_name(capture.get(cv2.CAP_PROP_FOURCC)),
-        ),
+        "pixel_format": (set_fourcc, lambda: fourcc_name(capture.get(cv2.CAP_PROP_FOURCC))),
         "resolution": (set_size, partial(_size, capture)),
     }
-    ways |= {
-        name: (partial(capture.set, prop), partial(capture.get, prop))
-        for name, prop in NUMBERS.items()
-    }
+    for name, prop in NUMBERS.items():
+        ways[name] = partial(capture.set, prop), partial(capture.get, prop)
     if settings.counts:
         capture.set(cv2.CAP_PROP_CONVERT_RGB, 0.0)
         if capture.get(cv2.CAP_PROP_CONVERT_RGB) != 0.0:

@@ -37,16 +37,10 @@ class PixelFormat:
     to_bgr: int | None = None  # OpenCV's code for what isn't grey yet
 
 
-def _bytes8(data: Bytes, count: int) -> Bytes:
-    return data[:count]
-
-
-def _words16(data: Bytes, count: int) -> NDArray[np.uint16]:
-    return np.frombuffer(data.tobytes(), dtype="<u2", count=count).astype(np.uint16)
-
-
-def _floats32(data: Bytes, count: int) -> NDArray[np.float32]:
-    return np.frombuffer(data.tobytes(), dtype="<f4", count=count).astype(np.float32)
+def _plain(kind: str) -> Decoder:
+    """Little-endian values of a type of numpy's."""
+    dtype = np.dtype(kind)
+    return lambda data, n: np.frombuffer(data, dtype, n).astype(dtype.newbyteorder("="))
 
 
 def _bit_stream(bits: int) -> Decoder:
@@ -67,18 +61,16 @@ def _packed(bits: int) -> Decoder:
     low = (1 << (bits - 8)) - 1
 
     def decode(data: Bytes, count: int) -> NDArray[np.uint16]:
-        groups = -(-count // 2)
-        triples = np.zeros(3 * groups, dtype=np.uint16)
-        triples[: min(len(data), 3 * groups)] = data[: 3 * groups]
-        first, middle, second = triples[0::3], triples[1::3], triples[2::3]
-        pair = np.empty((groups, 2), dtype=np.uint16)
-        pair[:, 0] = first << (bits - 8) | middle & low
-        pair[:, 1] = second << (bits - 8) | middle >> 4 & low
-        return pair.reshape(-1)[:count]
+        triples = np.zeros((-(-count // 2), 3), dtype=np.uint16)
+        triples.flat[: len(data)] = data  # the last one may lack its third byte
+        first, middle, second = triples.T
+        pair = first << (bits - 8) | middle & low, second << (bits - 8) | middle >> 4 & low
+        return np.column_stack(pair).reshape(-1)[:count]
 
     return decode
 
 
+_bytes8, _words16, _floats32 = _plain("u1"), _plain("<u2"), _plain("<f4")
 FORMATS: tuple[PixelFormat, ...] = (
     PixelFormat("Mono8", 0x01080001, 8, 8, _bytes8),
     PixelFormat("Mono10", 0x01100003, 16, 10, _words16),
@@ -104,15 +96,6 @@ FORMATS: tuple[PixelFormat, ...] = (
 BY_CODE = {known.code: known for known in FORMATS}
 
 
-def format_of(code: int) -> PixelFormat:
-    """The format of that PFNC code. Raises ValueError that lists what is known."""
-    if code not in BY_CODE:
-        known = ", ".join(known.name for known in FORMATS)
-        what = f"pixel format 0x{code:08X} is not one that is unpacked here"
-        raise ValueError(f"{what}; choose one of {known}")
-    return BY_CODE[code]
-
-
 def unpack(
     data: bytes, code: int, width: int, height: int, x_padding: int = 0
 ) -> tuple[Pixels, int]:
@@ -120,7 +103,10 @@ def unpack(
     followed by ``x_padding`` bytes, and their bits of signal. Raises ValueError for an unknown
     format or a short payload.
     """
-    layout = format_of(code)
+    if (layout := BY_CODE.get(code)) is None:
+        known = ", ".join(known.name for known in FORMATS)
+        what = f"pixel format 0x{code:08X} is not one that is unpacked here"
+        raise ValueError(f"{what}; choose one of {known}")
     # without padding all lines are one
     lines, per_line = (height, width) if x_padding else (1, width * height)
     step = -(-per_line * layout.stored_bits // 8) + x_padding  # the last byte is filled up

@@ -31,7 +31,6 @@ FILES = (
 )  # fmt: skip
 UNITS = dict(zip(FILES[3:], ("centi-kelvin", "tenths of a millimetre", "counts"), strict=True))
 COLUMNS = ("frame", "situation", "teat", "x_mm", "y_mm", "z_mm", "visible")
-OPTIONAL = ("u_mm",)
 # a teat is some 20 mm thick: two ends nearer than this are one end, measured twice
 SAME_END_MM = 5.0
 UNSAFE = set('<>:"/\\|?*')
@@ -269,16 +268,16 @@ class RecordingWriter:
             got = [(row.situation, row.teat) for row in rows]
             raise RecordingError(f"frame {frame_id!r}: each teat once, one situation; got {got}")
         self._truth[frame_id] = tuple(rows)
-        lines = [",".join((*COLUMNS, *OPTIONAL))]
+        lines = [",".join((*COLUMNS, "u_mm"))]
         for frame, row in ((frame, row) for frame, those in self._truth.items() for row in those):
             names = (frame, row.situation, row.teat)
             if set("".join(names)) & set(',"\r\n'):
                 what = "names in truth.csv can't hold commas, quotes or line ends"
                 raise RecordingError(f"frame {frame!r}: {what}, got {names}")
-            u_mm = "" if row.u_mm is None else repr(float(row.u_mm))
-            place = (repr(float(v)) for v in row.xyz_mm)
-            lines.append(",".join((*names, *place, str(int(row.visible)), u_mm)))
-        _write(self.path / "truth.csv", "".join(f"{line}\n" for line in lines).encode())
+            u_mm = "" if row.u_mm is None else float(row.u_mm)
+            values = *names, *map(float, row.xyz_mm), int(row.visible), u_mm
+            lines.append(",".join(map(str, values)))
+        _write(self.path / "truth.csv", "\n".join([*lines, ""]).encode())
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -27,10 +27,9 @@ LOOK_S = 0.05
 
 
 class Source(Protocol):
-    """What gives frame sets."""
+    """What gives frame sets. Raises FrameError where a frame does not come."""
 
-    def capture(self) -> FrameSet:
-        """The next one. Raises FrameError where a frame does not come."""
+    def capture(self) -> FrameSet: ...
 
 
 class StreamServer:
@@ -63,9 +62,8 @@ class StreamServer:
         self.urls: Mapping[str, str] = {
             name: f"http://{host}:{self._server.server_address[1]}/{name}.mjpg" for name in KNOWN
         }
-        serve = {"poll_interval": LOOK_S}
         self._thread = threading.Thread(
-            target=self._server.serve_forever, kwargs=serve, name="camera streams", daemon=True
+            target=self._server.serve_forever, args=(LOOK_S,), name="camera streams", daemon=True
         )
         self._thread.start()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -12,7 +13,13 @@ from bench.rig.loading import RIGS
 from detector.calibration import Calibration, ParameterCovariance, load_calibration
 from detector.calibration.boards import Board
 from detector.calibration.bundle import LENS, POSE
-from detector.calibration.cameras import Calibrated, View, pair_of
+from detector.calibration.cameras import (
+    Calibrated,
+    View,
+    calibrate_camera,
+    join_cameras,
+    pair_of,
+)
 from detector.calibration.diagnosis import PairView
 from detector.calibration.rigid import WorldFit, fit_world
 from detector.calibration.values import Pair
@@ -23,29 +30,48 @@ SMALL_BOARD = Board("chessboard", 9, 6, 15.0)
 NOISE_PX = 0.1
 # eighteen points on the table, mm
 TOUCHED = np.array(
-    [
-        [x, y, z]
-        for z in (40.0, 120.0)
-        for x in (-300.0, -190.0, -80.0)
-        for y in (150.0, 235.0, 320.0)
-    ]
+    [(x, y, z) for z in (40, 120) for x in (-300, -190, -80) for y in (150, 235, 320)], np.float64
 )
 
 
 def world_fit(
-    left: Camera,
-    right: Camera,
-    motion: Motion,
-    *points: Array,
-    pair_covariance: ParameterCovariance | None,
+    pair: Pair,
+    seed: int | None,
+    covariance: ParameterCovariance | None = None,
+    touched_mm: Array = TOUCHED,
 ) -> WorldFit:
-    """With the noise of pixels and touches."""
-    pair = Pair(left, right, motion, Motion.identity())
-    return fit_world(
-        pair, *points, pixel_sd_px=NOISE_PX, touch_sd_mm=0.2, pair_covariance=pair_covariance
-    )
+    """By the eighteen points before the thesis's rig; pixels and touches noisy with a seed."""
+    rng = np.random.default_rng([seed or 0, 5])
+    noisy = [
+        (part, 0.0 if seed is None else sd)
+        for part, sd in zip(
+            (*thesis_rig().project(TOUCHED), touched_mm), (NOISE_PX, NOISE_PX, 0.2), strict=True
+        )
+    ]
+    points = (part + rng.normal(0.0, sd, part.shape) for part, sd in noisy)
+    noise = {"pixel_sd_px": NOISE_PX, "touch_sd_mm": 0.2}
+    return fit_world(pair, *points, pair_covariance=covariance, **noise)
 
 
+Views = Mapping[str, list[View]]
+
+
+def alone_of(views: Views) -> dict[str, Calibrated]:
+    size = thesis_rig().left.image_size
+    return {name: calibrate_camera(name, views[name], size) for name in ("left", "right")}
+
+
+def joined_of(views: Views) -> Calibrated:
+    return join_cameras(alone_of(views), joint_lenses=("left", "right"))
+
+
+@cache
+def joined(seed: int) -> Calibrated:
+    """A calibration of the thesis's pair."""
+    return joined_of(seen(thesis_rig(), seed))
+
+
+@cache
 def thesis_rig() -> Calibration:
     return load_calibration(RIGS / "calibration.toml")
 
@@ -71,9 +97,8 @@ def poses(seed: int, count: int, board: Board, spread: float) -> list[Motion]:
 
 
 def project(camera: Camera, camera_from_board: Motion, board_mm: Array) -> Array:
-    K = np.array([[camera.fc[0], 0, camera.cc[0]], [0, camera.fc[1], camera.cc[1]], [0, 0, 1.0]])
     points, pose, kc = board_mm.reshape(-1, 1, 3), camera_from_board, np.array(camera.kc)
-    seen = cv2.projectPoints(points, pose.om, pose.T, K, kc)[0]
+    seen = cv2.projectPoints(points, pose.om, pose.T, camera.matrix, kc)[0]
     return np.asarray(seen.reshape(-1, 2), dtype=np.float64)
 
 

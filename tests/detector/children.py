@@ -25,6 +25,7 @@ PICTURES = Pictures(
     None,
     np.full((3, 4), 305.15),
     np.array([[np.nan, 1076.3]]),
+    np.array([[0, 10763]], np.uint16),
 )
 
 HEAD = """\

@@ -53,33 +53,28 @@ def recorded(folder: Path) -> Pictures:
 @pytest.fixture(scope="session")
 def teats_mm() -> NDArray[np.float64]:
     """Four teat ends (4, 3) in the world, all well inside the thermal picture."""
-    return np.array(
-        [
-            [-255.0, 275.0, 132.0],
-            [-205.0, 200.0, 137.0],
-            [-140.0, 205.0, 136.0],
-            [-80.0, 270.0, 134.0],
-        ]
-    )
+    ends = (-255, 275, 132), (-205, 200, 137), (-140, 205, 136), (-80, 270, 134)
+    return np.array(ends, dtype=np.float64)
 
 
 @pytest.fixture(scope="session")
 def draw(rig: Calibration) -> Draw:
     """Draws flat dark round-ended teats of 22 mm before a bright ground in all three cameras."""
 
-    def pictures(ends_mm: NDArray[np.float64], mirrored: bool = True) -> Pictures:
+    def pictures(ends_mm: NDArray[np.float64]) -> Pictures:
         assert rig.thermal.lens is not None
         assert rig.thermal_from_right is not None
         in_right = rig.world_from_right.inverse().apply(ends_mm)
         thermal_px = rig.thermal.lens.project(rig.thermal_from_right.apply(in_right))
-        left_px, right_px = rig.project(ends_mm)
-        thermal = teats_picture(
-            (640, 480), thermal_px, 11 * rig.thermal.lens.fc[0] / in_right[:, 2]
+        left, right, thermal = (
+            teats_picture(camera.image_size, ends_px, 11 * camera.fc[0] / in_right[:, 2])
+            for camera, ends_px in zip(
+                (rig.left, rig.right, rig.thermal.lens),
+                (*rig.project(ends_mm), thermal_px),
+                strict=True,
+            )
         )
-        left = teats_picture(rig.left.image_size, left_px, 11 * rig.left.fc[0] / in_right[:, 2])
-        right = teats_picture(rig.right.image_size, right_px, 11 * rig.right.fc[0] / in_right[:, 2])
-        thermal = np.ascontiguousarray(thermal[:, ::-1]) if mirrored else thermal
-        return Pictures(left, right, thermal)
+        return Pictures(left, right, np.ascontiguousarray(thermal[:, ::-1]))
 
     return pictures
 
@@ -90,14 +85,8 @@ def teats_picture(
     """Dark upright strokes with round tops at ends (n, 2) px in a picture of (columns, rows)."""
     picture = np.full((size[1], size[0]), 210, dtype=np.uint8)
     for (x, y), radius in zip(ends_px, radii_px, strict=True):
-        top, foot = (round(x), round(y + radius)), (round(x), round(y + 10 * radius))
-        cv2.line(picture, top, foot, 20, thickness=round(2 * radius))
+        top, foot, wide = (round(x), round(y + radius)), round(y + 10 * radius), round(radius) + 1
+        cv2.line(picture, top, (top[0], foot), 20, thickness=round(2 * radius))
         cv2.circle(picture, top, round(radius), 20, thickness=-1)
-        cv2.rectangle(
-            picture,
-            (foot[0] - round(radius) - 1, foot[1]),
-            (foot[0] + round(radius) + 1, size[1]),
-            210,
-            thickness=-1,
-        )
+        cv2.rectangle(picture, (top[0] - wide, foot), (top[0] + wide, size[1]), 210, thickness=-1)
     return picture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -123,7 +124,21 @@ cc = [159.5, 119.5]
 kc = [0.01, 0.0, 0.0, 0.0, 0.0]
 """
 DEPTH = LENS_OF_DEPTH, "\n[depth]\nom = [0.0, 0.05, 0.0]\nT = [-40.0, 25.0, 1.0]\n"
+RECORD = '[record]\nby = ""\nwith_what = ""\ncameras = {}\ninputs = {}\nmade = "yesterday"\n'
+
+
+def uncertain(parameters: str, rows: str) -> Edit:
+    return lambda t: f"{t}\n[uncertainty]\nparameters = [{parameters}]\ncovariance = [{rows}]\n"
+
+
+COVARIANCE = "uncertainty.covariance"
 CASES: list[tuple[Edit, str, str]] = [
+    (lambda t: f"{t}\n{RECORD}", "record.made", "a day such as"),
+    (uncertain('"left fx"', "[-1.0]"), COVARIANCE, "not a covariance"),
+    (uncertain('"left fx"', "[1.0], [0.0, 1.0]"), COVARIANCE, "1 x 1 finite numbers"),
+    (uncertain('"left focus"', "[1.0]"), COVARIANCE, "no such parameter: left focus"),
+    (uncertain('"left fx", "left fx"', "[1.0], [0.0, 1.0]"), COVARIANCE, "named twice"),
+    (uncertain('"left fx"', "[1.0, 2.0]"), COVARIANCE, "lower triangle"),
     (put(LENS, "fc = [-1291.0"), "cameras.left.fc", "above zero"),
     (put(LENS + ", ", "fc = ["), "cameras.left.fc", "must have 2 numbers"),
     (put(LENS, 'fc = ["1291"'), "cameras.left.fc", "must be a number, not text"),
@@ -158,16 +173,12 @@ def test_each_fault_is_named_where_it_is(load: Load, edit: Edit, key: str, messa
 
 
 def test_all_faults_come_at_once(load: Load) -> None:
-    def edit(text: str) -> str:
-        return put(LENS, "fc = [-1")(put("hot_is_black", "hot")(put("[world]", "[wrold]")(text)))
-
-    found = faults(load, edit)
+    edits = put(LENS, "fc = [-1"), put("hot_is_black", "hot"), put("[world]", "[wrold]")
+    found = faults(load, lambda text: reduce(lambda so_far, edit: edit(so_far), edits, text))
     assert set(found) == {"cameras.left.fc", "cameras.thermal.polarity", "wrold", "world"}
 
 
-def test_a_plane_that_the_cameras_cannot_see_is_a_fault(
-    load: Load,
-) -> None:
+def test_a_plane_that_the_cameras_cannot_see_is_a_fault(load: Load) -> None:
     def backwards(text: str) -> str:
         turned = text.replace("om = [-0.01086", "om = [3.01086")
         assert turned != text
@@ -178,16 +189,17 @@ def test_a_plane_that_the_cameras_cannot_see_is_a_fault(
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(b"= 3", "not TOML"), (b"\xff\xfe", "not UTF-8"), (b"", "missing block [cameras.left]")],
+    [
+        (None, "can't be read"),
+        (b"= 3", "not TOML"),
+        (b"\xff\xfe", "not UTF-8"),
+        (b"", "missing block [cameras.left]"),
+    ],
 )
-def test_a_file_that_is_no_calibration(tmp_path: Path, content: bytes, message: str) -> None:
+def test_a_file_that_is_no_calibration(tmp_path: Path, content: bytes | None, message: str) -> None:
     path = tmp_path / "c.toml"
-    path.write_bytes(content)
+    if content is not None:
+        path.write_bytes(content)
     with pytest.raises(CalibrationError, match=r"c\.toml") as caught:
         load_calibration(path)
     assert message in str(caught.value)
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match="can't be read"):
-        load_calibration(tmp_path / "absent.toml")

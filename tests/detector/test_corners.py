@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import cv2
 import numpy as np
@@ -20,12 +21,13 @@ from detector.calibration.corners import (
 )
 from detector.geometry import Array, Camera, Motion, apply_homography
 
-SUPER = 8  # samples a pixel and side
+SUPER = 4  # samples a pixel and side
 SIZE = (640, 480)
 CHESS = Board("chessboard", 8, 5, 30.0)
 CHARUCO = Board("charuco", 8, 5, 30.0, marker_mm=22.0, dictionary="4x4_50")
 CIRCLES = Board("circles", 7, 5, 30.0, circle_mm=15.0)
 MARKERS: dict[str, object] = {"kind": "charuco", "marker_mm": 20.0, "dictionary": "4x4_50"}
+TURN = np.array([[-1.0, 0, SIZE[0] - 1], [0, -1.0, SIZE[1] - 1], [0, 0, 1.0]])
 TILTED = np.array([[1.75, 0.25, 110.0], [0.1, 1.9, 100.0], [0.0004, 0.0002, 1.0]])  # board mm -> px
 
 
@@ -42,9 +44,7 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
         edge = round(margin * dots_per_mm)
         paper[edge : edge + inner.shape[0], edge : edge + inner.shape[1]] = inner
         return paper, to_paper
-    rows, columns = np.mgrid[0 : paper.shape[0], 0 : paper.shape[1]]
-    x = ((columns + 0.5) / dots_per_mm - margin) / board.pitch_mm
-    y = ((rows + 0.5) / dots_per_mm - margin) / board.pitch_mm
+    y, x = ((np.mgrid[: dots[0], : dots[1]] + 0.5) / dots_per_mm - margin) / board.pitch_mm
     if board.kind == "chessboard":
         on = (x >= 0) & (y >= 0) & (x < board.columns + 1) & (y < board.rows + 1)
         paper[on & ((np.floor(x) + np.floor(y)) % 2 == 0)] = 0
@@ -52,24 +52,28 @@ def printed(board: Board, dots_per_mm: int = 8) -> tuple[Gray, Array]:
     assert board.circle_mm
     radius = board.circle_mm / 2 / board.pitch_mm
     x, y = x - radius, y - radius
-    nearest_x = np.clip(np.rint(x), 0, board.columns - 1)
-    nearest_y = np.clip(np.rint(y), 0, board.rows - 1)
-    paper[np.hypot(x - nearest_x, y - nearest_y) < radius] = 0
+    nearest = np.clip(np.rint(x), 0, board.columns - 1), np.clip(np.rint(y), 0, board.rows - 1)
+    paper[np.hypot(x - nearest[0], y - nearest[1]) < radius] = 0
     to_paper[:2, 2] = (margin + board.circle_mm / 2) * dots_per_mm - 0.5
     return paper, to_paper
 
 
-def picture(
-    board: Board, H: Array = TILTED, *, blur_px: float = 0.8, moved_px: int = 0, noise: float = 1.0
-) -> Gray:
-    """The board through a homography from board mm to px, blurred, noisy; dark 40, bright 210."""
+@cache
+def seen_through(board: Board, turned: bool = False) -> Array:
+    """The board before a camera without blur and noise, 0 to 255; turned by half a turn."""
+    H = TURN @ TILTED if turned else TILTED
     paper, to_paper = printed(board)
     finer = np.array([[SUPER, 0, (SUPER - 1) / 2], [0, SUPER, (SUPER - 1) / 2], [0, 0, 1.0]])
     through, fine = finer @ H @ np.linalg.inv(to_paper), (SIZE[0] * SUPER, SIZE[1] * SUPER)
     large = cv2.warpPerspective(paper, through, fine, borderValue=255)
-    small = cv2.resize(large, SIZE, interpolation=cv2.INTER_AREA).astype(np.float64)
+    return cv2.resize(large, SIZE, interpolation=cv2.INTER_AREA).astype(np.float64)
+
+
+def picture(board: Board, turned: bool = False, *, blur_px: float = 0.8, moved_px: int = 0) -> Gray:
+    """Blurred, noisy; dark 40, bright 210."""
+    small = seen_through(board, turned)
     soft = cv2.blur(cv2.GaussianBlur(small, (0, 0), blur_px), (max(moved_px, 1), 1))
-    grain = np.random.default_rng(1).normal(0, noise, soft.shape)
+    grain = np.random.default_rng(1).normal(0, 1.0, soft.shape)
     return np.clip(40 + soft / 255 * 170 + grain, 0, 255).astype(np.uint8)
 
 
@@ -97,9 +101,8 @@ def test_a_charuco_board_may_be_hidden_in_part() -> None:
 
 @pytest.mark.slow
 def test_the_first_corner_is_the_prints_own_whichever_way_it_is_turned() -> None:
-    turned = np.array([[-1.0, 0, SIZE[0] - 1], [0, -1.0, SIZE[1] - 1], [0, 0, 1.0]]) @ TILTED
-    found = find_board(picture(CHESS, turned), CHESS)
-    assert np.abs(missed_px(found, CHESS, turned)).max() < 0.3
+    found = find_board(picture(CHESS, turned=True), CHESS)
+    assert np.abs(missed_px(found, CHESS, TURN @ TILTED)).max() < 0.3
 
 
 @pytest.mark.slow
@@ -119,26 +122,19 @@ EMPTY = np.full((480, 640), 90, np.uint8)
 class TestRefusals:
     @pytest.mark.slow
     @pytest.mark.parametrize(
-        ("make", "refusal", "said"),
+        ("make", "said"),
         [
-            (
-                lambda: EMPTY,
-                ViewRefusedError,
-                "no 8 x 5 chessboard found: is the whole board in the picture",
-            ),
-            (
-                lambda: picture(CHESS, blur_px=3.5),
-                ViewRefusedError,
-                r"blurred: edges are \d+\.\d px wide",
-            ),
-            (lambda: picture(CHESS, moved_px=13), ViewRefusedError, "the board moved: edges are"),
-            (lambda: np.dstack([EMPTY] * 3), ValueError, "8-bit grey"),
+            (lambda: EMPTY, "no 8 x 5 chessboard found: is the whole board in the picture"),
+            (lambda: picture(CHESS, blur_px=3.5), r"blurred: edges are \d+\.\d px wide"),
+            (lambda: picture(CHESS, moved_px=13), "the board moved: edges are"),
+            (lambda: np.dstack([EMPTY] * 3), "wants an 8-bit grey picture"),
         ],
         ids=["no board", "blurred", "moved", "colour"],
     )
-    def test_pictures(self, make: Callable[[], Gray], refusal: type[Exception], said: str) -> None:
-        with pytest.raises(refusal, match=said):
+    def test_pictures(self, make: Callable[[], Gray], said: str) -> None:
+        with pytest.raises(ValueError, match=said) as refused:
             find_board(make(), CHESS)
+        assert isinstance(refused.value, ViewRefusedError) == ("8-bit" not in said)
 
     @pytest.mark.parametrize(
         ("faulty", "said"),

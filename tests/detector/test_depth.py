@@ -55,10 +55,8 @@ def seen(family: str, seed: int, sensor: DepthSensor = USUAL) -> tuple[Detection
     state = warm(situation(family, seed))
     tenths, _ = camera(sensor).expose(state, np.random.default_rng([seed, *family.encode()]))
     depth_mm = np.where(tenths > 0, tenths / 10.0, np.nan)
-    answer = DepthDetector().detect(
-        Pictures(NOTHING, NOTHING, depth_mm=depth_mm), rig().calibration
-    )
-    return answer, state.phantom.ends_mm
+    pictures = Pictures(NOTHING, NOTHING, depth_mm=depth_mm)
+    return DepthDetector().detect(pictures, rig().calibration), state.phantom.ends_mm
 
 
 def matched(found: Detection, ends_mm: Array) -> tuple[Array, Array]:

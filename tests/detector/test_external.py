@@ -1,20 +1,43 @@
-"""Detectors in processes of their own: every fault has its outcome, none hangs, none is left."""
+"""Detectors in processes of their own: every fault has its outcome, none hangs, none is left; and a
+detector in Python behind the protocol gives the same answers as without it.
+"""
 
 from __future__ import annotations
 
+import io
+import json
 import os
+import subprocess
 import sys
 import time
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import fields
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from detector.calibration import Calibration
 from detector.external import ExternalDetector
+from detector.external.serve import Pictures, main, read_pictures, serve
 from detector.protocol import DetectionFailure, Detector, Outcome, Served
-from tests.detector.children import GOOD, NO_TEATS, PICTURES, Start, answering, ask, failure, start
+from detector.registry import create
+from tests.conftest import ROOT
+from tests.detector.children import (
+    GOOD,
+    NO_TEATS,
+    PICTURES,
+    Start,
+    answering,
+    ask,
+    failure,
+    installed,
+    start,
+)
+from tests.detector.conftest import Draw
 
 __all__ = ["start"]
 
@@ -55,16 +78,24 @@ def test_it_gets_pictures_and_calibration(start: Start, rig: Calibration, tmp_pa
     kept.mkdir()
     copies = f"[shutil.copy(p, {str(kept)!r}) for k, p in asked.items() if k != 'frame']"
     ask(start(answering(f"import shutil\n{copies}\n{NO_TEATS}")), rig)
-    names = ("depth", "left", "right", "thermal_radiometric")
-    assert sorted(path.name for path in kept.iterdir()) == [
-        *(f"1-{name}.png" for name in names), "calibration.toml"
-    ]  # fmt: skip
-    seen = {n: cv2.imread(str(kept / f"1-{n}.png"), cv2.IMREAD_UNCHANGED) for n in names}
-    assert np.array_equal(np.asarray(seen["left"]), PICTURES.left)
-    kelvin = np.asarray(seen["thermal_radiometric"])
-    assert kelvin.dtype == np.uint16
-    assert (kelvin == 30515).all()
-    assert np.asarray(seen["depth"]).tolist() == [[0, 10763]]
+    names = ("depth", "depth_amplitude", "left", "right", "thermal_radiometric")
+    seen = {name: str(kept / f"1-{name}.png") for name in names}
+    assert sorted(map(str, kept.iterdir())) == [*seen.values(), str(kept / "calibration.toml")]
+    tenths, kelvin = (
+        cv2.imread(seen[name], cv2.IMREAD_UNCHANGED) for name in ("depth", "thermal_radiometric")
+    )
+    assert np.asarray(tenths).tolist() == [[0, 10763]]
+    assert np.asarray(kelvin).dtype == np.uint16
+    assert (np.asarray(kelvin) == 30515).all()
+    again = read_pictures(seen)
+    for field in fields(again):
+        one, other = getattr(again, field.name), getattr(PICTURES, field.name)
+        assert (
+            np.array_equal(one, other, equal_nan=True) if field.name != "thermal" else one is None
+        )
+    Path(seen["left"]).write_bytes(b"no picture")
+    with pytest.raises(ValueError, match="is no picture"):
+        read_pictures(seen)
 
 
 @pytest.mark.parametrize(
@@ -202,3 +233,78 @@ def test_standard_error_is_kept_within_bounds(start: Start, rig: Calibration) ->
     noisy = start(answering('sys.stderr.write("x" * 200_000)\nsys.stderr.flush()\nsys.exit(1)'))
     failure(noisy, rig)
     assert noisy.said().startswith("(183616 bytes before this are left out)")
+
+
+# A detector in Python behind the protocol
+
+SERVE = [sys.executable, "-m", "detector.external.serve"]
+
+
+def served(name: str, environment: Sequence[str] = ()) -> ExternalDetector:
+    return ExternalDetector(
+        "there", [*SERVE, name], time.perf_counter, folder=ROOT, environment=environment
+    )
+
+
+@pytest.mark.slow
+def test_thesis_in_a_process(draw: Draw, teats_mm: NDArray[np.float64], rig: Calibration) -> None:
+    frames = draw(teats_mm)
+    with closing(served("thesis")) as there:
+        for _ in range(2):
+            here, far = create("thesis").detect(frames, rig), there.detect(frames, rig)
+            assert len(here.teats) == len(far.teats) == 4
+            for one, other in zip(here.teats, far.teats, strict=True):
+                # a calibration file has ten digits
+                assert np.allclose(one.world_mm, other.world_mm, atol=1e-4)
+    assert there.said() == ""
+
+
+def test_it_says_ready_and_answers_every_line(tmp_path: Path, rig_file: Path) -> None:
+    for name in ("left", "right"):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((4, 4), np.uint8))
+    paths = {name: str(tmp_path / f"{name}.png") for name in ("left", "right")}
+    asked = {"frame": "5", **paths, "calibration": str(rig_file)}
+    answers = io.BytesIO()
+    serve("thesis", io.BytesIO((json.dumps(asked) + "\n").encode() * 2), answers)
+    ready, *lines = [json.loads(line) for line in answers.getvalue().splitlines()]
+    assert ready == {"ready": True}
+    assert [(line["frame"], line["teats"]) for line in lines] == [("5", [])] * 2
+    assert "4 x 4" in lines[0]["reason"]
+
+
+PRINTS = """
+from detector.protocol import Detection
+class Loud:
+    def detect(self, frames, calibration):
+        print("debug: here")
+        return Detection((), 3)
+"""
+
+
+@pytest.mark.slow
+def test_prints_are_kept(tmp_path: Path, rig: Calibration, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", installed(tmp_path, "loud", PRINTS, "loud = loud:Loud"))
+    frames = Pictures(np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.uint8))
+    with closing(served("loud", environment=["PYTHONPATH"])) as there:
+        assert [there.detect(frames, rig).hidden for _ in range(2)] == [3, 3]
+    assert there.said().splitlines() == ["debug: here", "debug: here"]
+
+
+def test_serving_without_a_detector_is_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert "needs the name of one detector" in capsys.readouterr().err
+    done = subprocess.run(
+        [*SERVE, "fusde"], cwd=ROOT, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "did you mean 'fused'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_pictures_that_png_cannot_hold_are_a_failure(
+    rig: Calibration,
+) -> None:
+    detector = ExternalDetector("never", ["/no/such/program"], time.perf_counter)
+    with pytest.raises(DetectionFailure, match=r"the left picture .* can't be written as PNG"):
+        detector.prepare(Pictures(np.zeros((0, 3), np.uint8), np.zeros((2, 2), np.uint8)), rig)
+    detector.close()

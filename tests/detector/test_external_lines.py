@@ -51,9 +51,12 @@ def test_a_history_goes_with_the_question_and_predictions_come_apart(rig: Calibr
     assert one.ends_mm.tolist() == visit.ends_mm.tolist()
     assert one.covariances_mm2.shape == (2, 3, 3)
     assert context_in(json.loads(request_line("7", {}, Path("x")))) is None
-    said = Detection((Teat(np.ones(3)),), predicted=(Teat(np.zeros(3), np.eye(3)),))
+    teats = Teat(np.ones(3)), Teat(np.array([1.0, 2.0, 3.0]), np.eye(3))
+    said = Detection(teats, 1, "why", predicted=(Teat(np.zeros(3), np.eye(3)),))
     found = parse_answer(answer_line("7", said), "7", rig)
-    assert [teat.world_mm.tolist() for teat in found.teats] == [[1.0, 1.0, 1.0]]
+    assert [teat.world_mm.tolist() for teat in found.teats] == [[1.0, 1.0, 1.0], [1.0, 2.0, 3.0]]
+    assert np.array_equal(np.asarray(found.teats[1].covariance_mm2), np.eye(3))
+    assert (found.hidden, found.reason) == (1, "why")
     assert [teat.world_mm.tolist() for teat in found.predicted] == [[0.0, 0.0, 0.0]]
     with pytest.raises(BadAnswer, match='"predicted" of its answer is no list'):
         parse_answer(line(predicted=3), "7", rig)
@@ -153,15 +156,9 @@ def test_the_first_line_says_device_and_training() -> None:
         check_ready(b'{"ready": true, "device": 3}')
 
 
-def test_what_serve_says_is_what_the_bench_gets(rig: Calibration) -> None:
-    teat = Teat(np.array([1.0, 2.0, 3.0]), np.eye(3))
-    heard = parse_answer(answer_line("7", Detection((teat, teat), 1, "why")), "7", rig)
-    assert (len(heard.teats), heard.hidden, heard.reason) == (2, 1, "why")
-    assert np.array_equal(heard.teats[1].covariance_mm2, np.eye(3))  # type: ignore[arg-type]
-
-
 anything = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    # of a few characters: to list all that there are takes hypothesis seconds
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text('aé"\\{\n', max_size=5),
     lambda inner: (
         st.lists(inner, max_size=4)
         | st.dictionaries(st.sampled_from(["world_mm", "left_px", "right_px", "x"]), inner)

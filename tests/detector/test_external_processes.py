@@ -141,10 +141,8 @@ say({"frame": asked["frame"], "teats": [], "reason": said})"""
 @pytest.mark.slow
 @linux
 def test_nothing_outlives_a_bench_that_is_killed(tmp_path: Path) -> None:
-    (tmp_path / "program.py").write_text(
-        HEAD + GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})\ntime.sleep(600)',
-        encoding="utf-8",
-    )
+    ready = GRANDCHILD % str(tmp_path / "pids") + 'say({"ready": True})\ntime.sleep(600)'
+    (tmp_path / "program.py").write_text(HEAD + ready, encoding="utf-8")
     bench = f"""
 import sys, time
 from pathlib import Path
@@ -155,11 +153,10 @@ child.line(60.0)
 print("up", flush=True)
 time.sleep(600)
 """
-    with subprocess.Popen(
-        [sys.executable, "-c", bench], cwd=ROOT, stdout=subprocess.PIPE, text=True
-    ) as process:
+    command = [sys.executable, "-c", bench]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
-        assert process.stdout.readline() == "up\n"
+        assert process.stdout.readline() == b"up\n"
         assert all(map(alive, pids := kept_in(tmp_path)))
         process.kill()
     assert left_of(pids) == []

@@ -15,10 +15,12 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from detector.calibration import Calibration
+from detector.calibration.thesis_rig import LEFT, RIGHT, STEREO_OM_RAD, STEREO_T_MM
 from detector.geometry import (
     Camera,
     Motion,
     apply_homography,
+    homogeneous,
     rigid_fit,
     rotation_from_vector,
     triangulate,
@@ -27,27 +29,18 @@ from detector.geometry import (
 
 Array = NDArray[np.float64]
 
-LEFT = Camera((1360, 1024), (1291.0, 1295.2), (727.4, 528.1), 0.0, (-0.186, 0.230, 0.0, 0.0, 0.0))
-RIGHT = Camera(
-    (1360, 1024), (1288.3, 1290.6), (701.4, 558.7), 0.0, (-0.212, 0.301, -0.003, 0.0, 0.0)
-)
 STRONG = Camera(
     (640, 480), (500.0, 510.0), (322.0, 236.5), 0.0, (-0.31, 0.12, 0.0021, -0.0017, -0.02)
 )
-STEREO = Motion.from_vectors([-0.0011, -0.0008, 0.0085], [-100.317, 0.242, -0.401])
+STEREO = Motion.from_vectors(STEREO_OM_RAD, STEREO_T_MM)
+cameras = pytest.mark.parametrize("camera", [LEFT, RIGHT, STRONG])
 
 vectors = arrays(np.float64, 3, elements=st.floats(-1.7, 1.7, allow_subnormal=False))
 
 
-def matrix(camera: Camera) -> Array:
-    return np.array([[camera.fc[0], 0, camera.cc[0]], [0, camera.fc[1], camera.cc[1]], [0, 0, 1]])
-
-
 def pixels_over(camera: Camera) -> Array:
-    x, y = np.meshgrid(
-        np.linspace(0, camera.image_size[0] - 1, 15), np.linspace(0, camera.image_size[1] - 1, 11)
-    )
-    return np.column_stack([x.ravel(), y.ravel()])
+    columns, rows = (np.linspace(0, size - 1, 15) for size in camera.image_size)
+    return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
 
 
 @given(vectors)
@@ -57,17 +50,10 @@ def test_rotation_matches_opencv_and_goes_back(om: Array) -> None:
     assert np.allclose(rotation_from_vector(vector_from_rotation(R)), R, atol=1e-13)
 
 
-@pytest.mark.parametrize(
-    "om",
-    [
-        [0, 0, 0],
-        [1e-9, 0, 0],
-        [np.pi, 0, 0],
-        [0, np.pi - 1e-9, 0],
-        [0, 0, -np.pi + 1e-7],
-        [2.0, -1.0, 1.5],
-    ],
-)
+AWKWARD = [[0, 0, 0], [1e-9, 0, 0], [np.pi, 0, 0], [0, np.pi - 1e-9, 0], [0, 0, -np.pi + 1e-7]]
+
+
+@pytest.mark.parametrize("om", [*AWKWARD, [2.0, -1.0, 1.5]])
 def test_rotation_vector_survives_the_awkward_angles(om: list[float]) -> None:
     R = rotation_from_vector(om)
     back = vector_from_rotation(R)
@@ -110,31 +96,24 @@ def test_rigid_fit_refuses_what_fixes_no_rotation(points: Array) -> None:
         rigid_fit(points, points)
 
 
-@pytest.mark.parametrize("camera", [LEFT, RIGHT, STRONG])
+@cameras
 def test_projection_is_opencvs(camera: Camera) -> None:
     points = np.random.default_rng(1).uniform([-300, -250, 700], [300, 250, 1500], (400, 3))
-    expected, _ = cv2.projectPoints(
-        points, np.zeros(3), np.zeros(3), matrix(camera), np.array(camera.kc)
-    )
+    still, kc = np.zeros(3), np.array(camera.kc)
+    expected, _ = cv2.projectPoints(points, still, still, camera.matrix, kc)
     assert np.allclose(camera.project(points), expected.reshape(-1, 2), atol=1e-9)
 
 
-@pytest.mark.parametrize("camera", [LEFT, RIGHT, STRONG])
+@cameras
 def test_normalize_undoes_the_lens_to_1e10_and_agrees_with_opencv(camera: Camera) -> None:
     pixels = pixels_over(camera)
     x = camera.normalize(pixels)
-    again = camera.project(np.column_stack([x, np.ones(len(x))]))
+    again = camera.project(homogeneous(x))
     assert np.abs((again - pixels) / camera.fc).max() < 1e-10
-    opencv = cv2.undistortPoints(
-        pixels[:, None], matrix(camera), np.array(camera.kc), None, None, None
-    )[:, 0]
+    opencv = cv2.undistortPoints(pixels[:, None], camera.matrix, np.array(camera.kc))[:, 0]
     # OpenCV stops after a few fixed-point steps; a loose bound on a wrong sign or order
     assert np.abs(x - opencv).max() < 2e-3
-
-
-@pytest.mark.parametrize("camera", [LEFT, RIGHT, STRONG])
-def test_rays_have_the_length_1_and_point_forward(camera: Camera) -> None:
-    rays = camera.rays(pixels_over(camera))
+    rays = camera.rays(pixels)
     assert np.allclose(np.linalg.norm(rays, axis=1), 1.0, atol=1e-12)
     assert np.all(rays[:, 2] > 0)
 
@@ -175,9 +154,8 @@ def test_triangulation_is_the_midpoint_of_the_shortest_bridge() -> None:
     left_rays, right_rays = LEFT.rays(left_px) @ STEREO.R.T, RIGHT.rays(right_px)
     for i in range(2):
         # an independent solution: least squares for both distances along the rays
-        distances = np.linalg.lstsq(
-            np.column_stack([left_rays[i], -right_rays[i]]), -STEREO.T, rcond=None
-        )[0]
+        pair = np.column_stack([left_rays[i], -right_rays[i]])
+        distances = np.linalg.lstsq(pair, -STEREO.T, rcond=None)[0]
         on_left, on_right = distances[0] * left_rays[i] + STEREO.T, distances[1] * right_rays[i]
         assert np.allclose(found[i], (on_left + on_right) / 2, atol=1e-7)
         assert gap[i] == pytest.approx(np.linalg.norm(on_left - on_right), abs=1e-7)
@@ -185,9 +163,8 @@ def test_triangulation_is_the_midpoint_of_the_shortest_bridge() -> None:
 
 def test_parallel_rays_have_no_crossing() -> None:
     camera = Camera((100, 100), (100.0, 100.0), (50.0, 50.0))
-    found, gap = triangulate(
-        [[50.0, 50.0]], [[50.0, 50.0]], camera, camera, Motion(np.eye(3), np.array([-100.0, 0, 0]))
-    )
+    beside, middle = Motion(np.eye(3), np.array([-100.0, 0, 0])), [[50.0, 50.0]]
+    found, gap = triangulate(middle, middle, camera, camera, beside)
     assert np.isnan(found).all()
     assert np.isnan(gap).all()
 
@@ -195,14 +172,9 @@ def test_parallel_rays_have_no_crossing() -> None:
 def test_one_pixel_of_disparity_costs_what_the_formula_says(rig: Calibration) -> None:
     world = np.array([[-180.0, 240.0, 137.0]])
     left_px, right_px = rig.project(world)
-    shifts = [np.array([d, 0.0]) for d in (-0.5, 0.5)]
-    near, far = (
-        triangulate(left_px, right_px + d, rig.left, rig.right, rig.right_from_left)[0]
-        for d in shifts
-    )
-    assert np.linalg.norm(far - near) == pytest.approx(
-        rig.depth_per_disparity_px_mm(world)[0], rel=0.02
-    )
+    near, far = (rig.place(left_px, right_px + np.array([d, 0])) for d in (-0.5, 0.5))
+    by_formula = rig.depth_per_disparity_px_mm(world)[0]
+    assert np.linalg.norm(far - near) == pytest.approx(by_formula, rel=0.02)
 
 
 def test_homography_divides_and_refuses_the_horizon() -> None:

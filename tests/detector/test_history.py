@@ -64,7 +64,7 @@ def later(seeds: range) -> Iterator[Seen]:
 @pytest.mark.slow
 def test_own_visits_and_hours_tell_more_than_the_last_visit_and_regions_hold() -> None:
     errors, last, inside = [], [], []
-    for seen in later(range(40)):
+    for seen in later(range(16)):
         ends = predicted(seen.context, seen.teats)
         if seen.hidden in ends:
             miss = ends[seen.hidden].world_mm - seen.end_mm
@@ -75,7 +75,7 @@ def test_own_visits_and_hours_tell_more_than_the_last_visit_and_regions_hold() -
         before = last_visit(seen.context, seen.teats)
         if seen.hidden in before:
             last.append(float(np.linalg.norm(before[seen.hidden] - seen.end_mm)))
-    assert len(errors) > 400
+    assert len(errors) > 160
     assert np.median(errors) < 0.55 * np.median(last)
     assert np.mean(np.array(errors) < 5.0) > 0.9
     assert 0.93 < np.mean(inside) < 0.99
@@ -83,8 +83,8 @@ def test_own_visits_and_hours_tell_more_than_the_last_visit_and_regions_hold() -
 
 @pytest.mark.slow
 def test_another_cow_s_history_gains_nothing() -> None:
-    others = [seen.context for seen in later(range(40, 52))]
-    for seen, other in zip(later(range(12)), others, strict=True):
+    others = [seen.context for seen in later(range(40, 46))]
+    for seen, other in zip(later(range(6)), others, strict=True):
         ends = predicted(replace(other, hours_since_milking=9.0), seen.teats)
         assert all(np.linalg.norm(one.world_mm - seen.end_mm) > 3.0 for one in ends.values())
 

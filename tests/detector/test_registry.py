@@ -9,6 +9,7 @@ import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from detector.calibration import Calibration
@@ -87,11 +88,13 @@ def test_an_unknown_name_gets_the_nearest() -> None:
 
 
 def test_listing_loads_no_picture_library() -> None:
-    code = (
-        "import sys; from detector.registry import available; available();"
-        "sys.exit(any(m in sys.modules for m in ('numpy', 'cv2', 'scipy')))"
-    )
+    heavy = "any(m in sys.modules for m in ('numpy', 'cv2', 'scipy'))"
+    code = f"import sys; from detector.registry import available; available(); sys.exit({heavy})"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+
+
+NONE = np.zeros((1, 1), np.uint8)
+PICTURES = Pictures(NONE, NONE)
 
 
 @pytest.mark.parametrize("how", ["Told", "ready", "made"])
@@ -101,7 +104,7 @@ def test_what_packages_bring(plugs: dict[str, EntryPoint], rig: Calibration, how
     assert dict(detector.parameters) == {"gain": 2}
     assert isinstance(detector, Plugged)
     assert (detector.device, detector.trained_on) == ("CUDA:0", {"ideal": ((0, 9),)})
-    assert detector.detect(Pictures(None, None), rig).reason == "plain"  # type: ignore[arg-type]
+    assert detector.detect(PICTURES, rig).reason == "plain"
 
 
 @pytest.mark.parametrize(("how", "says"), [("Plain", "plain"), ("Remembers", "7.5 h")])
@@ -110,17 +113,15 @@ def test_a_history_reaches_the_object_that_can_use_it(
 ) -> None:
     detector = create(how.lower(), plugs.values())
     assert isinstance(detector, Plugged)
-    pictures = Pictures(None, None)  # type: ignore[arg-type]
-    assert detector.detect_with(pictures, rig, Context(7.5)).reason == says
+    assert detector.detect_with(PICTURES, rig, Context(7.5)).reason == says
 
 
-def test_what_it_does_not_say_of_itself_is_filled_in(plugs: dict[str, EntryPoint]) -> None:
-    detector = create("plain", plugs.values())
-    assert (detector.name, detector.version, dict(detector.parameters)) == ("plain", "unknown", {})
-
-
-def test_whatever_it_says_of_itself_can_be_kept(plugs: dict[str, EntryPoint]) -> None:
+def test_whatever_it_says_of_itself_can_be_kept_and_what_lacks_is_filled_in(
+    plugs: dict[str, EntryPoint],
+) -> None:
     """Names, versions and settings go into the record and into a hash."""
+    plain = create("plain", plugs.values())
+    assert (plain.name, plain.version, dict(plain.parameters)) == ("plain", "unknown", {})
     detector = create("odd", plugs.values())
     assert detector.version == "1 2 ?"
     assert detector.parameters == {"1": 2, "a": {"3": 4, "b": [[1.0, 0.0], [0.0, 1.0]]}, "c": "{5}"}
@@ -173,16 +174,14 @@ def test_an_installed_package_is_found_and_a_broken_one_reported(
     tmp_path: Path,
 ) -> None:
     path = installed(tmp_path, "udders", PACKAGE, "mine = udders:Plain\nbad = udders:fails")
-    done = subprocess.run(
+    command, env = (
         [sys.executable, "-m", "bench.cli", "detectors"],
-        env={**os.environ, "PYTHONPATH": path},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
+        {**os.environ, "PYTHONPATH": path},
     )
-    lines = done.stdout.splitlines()
+    done = subprocess.run(
+        command, env=env, cwd=tmp_path, stdout=subprocess.PIPE, check=True, timeout=60
+    )
+    lines = done.stdout.decode().splitlines()
     assert "mine: from udders 1 (udders:Plain)" in lines
     (fault,) = [line for line in lines if "BROKEN" in line]
     who = "detector 'bad' of udders 1 (udders:fails)"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -68,21 +68,6 @@ def test_the_end_lies_half_a_line_above_its_middle() -> None:
     assert end.tolist() == [20.0, 9.0]  # columns 14 and 26 (the first bright one), 12 long
 
 
-def test_short_lines_and_the_last_dark_row_are_passed_over() -> None:
-    end = locate_end(dark_region((12, 5, 13), (15, 5, 15), (16, 5, 15)), P)
-    assert end is not None
-    assert end[1] == 15 - 11 / 2
-    assert locate_end(dark_region((12, 5, 13), (15, 5, 15)), P) is None
-
-
-def test_a_line_may_reach_the_regions_edge() -> None:
-    end = locate_end(dark_region((15, 29, 40), (16, 0, 0)), P)
-    assert end is not None
-    assert end.tolist() == [34.5, 15 - 5.5]  # from column 29 to the last, 40
-    # ten pixels, but the search ends at column 30
-    assert locate_end(dark_region((15, 31, 40), (16, 0, 0)), P) is None
-
-
 def literal_search(dark: NDArray[np.bool_]) -> tuple[int, int, int] | None:
     """The listing's search, counted from 1: row, first column, column after the last."""
 
@@ -109,7 +94,6 @@ def literal_search(dark: NDArray[np.bool_]) -> tuple[int, int, int] | None:
 
 @pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 0.97))
-@settings(max_examples=200)
 def test_row_search_is_the_listings(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     dark = (rng.random((41, 41)) < share) & (rng.random((41, 1)) < 0.3)
@@ -133,37 +117,23 @@ def test_a_dark_teat_on_a_bright_ground_is_moved() -> None:
     assert refined.end_px.tolist() == [(first + after) / 2 + 1, row - 5.5 + 1]
 
 
-@pytest.mark.parametrize("grey", [0, 76])
-def test_too_dark_a_region_keeps_the_nomination(grey: int) -> None:
+@pytest.mark.parametrize("grey", [0, 76, 77])
+def test_a_plain_region_keeps_the_nomination(grey: int) -> None:
     refined = refine(np.full((200, 300), grey, dtype=np.uint8), np.array([150.0, 90.0]), P)
     assert not refined.moved
     assert refined.end_px.tolist() == [150, 90]
-    assert not refined.bright.any()  # im2bw: above 0.3 * 255 = 76.5 is bright
-
-
-def test_a_bright_region_keeps_the_nomination() -> None:
-    refined = refine(np.full((200, 300), 77, dtype=np.uint8), np.array([150.0, 90.0]), P)
-    assert refined.bright.all()
-    assert not refined.moved
+    # im2bw: above 0.3 * 255 = 76.5 is bright
+    assert set(refined.bright.ravel().tolist()) == {grey > 76}
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "fits"),
-    [
-        (20, 20, True),
-        (19, 20, False),
-        (20, 19, False),
-        (279, 179, True),
-        (280, 179, False),
-        (279, 180, False),
-        (np.nan, 50, False),
-        (-1e9, 50, False),
-    ],
+    ("x", "y"),
+    [(20, 20), (279, 179), (19, 20), (20, 19), (280, 179), (279, 180), (np.nan, 50), (-1e9, 50)],
 )
-def test_a_region_must_lie_in_the_picture(x: float, y: float, fits: bool) -> None:
+def test_a_region_must_lie_in_the_picture(x: float, y: float) -> None:
     picture = np.zeros((200, 300), dtype=np.uint8)
     region = cut_region(picture, np.array([x, y]), 20)
-    assert (region is not None) == fits
+    assert (region is not None) == ((x, y) in ((20, 20), (279, 179)))
     assert refine(picture, np.array([x, y]), P).region.shape == (41, 41)
 
 

@@ -15,42 +15,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from detector.calibration import Calibration, Homographies, ParameterCovariance, derive_homographies
+from detector.calibration import thesis_rig as printed
 from detector.calibration.bundle import LENS, POSE
 from detector.calibration.homographies import thermal_grid, through_plane
-from detector.calibration.thesis_rig import (
-    HOMOGRAPHY_LEFT as HOMOGRAPHY_LEFT,
-)
-from detector.calibration.thesis_rig import (
-    HOMOGRAPHY_RIGHT as HOMOGRAPHY_RIGHT,
-)
-from detector.calibration.thesis_rig import (
-    LEFT as LEFT,
-)
-from detector.calibration.thesis_rig import (
-    PRINTED_UNCERTAINTY,
-    STEREO_OM_UNCERTAINTY_RAD,
-    STEREO_T_UNCERTAINTY_MM,
-    THERMAL,
-    THERMAL_IMAGE_SIZE,
-)
-from detector.calibration.thesis_rig import (
-    RIGHT as RIGHT,
-)
-from detector.calibration.thesis_rig import (
-    STEREO_OM_RAD as STEREO_OM_RAD,
-)
-from detector.calibration.thesis_rig import (
-    STEREO_T_MM as STEREO_T_MM,
-)
-from detector.calibration.thesis_rig import (
-    TEAT_ENDS_MM as TEAT_ENDS_MM,
-)
-from detector.calibration.thesis_rig import (
-    WORLD_MATRIX as WORLD_MATRIX,
-)
-from detector.calibration.thesis_rig import (
-    WORLD_T_MM as WORLD_T_MM,
-)
 from detector.geometry import (
     Array,
     Camera,
@@ -87,24 +54,24 @@ class ThermalFit:
 
 def right_from_left() -> Motion:
     """The stereo pose as printed."""
-    return Motion.from_vectors(STEREO_OM_RAD, STEREO_T_MM)
+    return Motion.from_vectors(printed.STEREO_OM_RAD, printed.STEREO_T_MM)
 
 
 def printed_teats_in_right_mm() -> Array:
     """Table 5.2 (4, 3) carried into the right camera's frame by the printed, non-rigid matrix."""
-    turned = np.array(TEAT_ENDS_MM) - np.array(WORLD_T_MM)
-    return np.asarray(np.linalg.solve(np.array(WORLD_MATRIX), turned.T).T)
+    turned = np.array(printed.TEAT_ENDS_MM) - np.array(printed.WORLD_T_MM)
+    return np.asarray(np.linalg.solve(np.array(printed.WORLD_MATRIX), turned.T).T)
 
 
 def stereo_pixels(in_right_mm: Array) -> Array:
     """Left and right pixels (2, n, 2) of points (n, 3) in the right camera's frame."""
     in_left_mm = right_from_left().inverse().apply(in_right_mm)
-    return np.stack([LEFT.project(in_left_mm), RIGHT.project(in_right_mm)])
+    return np.stack([printed.LEFT.project(in_left_mm), printed.RIGHT.project(in_right_mm)])
 
 
 def fit_world() -> Motion:
     """`world_from_right` whose teat ends lie closest to the printed matrix's, in px."""
-    teats, wanted = np.array(TEAT_ENDS_MM), stereo_pixels(printed_teats_in_right_mm())
+    teats, wanted = np.array(printed.TEAT_ENDS_MM), stereo_pixels(printed_teats_in_right_mm())
     start = rigid_fit(printed_teats_in_right_mm(), teats)
 
     def residual(p: Array) -> Array:
@@ -118,14 +85,14 @@ def fit_thermal() -> ThermalFit:
     """The thermal camera closest to both printed homographies over an even grid."""
     # the left camera's centre, in the right camera's frame, is T
     midway = 0.5 * right_from_left().T
-    grid = thermal_grid(THERMAL_IMAGE_SIZE)
-    printed = HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT
-    wanted = np.stack([apply_homography(printed_map, grid) for printed_map in printed])
-    centre = ((THERMAL_IMAGE_SIZE[0] - 1) / 2, (THERMAL_IMAGE_SIZE[1] - 1) / 2)
+    grid = thermal_grid(printed.THERMAL_IMAGE_SIZE)
+    maps = printed.HOMOGRAPHY_LEFT, printed.HOMOGRAPHY_RIGHT
+    wanted = np.stack([apply_homography(one, grid) for one in maps])
+    centre = ((printed.THERMAL_IMAGE_SIZE[0] - 1) / 2, (printed.THERMAL_IMAGE_SIZE[1] - 1) / 2)
 
     def camera(p: Array) -> tuple[Camera, Motion]:
         R = rotation_from_vector(p[2:5])
-        lens = Camera(THERMAL_IMAGE_SIZE, (float(p[0]), float(p[1])), centre)
+        lens = Camera(printed.THERMAL_IMAGE_SIZE, (float(p[0]), float(p[1])), centre)
         return lens, Motion(R, -R @ midway)
 
     def residual(p: Array) -> Array:
@@ -147,10 +114,14 @@ def thesis_rig() -> Calibration:
     """The emulated rig's calibration; its homographies hold at table 5.2's mean depth."""
     world_from_right, fit, stereo = fit_world(), fit_thermal(), right_from_left()
     thermal_from_left = fit.thermal_from_right @ stereo
-    depth_mm = float(world_from_right.inverse().apply(TEAT_ENDS_MM)[:, 2].mean())
-    maps = derive_homographies(fit.lens, LEFT, RIGHT, thermal_from_left, stereo, depth_mm)
-    thermal = replace(THERMAL, lens=fit.lens)
-    return Calibration(LEFT, RIGHT, stereo, world_from_right, thermal, thermal_from_left, maps)
+    depth_mm = float(world_from_right.inverse().apply(printed.TEAT_ENDS_MM)[:, 2].mean())
+    maps = derive_homographies(
+        fit.lens, printed.LEFT, printed.RIGHT, thermal_from_left, stereo, depth_mm
+    )
+    thermal = replace(printed.THERMAL, lens=fit.lens)
+    return Calibration(
+        printed.LEFT, printed.RIGHT, stereo, world_from_right, thermal, thermal_from_left, maps
+    )
 
 
 def thesis_published() -> Calibration:
@@ -158,13 +129,13 @@ def thesis_published() -> Calibration:
     world is `fit_world`; the thermal camera has homographies only.
     """
     sds: dict[tuple[str, str], float] = {}
-    for name, (fc, cc, k1, k2) in PRINTED_UNCERTAINTY.items():
+    for name, (fc, cc, k1, k2) in printed.PRINTED_UNCERTAINTY.items():
         sds |= {(name, p): sd for p, sd in zip(LENS, (*fc, *cc, k1, k2), strict=False)}
-    pose = (*STEREO_OM_UNCERTAINTY_RAD, *STEREO_T_UNCERTAINTY_MM)
+    pose = (*printed.STEREO_OM_UNCERTAINTY_RAD, *printed.STEREO_T_UNCERTAINTY_MM)
     sds |= {("stereo", p): sd for p, sd in zip(POSE, pose, strict=True)}
     variances = np.diag([(sd / 3.0) ** 2 for sd in sds.values()])
-    maps = Homographies(np.array(HOMOGRAPHY_LEFT), np.array(HOMOGRAPHY_RIGHT), None)
+    maps = Homographies(np.array(printed.HOMOGRAPHY_LEFT), np.array(printed.HOMOGRAPHY_RIGHT), None)
     return Calibration(
-        LEFT, RIGHT, right_from_left(), fit_world(), THERMAL, None, maps,
+        printed.LEFT, printed.RIGHT, right_from_left(), fit_world(), printed.THERMAL, None, maps,
         ParameterCovariance(tuple(sds), variances),
     )  # fmt: skip

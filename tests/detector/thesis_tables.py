@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from detector.calibration.thesis_rig import HOMOGRAPHY_LEFT, HOMOGRAPHY_RIGHT
 from detector.external.serve import Pictures
 from detector.thesis.detector import published_homography
 from tests.detector.conftest import teats_picture
@@ -26,10 +27,7 @@ TABLE_4_1_ROWS = (126, 116, 140, 145, 129, 134, 110, 121)
 TABLE_4_1 = np.column_stack([TABLE_4_1_COLUMNS, TABLE_4_1_ROWS]).astype(np.float64)
 TABLE_4_2 = np.array([[373, 88], [126, 100], [288, 107], [186, 112]], dtype=np.float64)
 SECTION_4_1_7 = np.array([[126, 100], [186, 112], [288, 107], [373, 88]], dtype=np.float64)
-HOMOGRAPHIES = {  # section 3.2.2
-    "left": np.array([[0.615, 0.007, 672.822], [-0.004, 0.616, 363.601], [0, 0, 1]]),
-    "right": np.array([[0.618, 0.002, 536.133], [-0.002, 0.619, 401.948], [0, 0, 1]]),
-}
+HOMOGRAPHIES = {"left": np.array(HOMOGRAPHY_LEFT), "right": np.array(HOMOGRAPHY_RIGHT)}
 MASKS = ("edges", "verticals", "horizontals")
 HOT, COLD = 40, 200
 Picture = NDArray[np.uint8]

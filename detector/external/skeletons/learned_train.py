@@ -25,51 +25,30 @@ detector = import_module(STEM.name)
 
 # of each layer: kernel, channels in and out, step, dilation; between two layers what is below 0 is cut off
 FIND = (
-    (3, 2, 12, 1, 1),
-    (3, 12, 12, 1, 2),
-    (3, 12, 16, 1, 4),
-    (3, 16, 16, 1, 8),
-    (3, 16, 16, 1, 1),
-    (1, 16, 1, 1, 1),
+    *((3, 2, 12, 1, 1), (3, 12, 12, 1, 2), (3, 12, 16, 1, 4)),
+    *((3, 16, 16, 1, 8), (3, 16, 16, 1, 1), (1, 16, 1, 1, 1)),
 )
-PLACE = (
-    (5, 1, 12, 2, 1),
-    (3, 12, 16, 1, 1),
-    (3, 16, 16, 1, 2),
-    (3, 16, 16, 1, 4),
-    (1, 16, 1, 1, 1),
-)
-PART, SPREAD_PX, UNSURE_PX = (
-    80,
-    1.2,
-    5,
-)  # parts of a picture that `find` learns from; the width of a peak
-GRID = 2.0 * np.stack(np.meshgrid(np.arange(32), np.arange(32)), axis=-1).reshape(-1, 2).astype(
-    np.float32
-)
+PLACE = (5, 1, 12, 2, 1), (3, 12, 16, 1, 1), (3, 16, 16, 1, 2), (3, 16, 16, 1, 4), (1, 16, 1, 1, 1)
+# parts of a picture that `find` learns from; the width of a peak
+PART, SPREAD_PX, UNSURE_PX = 80, 1.2, 5
+GRID = np.stack(np.meshgrid(*[2.0 * np.arange(32)] * 2), axis=-1).reshape(-1, 2).astype(np.float32)
 
 
 def new(layers: Any, rng: Any) -> Any:
     """Weights and offsets of the layers."""
-    return [
-        (
-            rng.normal(0.0, np.sqrt(2.0 / (k * k * a)), (b, a, k, k)).astype(np.float32),
-            np.zeros(b, np.float32),
-        )
-        for k, a, b, _, _ in layers
-    ]
+    made = []
+    for k, a, b, _, _ in layers:
+        weights = rng.normal(0.0, np.sqrt(2.0 / (k * k * a)), (b, a, k, k))
+        made.append((weights.astype(np.float32), np.zeros(b, np.float32)))
+    return made
 
 
 def run(layers: Any, weights: Any, x: Any) -> Any:
     """The network without its last step."""
     for number, ((k, _, _, step, wide), (w, b)) in enumerate(zip(layers, weights, strict=True)):
-        pad = wide * (k // 2)
-        x = (
-            jax.lax.conv_general_dilated(
-                x, w, (step, step), [(pad, pad)] * 2, rhs_dilation=(wide, wide)
-            )
-            + b[:, None, None]
-        )
+        pad, dilation = [(wide * (k // 2),) * 2] * 2, (wide, wide)
+        x = jax.lax.conv_general_dilated(x, w, (step, step), pad, rhs_dilation=dilation)
+        x = x + b[:, None, None]
         x = jax.nn.relu(x) if number < len(layers) - 1 else x
     return x
 
@@ -103,17 +82,14 @@ def trained(loss: Any, weights: Any, batch: Any, steps: int, rate: float) -> Any
         m = jax.tree.map(lambda a, g: 0.9 * a + 0.1 * g, m, slope)
         v = jax.tree.map(lambda a, g: 0.999 * a + 0.001 * g * g, v, slope)
         now = rate * 0.5 * (1.0 + jnp.cos(jnp.pi * t / steps))
-        new = jax.tree.map(
-            lambda w, a, b: w - now * (a / (1 - 0.9**t)) / (jnp.sqrt(b / (1 - 0.999**t)) + 1e-8),
-            weights,
-            m,
-            v,
-        )
-        return new, m, v, value
 
-    fast, m = jax.jit(step), jax.tree.map(jnp.zeros_like, weights)
-    v = m
-    mean = 0.0
+        def moved(w: Any, a: Any, b: Any) -> Any:
+            return w - now * (a / (1 - 0.9**t)) / (jnp.sqrt(b / (1 - 0.999**t)) + 1e-8)
+
+        return jax.tree.map(moved, weights, m, v), m, v, value
+
+    fast, mean = jax.jit(step), 0.0
+    m = v = jax.tree.map(jnp.zeros_like, weights)
     for number in range(1, steps + 1):
         weights, m, v, value = fast(weights, m, v, float(number), *batch())
         mean += (float(value) - mean) / min(number, 100)
@@ -140,14 +116,9 @@ class Pictures:
             kelvin = detector.read(path.with_name("thermal_radiometric.png")) / 100.0
             small = detector.seen_small(grey, rig, image["camera"], kelvin)
             known = np.array([one for one in ends.get(image["id"], []) if one[2]]).reshape(-1, 3)
-            heat, counts = (
-                np.zeros(small.shape[1:], np.float32),
-                np.ones(small.shape[1:], np.float32),
-            )
-            for column, row, flag in known:
-                at = np.rint(
-                    (np.array([column, row]) - detector.SMALLER / 2 + 0.5) / detector.SMALLER
-                )
+            heat, counts = (make(small.shape[1:], np.float32) for make in (np.zeros, np.ones))
+            for *end, flag in known:
+                at = np.rint((np.array(end) - detector.SMALLER / 2 + 0.5) / detector.SMALLER)
                 y, x = np.mgrid[: heat.shape[0], : heat.shape[1]]
                 away = (x - at[0]) ** 2 + (y - at[1]) ** 2
                 if flag == 2:
@@ -168,9 +139,8 @@ class Pictures:
             rows, columns = self.heat[number].shape
             row, column = self._rng.integers((rows - PART, columns - PART))
             if len(ends := self.ends[number]) and self._rng.random() < 0.67:
-                at = ends[self._rng.integers(len(ends))] / detector.SMALLER + self._rng.uniform(
-                    -35, 35, 2
-                )
+                at = ends[self._rng.integers(len(ends))] / detector.SMALLER
+                at = at + self._rng.uniform(-35, 35, 2)
                 column, row = np.clip(at - PART / 2, 0, (columns - PART, rows - PART)).astype(int)
             part = slice(row, row + PART), slice(column, column + PART)
             x = self.small[number][:, *part].astype(np.float32)

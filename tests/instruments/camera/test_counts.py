@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -138,18 +139,18 @@ def test_bytes_that_are_no_words_stay_as_they_are() -> None:
     assert words(COUNTS, 64, 48) is COUNTS
 
 
-@pytest.mark.parametrize(
-    ("prop", "name"),
-    [
-        (cv2.CAP_PROP_AUTO_EXPOSURE, "exposure = 3"),
-        (cv2.CAP_PROP_AUTO_WB, "white balance = 1"),
-        (cv2.CAP_PROP_AUTOFOCUS, "focus = 1"),
-    ],
-)
+AUTOMATIC = {
+    "exposure = 3": cv2.CAP_PROP_AUTO_EXPOSURE,
+    "white balance = 1": cv2.CAP_PROP_AUTO_WB,
+    "focus = 1": cv2.CAP_PROP_AUTOFOCUS,
+}
+
+
+@pytest.mark.parametrize("name", AUTOMATIC)
 def test_each_automatic_function_of_a_usb_camera_is_switched_off_or_told(
-    monkeypatch: pytest.MonkeyPatch, prop: int, name: str
+    monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
-    value = float(name.split()[-1])
+    prop, value = AUTOMATIC[name], float(name.split()[-1])
     monkeypatch.setattr("instruments.camera.opencv.LiveReader", lambda *_: None)
     device = Uvc()
     device.has[prop] = value
@@ -200,13 +201,10 @@ def test_files_that_are_no_pictures_are_said(tmp_path: Path) -> None:
 
 
 def test_eight_bits_among_files_of_temperatures_are_refused(tmp_path: Path) -> None:
+    openers = {}
     for name in ("left", "right", "thermal"):
-        cv2.imwrite(str(tmp_path / f"{name}.png"), COUNTS.astype(np.uint8))
-    clock = VirtualClock()
-    openers = {
-        name: lambda name=name: FileCamera(name, tmp_path / f"{name}.png", clock)
-        for name in ("left", "right", "thermal")
-    }
+        cv2.imwrite(str(path := tmp_path / f"{name}.png"), COUNTS.astype(np.uint8))
+        openers[name] = partial(FileCamera, name, path, VirtualClock())
     cameras = CameraSet(openers, {"thermal": Conversion(radiometry=Radiometry(0.01))})
     with pytest.raises(ProtocolError, match="but a frame of 8 bits came"):
         cameras.capture()

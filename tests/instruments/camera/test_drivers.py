@@ -56,12 +56,9 @@ def video(path: Path, level: int, frames: int = 3) -> str:
 
 
 def pair(left: str, right: str, clock: VirtualClock) -> CameraSet:
+    paths = {"left": left, "right": right}
     return CameraSet(
-        {
-            "left": lambda: OpenCvCamera("left", left, clock),
-            "right": lambda: OpenCvCamera("right", right, clock),
-        },
-        {},
+        {name: partial(OpenCvCamera, name, at, clock) for name, at in paths.items()}, {}
     )
 
 
@@ -147,28 +144,16 @@ def test_opencv_says_which_camera_does_not_open_and_lets_the_others_go(tmp_path:
 
 def test_what_a_file_cannot_be_set_to_is_an_error_unless_tried(tmp_path: Path) -> None:
     path = video(tmp_path / "left.avi", 40)
-    asked: dict[str, Any] = {
-        "resolution": (640, 480),
-        "exposure": 100.0,
-        "gain": 2.0,
-        "pixel_format": "YUYV",
-    }
-    with pytest.raises(
-        DeviceError,
-        match=(
-            r"pixel_format asked YUYV, is MJPG; resolution asked 640 x 480, is 64 x 48; exposure"
-            r" asked 100, is -?\d; gain"
-        ),
-    ):
-        OpenCvCamera("left", path, VirtualClock(), Settings(**asked))
-    camera = OpenCvCamera("left", path, VirtualClock(), Settings(**asked, tries=frozenset({"all"})))
-    assert "resolution asked 640 x 480, is 64 x 48" in camera.identity
-    camera.close()
-    taken = OpenCvCamera(
-        "left", path, VirtualClock(), Settings(resolution=(64, 48), pixel_format="MJPG", fps=10.0)
-    )
-    assert taken.identity.endswith("(FFMPEG, 64 x 48)")
-    taken.close()
+    asked = Settings(resolution=(640, 480), exposure=100.0, gain=2.0, pixel_format="YUYV")
+    size = "resolution asked 640 x 480, is 64 x 48"
+    wrong = rf"pixel_format asked YUYV, is MJPG; {size}; exposure asked 100, is -?\d; gain"
+    with pytest.raises(DeviceError, match=wrong):
+        OpenCvCamera("left", path, VirtualClock(), asked)
+    tried, usual = replace(asked, tries=frozenset({"all"})), Settings((64, 48), "MJPG", fps=10.0)
+    for settings, said in ((tried, size), (usual, "(FFMPEG, 64 x 48)")):
+        with closing(OpenCvCamera("left", path, VirtualClock(), settings)) as camera:
+            assert said in camera.identity
+            assert ("asked" in camera.identity) == (settings is tried)
 
 
 def test_which_sources_are_live_and_names_of_pixel_formats() -> None:
@@ -211,12 +196,8 @@ def radiometric(counts: int) -> CameraSet:
 def test_a_radiometric_camera_gives_temperatures_and_no_picture() -> None:
     frames = radiometric(7600).capture()
     assert frames.thermal is None
-    assert frames.thermal_k is not None
-    assert frames.thermal_k == pytest.approx(np.full((3, 4), 304.0))
+    assert np.asarray(frames.thermal_k) == pytest.approx(np.full((3, 4), 304.0))
     assert frames.exposed_s == {"left": 1.0, "right": 1.0, "thermal": 1.0}
-
-
-def test_what_is_declared_wrongly_is_said() -> None:
     with pytest.raises(ProtocolError, match="kelvin_per_count or kelvin_at_zero is wrong"):
         radiometric(60000).capture()
     with pytest.raises(ValueError, match="left, right, perhaps thermal and depth, got left"):
@@ -264,22 +245,17 @@ def test_what_a_camera_refuses_to_take_or_to_tell_is_a_fault_too() -> None:
     assert notes == ("gain was refused: not writable", "fps can't be read back: not writable")
 
 
-def test_the_least_delay_is_the_offset() -> None:
+def test_the_least_delay_is_the_offset_until_the_clock_begins_anew() -> None:
     time = DeviceTime()
-    # the first: nothing better is known than its arrival
-    assert time.bench_s(1000.0, 10.5) == pytest.approx(10.5)
-    # came faster: 0.3 s of the first were delay
-    assert time.bench_s(1001.0, 11.2) == pytest.approx(11.2)
-    # came late, was exposed in time
-    assert time.bench_s(1002.0, 13.0) == pytest.approx(12.2, abs=1e-3)
-
-
-def test_a_camera_without_stamps_or_started_anew() -> None:
-    time = DeviceTime()
-    assert time.bench_s(0.0, 5.0) == 5.0
-    time.bench_s(1000.0, 6.0)
-    assert time.bench_s(3.0, 9.0) == 9.0, "its clock began again: the old offset must not be used"
-    assert time.bench_s(4.0, 11.0) == pytest.approx(10.0, abs=1e-3)
+    for stamp_s, arrived_s, exposed_s in (
+        (0.0, 5.0, 5.0),  # without a stamp
+        (1000.0, 10.5, 10.5),  # the first: nothing better is known than its arrival
+        (1001.0, 11.2, 11.2),  # came faster: 0.3 s of the first were delay
+        (1002.0, 13.0, 12.2),  # came late, was exposed in time
+        (3.0, 19.0, 19.0),  # its clock began again: the old offset must not be used
+        (4.0, 21.0, 20.0),
+    ):
+        assert time.bench_s(stamp_s, arrived_s) == pytest.approx(exposed_s, abs=1e-3)
 
 
 @pytest.mark.slow

@@ -36,10 +36,7 @@ def test_a_frame_set_holds_its_images_and_kelvin_where_it_is_radiometric() -> No
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        (
-            {"left": GREY.astype(np.uint16)},
-            r"a frame set's left must be an array .* of uint8, is \(3, 4\) of uint16",
-        ),
+        ({"left": GREY.astype(np.uint16)}, r"left must be .* of uint8, is \(3, 4\) of uint16"),
         ({"right": np.zeros((3, 4, 3), np.uint8)}, r"right must be .* is \(3, 4, 3\)"),
         ({"right": [[1, 2]]}, r"right must be .* is a list"),
         ({"thermal": np.zeros((0, 4), np.uint8)}, r"thermal must be"),
@@ -73,14 +70,11 @@ def test_any_image_becomes_8_bit_grey(
     assert grey8(raw, full_scale=full_scale).tolist() == grey
 
 
+NO_SHAPES: list[tuple[int, ...]] = [(3, 4, 2), (5,), (0, 0)]
+
+
 @pytest.mark.parametrize(
-    "image",
-    [
-        np.zeros((3, 4)),
-        np.zeros((3, 4, 2), np.uint8),
-        np.zeros(5, np.uint8),
-        np.zeros((0, 0), np.uint8),
-    ],
+    "image", [np.zeros((3, 4)), *(np.zeros(shape, np.uint8) for shape in NO_SHAPES)]
 )
 def test_what_is_no_image_is_refused(image: np.ndarray[Any, Any]) -> None:
     with pytest.raises(ValueError, match="an image must"):
@@ -135,28 +129,23 @@ def test_counts_become_hundredths_of_a_kelvin_and_stay_upright() -> None:
     counts = np.array([[7500, 7700]], np.uint16)  # TLinear of 0.04 K: 300 and 308 K
     declared = Conversion(mirrored=True, radiometry=Radiometry(0.04))
     assert declared.temperatures(RawFrame(counts, 0.0, 16)).tolist() == [[30800, 30000]]
-    offset = Conversion(radiometry=Radiometry(0.01, 273.15))
-    assert offset.temperatures(RawFrame(np.array([[3300]], np.uint16), 0.0, 16)).tolist() == [
-        [30615]
-    ]
+    offset, raw = Conversion(radiometry=Radiometry(0.01, 273.15)), np.array([[3300]], np.uint16)
+    assert offset.temperatures(RawFrame(raw, 0.0, 16)).tolist() == [[30615]]
 
 
 def test_temperatures_that_cannot_be_are_refused() -> None:
     hot = RawFrame(np.array([[100, 65535]], np.uint16), 0.0, 16)
-    with pytest.raises(
-        ValueError,
-        match=(
-            r"counts 100 to 65535 would be 4 to 2621\.4 K: kelvin_per_count or kelvin_at_zero is"
-            r" wrong"
-        ),
+    colour, declared = RawFrame(np.zeros((2, 2, 3), np.uint16), 0.0, 16), Radiometry(0.04)
+    wrong = (
+        r"counts 100 to 65535 would be 4 to 2621\.4 K: kelvin_per_count or kelvin_at_zero is wrong"
+    )
+    for frame, radiometry, said in (
+        (hot, declared, wrong),
+        (hot, None, "no radiometry"),
+        (colour, declared, "from a grey frame"),
     ):
-        Conversion(radiometry=Radiometry(0.04)).temperatures(hot)
-    with pytest.raises(ValueError, match="no radiometry"):
-        Conversion().temperatures(hot)
-    with pytest.raises(ValueError, match="from a grey frame"):
-        Conversion(radiometry=Radiometry(0.04)).temperatures(
-            RawFrame(np.zeros((2, 2, 3), np.uint16), 0.0, 16)
-        )
+        with pytest.raises(ValueError, match=said):
+            Conversion(radiometry=radiometry).temperatures(frame)
 
 
 COUNTS = np.array([[0, 4305, 65535]], np.uint16)

@@ -5,10 +5,12 @@ one in this process.
 from __future__ import annotations
 
 import importlib
+import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import astuple, replace
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -55,49 +57,38 @@ def whole(camera: GenicamCamera) -> RawFrame:
     """The next frame that comes whole. A busy machine loses packets on its own loopback too, and
     the camera's answers come too late.
     """
-    tries = 40
-    while True:
-        tries -= 1
+    for _ in range(40):
         try:
             camera.begin()
             return camera.take()
         except InstrumentError as error:
             late = isinstance(error, FrameError | LinkError) or "timeout" in str(error).lower()
-            if not tries or not late:
+            if not late:
                 raise
+    pytest.fail("none of 40 frames came whole")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("pixel_format", "kind", "bits", "dimensions"),
-    [
-        ("Mono8", "uint8", 8, 2),
-        ("Mono16", "uint16", 16, 2),
-        ("RGB8", "uint8", 8, 3),
-        ("BayerRG8", "uint8", 8, 3),
-    ],
+    ("pixel_format", "bits", "dimensions"),
+    [("Mono8", 8, 2), ("Mono16", 16, 2), ("RGB8", 8, 3), ("BayerRG8", 8, 3)],
 )
 def test_pixel_formats_of_the_camera_in_this_process(
-    aravis: Any, clock: RealClock, pixel_format: str, kind: str, bits: int, dimensions: int
+    aravis: Any, clock: RealClock, pixel_format: str, bits: int, dimensions: int
 ) -> None:
     with opened(IN_PROCESS, clock, pixel_format=pixel_format, resolution=(320, 240)) as camera:
         assert camera.identity == f"Aravis Fake 1 (320 x 240, {pixel_format})"
         frame = whole(camera)
     pixels = frame.pixels
     assert (pixels.shape[:2], pixels.ndim) == ((240, 320), dimensions)
-    assert (str(pixels.dtype), frame.bits) == (kind, bits)
-    assert frame.pixels.max() > frame.pixels.min()
+    assert (str(pixels.dtype), frame.bits) == (f"uint{bits}", bits)
+    assert pixels.max() > pixels.min()
 
 
 @pytest.mark.slow
 def test_over_gige_vision_everything_that_is_asked_for_is_read_back(clock: RealClock) -> None:
-    asked: dict[str, Any] = {
-        "pixel_format": "Mono16",
-        "resolution": (256, 128),
-        "exposure": 5000.0,
-        "gain": 3.0,
-        "fps": 50.0,
-    }
+    asked: dict[str, Any] = {"pixel_format": "Mono16", "resolution": (256, 128)}
+    asked |= {"exposure": 5000.0, "gain": 3.0, "fps": 50.0}
     features = {"TriggerSelector": "FrameStart", "GevSCPSPacketSize": 1400}
     with (
         gige_camera() as serial,
@@ -180,18 +171,13 @@ def outcome(camera: GenicamCamera) -> str:
 
 
 def test_settings_that_do_not_take(aravis: Any, clock: RealClock) -> None:
-    with pytest.raises(
-        DeviceError,
-        match=(
-            r"settings did not take: pixel_format was refused: .*Mono12p.*; TrigerMode was refused:"
-            r" .*did you mean"
-        ),
-    ):
+    refused = (
+        r"not take: pixel_format was refused: .*Mono12p.*; TrigerMode was refused: .*did you mean"
+    )
+    with pytest.raises(DeviceError, match=refused):
         opened(IN_PROCESS, clock, pixel_format="Mono12p", features={"TrigerMode": "On"})
-    at_odds: dict[str, Any] = {
-        "exposure": 5000.0,
-        "features": {"ExposureTimeAbs": 20000.0, "Nonsense": 3},
-    }
+    features = {"ExposureTimeAbs": 20000.0, "Nonsense": 3}
+    at_odds: dict[str, Any] = {"exposure": 5000.0, "features": features}
     # one setting undid another
     with pytest.raises(DeviceError, match=r"Nonsense was refused.*exposure asked 5000, is 20000"):
         opened(IN_PROCESS, clock, **at_odds)
@@ -201,9 +187,8 @@ def test_settings_that_do_not_take(aravis: Any, clock: RealClock) -> None:
 
 @pytest.mark.slow
 def test_a_camera_that_is_not_there(aravis: Any, clock: RealClock) -> None:
-    with pytest.raises(
-        LinkError, match=r"left camera genicam:nobody: can't be opened: .*Cameras that answer: "
-    ):
+    said = r"left camera genicam:nobody: can't be opened: .*Cameras that answer: "
+    with pytest.raises(LinkError, match=said):
         GenicamCamera("left", "nobody", clock)
 
 
@@ -218,13 +203,8 @@ def test_without_the_library_it_is_said_what_to_install(
         return real(name, package)
 
     monkeypatch.setattr(importlib, "import_module", without)
-    with pytest.raises(
-        DeviceError,
-        match=(
-            r"No module named 'gi'\. Install Aravis .*apt install"
-            r" gir1\.2-aravis-0\.8.*teatbench\[genicam\]"
-        ),
-    ):
+    said = r"No module named 'gi'\. Install Aravis .*apt install gir1\.2-aravis-0\.8.*teatbench\[genicam\]"
+    with pytest.raises(DeviceError, match=said):
         GenicamCamera("left", IN_PROCESS, clock)
 
 
@@ -248,70 +228,70 @@ def test_a_camera_that_refuses_when_it_is_opened_again_is_tried_once_more(
 
 # A camera with automatic functions, temperatures and a shutter: the library's, described otherwise
 
-AUTO_XML = """
+REGISTER_XML = """
+<IntReg Name="{name}Register" NameSpace="Custom">
+  <Address>{address}</Address><Length>4</Length><AccessMode>RW</AccessMode>
+  <pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess>
+</IntReg>"""
+SWITCH_XML = """
 <Enumeration Name="{name}" NameSpace="Standard">
   <EnumEntry Name="{on}" NameSpace="Standard"><Value>0</Value></EnumEntry>
   <EnumEntry Name="{off}" NameSpace="Standard"><Value>1</Value></EnumEntry>
   <pValue>{name}{by}</pValue>
 </Enumeration>
-<IntReg Name="{name}Register" NameSpace="Custom">
-  <Address>{address}</Address><Length>4</Length><AccessMode>RW</AccessMode>
-  <pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess>
-</IntReg>
-<IntSwissKnife Name="{name}Fixed" NameSpace="Custom"><Formula>0</Formula></IntSwissKnife>
-"""
+<IntSwissKnife Name="{name}Fixed" NameSpace="Custom"><Formula>0</Formula></IntSwissKnife>"""
+NUC = 0x2F00
 COMMAND_XML = """
 <Command Name="NUCAction" NameSpace="Custom">
   <pValue>NUCRegister</pValue><CommandValue>7</CommandValue>
-</Command>
-<IntReg Name="NUCRegister" NameSpace="Custom">
-  <Address>0x2f00</Address><Length>4</Length><AccessMode>RW</AccessMode>
-  <pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess>
-</IntReg>
-"""
+</Command>""" + REGISTER_XML.format(name="NUC", address=hex(NUC))
 
 
-def described(
-    aravis: Any, text: str, path: Path, *names: str, by: str = "Register", on: str = "Continuous"
-) -> None:
-    """The camera of ``text`` has the features ``names`` too, switched on, from now on."""
-    nodes = [
-        AUTO_XML.format(name=name, address=hex(0x2000 + 4 * i), by=by, on=on, off="Off")
-        for i, name in enumerate(names)
-    ]
-    at = text.index("<StringReg")
-    old = text.index('<Enumeration Name="GainAuto"')
-    if "GainAuto" in names:  # it has one of its own, which is off
-        end = text.index("</Enumeration>", old) + len("</Enumeration>")
-        gone, after = text[old:end], text.index("</IntReg>", end) + len("</IntReg>")
-        assert "GainAutoRegister" in gone
-        text = text[:old] + text[after:]
-    path.write_text(text[:at] + "".join(nodes) + COMMAND_XML + text[at:], encoding="utf-8")
-    aravis.set_fake_camera_genicam_filename(str(path))
+def switch(name: str, on: str, off: str, *, address: int = 0x2000, by: str = "Register") -> str:
+    """A feature of two words that is ``on``."""
+    register = REGISTER_XML.format(name=name, address=hex(address))
+    return SWITCH_XML.format(name=name, on=on, off=off, by=by) + register
+
+
+Describe = Callable[..., None]
 
 
 @pytest.fixture
-def plain(aravis: Any, tmp_path: Path) -> Iterator[str]:
-    """The description of the camera in this process, which is put back at the end."""
+def describe(aravis: Any, tmp_path: Path) -> Iterator[Describe]:
+    """What gives the camera in this process further features, from then on: its own description is
+    put back at the end. ``renamed``: what is replaced in it.
+    """
     aravis.enable_interface("Fake")
-    text = str(aravis.Camera.new(IN_PROCESS).get_device().get_genicam_xml()[0])
-    yield text
-    (tmp_path / "plain.xml").write_text(text, encoding="utf-8")
-    aravis.set_fake_camera_genicam_filename(str(tmp_path / "plain.xml"))
+    plain = str(aravis.Camera.new(IN_PROCESS).get_device().get_genicam_xml()[0])
+    numbers = count()
+
+    def described(features: str = "", renamed: tuple[str, str] = ("", "")) -> None:
+        text = re.sub(*renamed, plain, flags=re.DOTALL) if renamed[0] else plain
+        path = tmp_path / f"{next(numbers)}.xml"
+        path.write_text(text.replace("<StringReg", f"{features}<StringReg", 1), encoding="utf-8")
+        aravis.set_fake_camera_genicam_filename(str(path))
+
+    yield described
+    described()
+
+
+# the library's camera has one of its own, which is off
+OWN_GAIN_AUTO = r'<Enumeration Name="GainAuto".*?</Enumeration>.*?</IntReg>', ""
 
 
 @pytest.mark.parametrize("name", AUTOMATIC)
 def test_each_automatic_function_is_switched_off_or_told(
-    aravis: Any, plain: str, clock: RealClock, tmp_path: Path, name: str
+    describe: Describe, clock: RealClock, name: str
 ) -> None:
-    described(aravis, plain, tmp_path / "obeys.xml", name)
+    instead = OWN_GAIN_AUTO if name == "GainAuto" else ("", "")
+    describe(switch(name, "Continuous", "Off"), instead)
     with opened(IN_PROCESS, clock, auto=True) as camera:
         assert f"automatic functions are on: {name} Continuous" in camera.identity
     with opened(IN_PROCESS, clock) as camera:
         assert "automatic" not in camera.identity
         node = camera._camera.get_device().get_feature(name)
         assert node.get_value_as_string() == "Off"
-    described(aravis, plain, tmp_path / "fixed.xml", name, by="Fixed")
+    describe(switch(name, "Continuous", "Off", by="Fixed"), instead)
     with pytest.raises(DeviceError, match=f"be switched off: {name} Continuous.*auto = true"):
         opened(IN_PROCESS, clock)
 
@@ -321,16 +301,14 @@ FLIR = [name for name in PROFILES if name.startswith("flir-")]
 
 @pytest.mark.parametrize("name", FLIR)
 def test_temperatures_and_shutter_of_a_flir(
-    aravis: Any, plain: str, clock: RealClock, tmp_path: Path, name: str
+    describe: Describe, clock: RealClock, name: str
 ) -> None:
     profile = PROFILES[name]
-    nodes = [
-        AUTO_XML.format(name=one, address=hex(0x2000 + 4 * i), by="Register", on="No", off=value)
+    features = [
+        switch(one, "No", str(value), address=0x2000 + 4 * i)
         for i, (one, value) in enumerate(profile.features.items())
     ]
-    text = plain.replace("<StringReg", f"{''.join(nodes)}{COMMAND_XML}<StringReg", 1)
-    (tmp_path / "flir.xml").write_text(text, encoding="utf-8")
-    aravis.set_fake_camera_genicam_filename(str(tmp_path / "flir.xml"))
+    describe("".join(features) + COMMAND_XML)
     asked: dict[str, Any] = {
         "pixel_format": "Mono16",  # the library's camera has no Mono14
         "features": profile.features,
@@ -342,9 +320,9 @@ def test_temperatures_and_shutter_of_a_flir(
         device = camera._camera.get_device()
         for one, value in profile.features.items():
             assert device.get_feature(one).get_value_as_string() == value
-        device.write_register(0x2F00, 0)
+        device.write_register(NUC, 0)
         camera.prepare()
-        assert device.read_register(0x2F00) == 7, "the shutter was told to close"
+        assert device.read_register(NUC) == 7, "the shutter was told to close"
         frame = whole(camera)
         declared = Conversion(radiometry=Radiometry(profile.kelvin_per_count))
         assert frame.bits == 16
@@ -372,29 +350,25 @@ SCAN3D = {
 }
 
 
-def scans(aravis: Any, plain: str, path: Path, **changed: str) -> None:
-    """The camera in this process says that it sends Coord3D_C16, from now on; its payload bears the
-    code of Mono16, the same bytes, for it fills no other of 16 bits.
-    """
-    told = "".join(xml.format(name, changed.get(name, v)) for name, (xml, v) in SCAN3D.items())
-    text = plain.replace('Name="Mono16"', 'Name="Coord3D_C16"')
-    path.write_text(text.replace("<StringReg", f"{told}<StringReg", 1), encoding="utf-8")
-    aravis.set_fake_camera_genicam_filename(str(path))
+def scans(**changed: str) -> str:
+    said = {name: (WORD_XML, word) for name, word in changed.items()}
+    return "".join(xml.format(name, value) for name, (xml, value) in (SCAN3D | said).items())
 
 
-def test_a_depth_camera_says_what_its_counts_are(
-    aravis: Any, plain: str, clock: RealClock, tmp_path: Path
-) -> None:
-    scans(aravis, plain, tmp_path / "deep.xml")
+# the camera sends Coord3D_C16, but its payload bears the code of Mono16, the same bytes: it fills no
+# other of 16 bits
+DEEP = 'Name="Mono16"', 'Name="Coord3D_C16"'
+
+
+def test_a_depth_camera_says_what_its_counts_are(describe: Describe, clock: RealClock) -> None:
+    describe(scans(), DEEP)
     asked: dict[str, Any] = {"pixel_format": "Coord3D_C16", "resolution": (64, 48), "depth": True}
     with opened(IN_PROCESS, clock, **asked) as camera:
         assert "(64 x 48, Coord3D_C16)" in camera.identity
         frame = whole(camera)
     assert (frame.pixels.shape, frame.bits) == ((48, 64), 16)
-    ranging = frame.ranging
-    assert ranging is not None
-    said = ranging.mm_per_count, ranging.mm_at_zero, ranging.none
-    assert said == pytest.approx((0.254, 50.8, 7.0))
+    assert frame.ranging is not None
+    assert astuple(frame.ranging) == pytest.approx((0.254, 50.8, 7.0))
     tenths, _ = Conversion().depth(frame)
     expected = np.rint(508.0 + 2.54 * frame.pixels)
     kept = (frame.pixels != 7) & (expected <= 65535)
@@ -404,17 +378,10 @@ def test_a_depth_camera_says_what_its_counts_are(
         ("Scan3dCoordinateSystem", "Spherical"),
         ("Scan3dDistanceUnit", "Pixel"),
     ):
-        scans(aravis, plain, tmp_path / f"{word}.xml", **{name: word})
-        if name not in SCAN3D:
-            extra = (tmp_path / f"{word}.xml").read_text(encoding="utf-8")
-            extra = extra.replace("<StringReg", f"{WORD_XML.format(name, word)}<StringReg", 1)
-            (tmp_path / f"{word}.xml").write_text(extra, encoding="utf-8")
-            aravis.set_fake_camera_genicam_filename(str(tmp_path / f"{word}.xml"))
+        describe(scans(**{name: word}), DEEP)
         with pytest.raises(DeviceError, match=f"no depth along its axis: {name} is {word}"):
             opened(IN_PROCESS, clock, **asked)
-    # one that says nothing leaves it to the rig file
-    aravis.set_fake_camera_genicam_filename(str(tmp_path / "plain.xml"))
-    (tmp_path / "plain.xml").write_text(plain, encoding="utf-8")
+    describe()  # one that says nothing leaves it to the rig file
     with opened(IN_PROCESS, clock, depth=True) as camera:
         assert whole(camera).ranging is None
 
@@ -449,26 +416,15 @@ def test_of_several_parts_distances_and_amplitude_are_taken() -> None:
         _of_parts(Parts(sent[0], sent[2]))
 
 
-@pytest.mark.parametrize("enable", ["PtpEnable", "GevIEEE1588"])
+@pytest.mark.parametrize(("enable", "status"), PTP)
 def test_clocks_that_ptp_keeps_in_step_are_waited_for_and_told(
-    aravis: Any, plain: str, clock: RealClock, tmp_path: Path, enable: str
+    describe: Describe, clock: RealClock, enable: str, status: str
 ) -> None:
     with pytest.raises(DeviceError, match=r"offers no PTP.*Leave ptp out"):
         opened(IN_PROCESS, clock, ptp=True)
-    switch = f"""
-<Boolean Name="{enable}"><pValue>PtpRegister</pValue><OnValue>1</OnValue><OffValue>0</OffValue>
-</Boolean>
-<IntReg Name="PtpRegister"><Address>0x2e00</Address><Length>4</Length>
-  <AccessMode>RW</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign>
-  <Endianess>BigEndian</Endianess></IntReg>
-"""
-    status = dict(PTP)[enable]
-    state = AUTO_XML.format(
-        name=status, address="0x2e00", by="Register", on="Listening", off="Slave"
-    )
-    text = plain.replace("<StringReg", f"{switch}{state}<StringReg", 1)
-    (tmp_path / "ptp.xml").write_text(text, encoding="utf-8")
-    aravis.set_fake_camera_genicam_filename(str(tmp_path / "ptp.xml"))
+    # written with 1, its status becomes the second word
+    describe(f"""<Boolean Name="{enable}"><pValue>{status}Register</pValue><OnValue>1</OnValue>
+        <OffValue>0</OffValue></Boolean>{switch(status, "Listening", "Slave")}""")
     with opened(IN_PROCESS, clock, ptp=True) as camera:
         assert camera.identity.endswith("; PTP Slave")
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from instruments.camera.pixel_formats import BY_CODE, FORMATS, format_of, unpack
+from instruments.camera.pixel_formats import BY_CODE, FORMATS, unpack
 from tests.instruments.bath.peers import absent
 
 CODES = {known.name: known.code for known in FORMATS}
@@ -62,9 +62,8 @@ def packed(name: str, values: list[int]) -> bytes:
         data = b""
         for first, second in zip(values[::2], [*values[1::2], 0], strict=False):
             low = (1 << (bits - 8)) - 1
-            data += bytes(
-                [first >> (bits - 8), (second & low) << 4 | first & low, second >> (bits - 8)]
-            )
+            middle = (second & low) << 4 | first & low
+            data += bytes([first >> (bits - 8), middle, second >> (bits - 8)])
         return data
     return b"".join(value.to_bytes(1 if bits == 8 else 2, "little") for value in values)
 
@@ -80,9 +79,8 @@ def test_every_value_of_every_mono_format_survives(
     data: st.DataObject, name: str, width: int, height: int
 ) -> None:
     top = (1 << BY_CODE[CODES[name]].bits) - 1
-    values = data.draw(
-        st.lists(st.integers(0, top), min_size=width * height, max_size=width * height)
-    )
+    size = width * height
+    values = data.draw(st.lists(st.integers(0, top), min_size=size, max_size=size))
     image, _ = unpack(packed(name, values), CODES[name], width, height)
     assert image.reshape(-1).tolist() == values
 
@@ -115,10 +113,9 @@ def test_a_mosaic_that_only_sees_red_is_red(name: str, red: tuple[int, int]) -> 
 def test_what_cannot_be_unpacked_is_said() -> None:
     with pytest.raises(ValueError, match=r"3 x 2 pixels of Mono12p take 9 bytes, 8 came"):
         unpack(bytes(8), CODES["Mono12p"], 3, 2)
-    with pytest.raises(
-        ValueError, match="0x01080002 is not one that is unpacked here; choose one of Mono8"
-    ):
-        format_of(0x01080002)
+    unknown = "0x01080002 is not one that is unpacked here; choose one of Mono8"
+    with pytest.raises(ValueError, match=unknown):
+        unpack(b"", 0x01080002, 1, 1)
 
 
 def test_codes_are_those_of_aravis() -> None:

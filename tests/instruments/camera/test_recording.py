@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +21,6 @@ from instruments.camera.recording import (
 )
 from instruments.errors import DeviceError
 
-ROOT = Path(__file__).resolve().parents[3]
 HEAD = "frame,situation,teat,x_mm,y_mm,z_mm,visible\n"
 TRUTH = (
     TruthRow("ideal", "1", (-110.2, 284.2, 134.2), True, 0.23),
@@ -32,14 +33,10 @@ def frame_set(seed: int, *, thermal: bool = True) -> FrameSet:
     left, right = rng.integers(0, 256, (2, 24, 32), dtype=np.uint8)
     if not thermal:
         return FrameSet(left, right)
-    return FrameSet(
-        left,
-        right,
-        rng.integers(0, 256, (12, 16), dtype=np.uint8),
-        rng.integers(28000, 31000, (3, 4), dtype=np.uint16),
-        depth_dmm=rng.integers(0, 65536, (6, 8), dtype=np.uint16),
-        amplitude=rng.integers(0, 65536, (6, 8), dtype=np.uint16),
-    )
+    warm, kelvin = rng.integers(0, 256, (12, 16)), rng.integers(28000, 31000, (3, 4))
+    depth, strength = rng.integers(0, 65536, (2, 6, 8), dtype=np.uint16)
+    pictures = left, right, warm.astype(np.uint8), kelvin.astype(np.uint16)
+    return FrameSet(*pictures, depth_dmm=depth, amplitude=strength)
 
 
 @pytest.fixture
@@ -98,15 +95,16 @@ def test_a_frame_or_its_truth_twice_is_refused(folder: Path) -> None:
         writer.add_truth("0001", (TruthRow("a,b", "1", (0.0, 0.0, 0.0), True),))
 
 
+def put(path: Path, picture: Any) -> None:
+    """A PNG; OpenCV writes only to the ASCII paths of Windows."""
+    path.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+
+
 def test_colour_and_sixteen_bits_are_read_as_grey(folder: Path) -> None:
-    colour = np.full((24, 32, 3), (0, 255, 0), dtype=np.uint8)
-    assert cv2.imwrite(str(folder.parent / "c.png"), colour)
-    (folder.parent / "c.png").replace(folder / "frames/0000/left.png")
-    assert cv2.imwrite(str(folder.parent / "d.png"), np.full((24, 32), 65535, dtype=np.uint16))
-    (folder.parent / "d.png").replace(folder / "frames/0000/right.png")
+    put(folder / "frames/0000/left.png", np.full((24, 32, 3), (0, 255, 0), dtype=np.uint8))
+    put(folder / "frames/0000/right.png", np.full((24, 32), 65535, dtype=np.uint16))
     frames = Recording(folder).load("0000")
-    assert frames.left[0, 0] == 150
-    assert frames.right[0, 0] == 255
+    assert (frames.left[0, 0], frames.right[0, 0]) == (150, 255)
 
 
 def test_a_folder_that_is_none(tmp_path: Path) -> None:
@@ -119,23 +117,29 @@ def test_a_folder_that_is_none(tmp_path: Path) -> None:
         Recording(tmp_path)
 
 
-def test_damaged_images_are_named(folder: Path) -> None:
-    (folder / "frames/0001/right.png").unlink()
-    with pytest.raises(RecordingError, match=r"0001.right\.png: missing"):
-        Recording(folder).load("0001")
-    (folder / "frames/0000/left.png").write_bytes(b"not an image")
-    with pytest.raises(RecordingError, match=r"left\.png: is not an image .*12 bytes"):
-        Recording(folder).load("0000")
-    assert cv2.imwrite(str(folder.parent / "e.png"), np.zeros((3, 4), np.uint8))
-    (folder.parent / "e.png").replace(folder / "frames/0001/thermal_radiometric.png")
-    (folder / "frames/0001/left.png").replace(folder / "frames/0001/right.png")
-    (folder / "frames/0000/right.png").replace(folder / "frames/0001/left.png")
-    with pytest.raises(RecordingError, match=r"thermal_radiometric\.png: must be 16-bit grey"):
-        Recording(folder).load("0001")
-    (folder / "frames/0000/right.png").write_bytes((folder / "frames/0001/left.png").read_bytes())
-    (folder / "frames/0000/left.png").write_bytes((folder / "frames/0001/left.png").read_bytes())
-    (folder / "frames/0000/depth.png").unlink()
-    with pytest.raises(RecordingError, match=r"0000: a frame set's amplitude goes with a depth"):
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda frame: (frame / "right.png").unlink(), r"0000.right\.png: missing"),
+        (
+            lambda frame: (frame / "left.png").write_bytes(b"not an image"),
+            r"left\.png: is not an image .*12 bytes",
+        ),
+        (
+            lambda frame: put(frame / "thermal_radiometric.png", np.zeros((3, 4), np.uint8)),
+            r"thermal_radiometric\.png: must be 16-bit grey",
+        ),
+        (
+            lambda frame: (frame / "depth.png").unlink(),
+            r"0000: a frame set's amplitude goes with a depth",
+        ),
+    ],
+)
+def test_damaged_images_are_named(
+    folder: Path, damage: Callable[[Path], object], message: str
+) -> None:
+    damage(folder / "frames/0000")
+    with pytest.raises(RecordingError, match=message):
         Recording(folder).load("0000")
     with pytest.raises(RecordingError, match=r"no frame '7'"):
         Recording(folder).load("7")

@@ -19,7 +19,6 @@ from instruments.camera.frame import FrameError, FrameFault, FrameSet
 from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.stream import StreamServer
 from instruments.clock import RealClock, VirtualClock
-from instruments.errors import LinkError
 
 SIZES = {"left": (96, 128), "right": (96, 128), "thermal": (48, 64)}
 
@@ -39,17 +38,9 @@ class Counting:
         self.taken += 1
         if self.taken in self.dropped:
             raise FrameError(FrameFault.DROPPED, "left", "left camera", "no frame came")
-        grey = {
-            name: np.full(size, 40 + 10 * (self.taken % 20), np.uint8)
-            for name, size in self.sizes.items()
-        }
-        return FrameSet(
-            grey["left"],
-            grey["right"],
-            grey["thermal"],
-            None,
-            dict.fromkeys(SIZES, self.clock.now()),
-        )
+        level, exposed_s = 40 + 10 * (self.taken % 20), dict.fromkeys(SIZES, self.clock.now())
+        left, right, thermal = (np.full(size, level, np.uint8) for size in self.sizes.values())
+        return FrameSet(left, right, thermal, exposed_s=exposed_s)
 
 
 @pytest.fixture
@@ -90,7 +81,7 @@ def test_the_driver_gets_fresh_frames_of_the_same_moment(
 
 
 @pytest.mark.slow
-def test_a_camera_that_falls_silent_and_a_server_that_goes(clock: RealClock) -> None:
+def test_a_camera_that_falls_silent(clock: RealClock) -> None:
     source = Counting(clock)
     with closing(StreamServer(source, clock, fps=20.0)) as server:
         camera = OpenCvCamera("left", server.urls["left"], clock, patience_s=0.3)
@@ -105,18 +96,7 @@ def test_a_camera_that_falls_silent_and_a_server_that_goes(clock: RealClock) -> 
         source.dropped = set()
         camera.begin()
         assert camera.take().pixels.shape == (96, 128, 3)
-    for _ in range(50):
-        try:
-            camera.begin()
-            camera.take()
-        except FrameError:
-            continue  # what was on its way, then the end of the stream
-        except LinkError as gone:
-            assert "can't be opened" in str(gone)  # noqa: PT017 - the loop looks for it
-            break
-    else:
-        pytest.fail("the server has gone, and nobody noticed")
-    camera.close()
+        camera.close()
 
 
 @pytest.mark.slow
