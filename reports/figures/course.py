@@ -27,6 +27,7 @@ from reports.figures.drawing import (
     marks,
     not_measured,
     plain,
+    row_names,
     telling,
     together,
 )
@@ -173,12 +174,10 @@ def found_bars(
             _share_bar(axes, row - 0.2, ours, of, "ours")
             if theirs is not None:
                 _share_bar(axes, row + 0.2, theirs, _THESIS_PRESENT, "theirs")
+        row_names(axes, situations)
         axes.set(xlim=(0, 1.28), ylim=(len(situations) - 0.45, -0.55))
         axes.set(xlabel="share of visible teats found", xticks=[0, 0.25, 0.5, 0.75, 1])
-        axes.set_yticks(range(len(situations)), [plain(text) for text in situations])
         axes.xaxis.set_major_formatter(PercentFormatter(1))
-        axes.tick_params(axis="y", length=0)
-        axes.grid(visible=False, axis="y")
         legend(figure, [("this run", "ours", "patch"), ("thesis, section 5.2", "theirs", "patch")])
 
     return draw(name, inches, plot)
@@ -225,13 +224,9 @@ def slope_intervals(slopes: Sequence[Slope], *, name: str = "slope-intervals") -
                 axes.plot([slope.low, slope.high], [y, y], color=COLOURS[role], linewidth=1.4)
                 form: Marker = "D" if slope.shown else "o"
                 marks(axes, [slope.value], [y], role, 4.5, form, line="-")
-            axes.set(xlim=(-reach, reach), ylim=(len(rows) - 0.5, -0.5))
-            axes.set(xlabel=f"{plain(panel)} (mm)")
-            axes.set_yticks(np.arange(len(rows)), [plain(row) for row in rows])
-            axes.tick_params(axis="y", length=0)
-            axes.grid(visible=False, axis="y")
-        legend(
-            figure, [("no trend shown, 95 % interval", "ours", "o"), ("trend shown", "limit", "D")]
-        )
+            axes.set(xlim=(-reach, reach), xlabel=f"{plain(panel)} (mm)")
+            row_names(axes, rows)
+        unshown: LegendEntry = ("no trend shown, 95 % interval", "ours", "o")
+        legend(figure, [unshown, ("trend shown", "limit", "D")])
 
     return draw(name, (WIDE_INCHES, 0.9 + 0.28 * max(len(rows), 3)), plot)
