@@ -7,7 +7,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, get_args
@@ -17,12 +17,13 @@ import numpy as np
 
 from bench.config import ConfigError, read_calibration
 from bench.record.check import NOT_AS_WRITTEN, checked_first, shortened
-from bench.record.reader import RunRecord, TrialRecord, database_in, read_run
+from bench.record.reader import RunRecord, database_in, read_run
 from bench.record.schema import DATABASE, SCRIPT
 from bench.report.page import REPORT, stored_rules
 from bench.report.trials import frames_of, round_teats, worst_trials
 from bench.report.wording import number
 from bench.results.verdicts import judge, scored
+from bench.scoring.rates import plural
 from bench.script.pixel_offsets import is_offset_script
 from reports.page import Kind, Verdict
 from reports.runs import History, Result, RunCard, RunsPage, Step, write_runs
@@ -57,11 +58,11 @@ class DetectorResult:
         """Its figures in a sentence."""
         if not self.visible:
             return "No visible teat was scored."
-        errors = ""
-        if self.max_error_mm is not None:
-            errors = f"; error {number(self.median_error_mm, 'mm')} in the median,"
-            errors += f" {number(self.max_error_mm, 'mm')} at most"
-        return f"{self.found} of {self.visible} visible teats found, {self.false} false{errors}."
+        text = f"{self.found} of {self.visible} visible teats found, {self.false} false"
+        if self.max_error_mm is None:
+            return f"{text}."
+        median, most = (number(mm, "mm") for mm in (self.median_error_mm, self.max_error_mm))
+        return f"{text}; error {median} in the median, {most} at most."
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +104,9 @@ class ListedRun:
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON takes it."""
-        plain = asdict(self) | {"folder": str(self.folder), "report": self.report}
-        del plain["thumbnails"]
-        return plain
+        shown = asdict(replace(self, thumbnails=()))
+        del shown["thumbnails"]
+        return shown | {"folder": str(self.folder), "report": self.report}
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +139,8 @@ def list_runs(folder: Path) -> RunList:
         )
     runs: list[ListedRun] = []
     others: list[tuple[str, str]] = []
-    for one in sorted(folder.iterdir()):
-        if not one.is_dir() or one.name.startswith("."):
-            continue
+    there = (one for one in folder.iterdir() if one.is_dir() and not one.name.startswith("."))
+    for one in sorted(there):
         try:
             runs.append(_listed(one))
         except (ConfigError, OSError) as error:
@@ -179,11 +179,10 @@ def _listed(folder: Path) -> ListedRun:
 
 
 def _results(run: RunRecord) -> Iterator[DetectorResult]:
-    judged = any(trial.scores for trial in run.trials)
     verdicts: dict[str, Verdict] = {}
-    if run.ending != "finished":
+    if not run.damage and run.ending != "finished":
         verdicts = dict.fromkeys(run.detectors, "aborted")
-    elif judged and not run.damage:
+    elif not run.damage and any(trial.scores for trial in run.trials):
         verdicts = {one.detector: one.verdict.value for one in judge(run, stored_rules(run.folder))}
     for name in run.detectors:
         pool, item = scored(run, name), run.facts["items"].get(name, {})
@@ -191,7 +190,7 @@ def _results(run: RunRecord) -> Iterator[DetectorResult]:
         yield DetectorResult(
             detector=name,
             version=str(item.get("version", "")),
-            verdict="no verdict" if run.damage else verdicts.get(name, "no verdict"),
+            verdict=verdicts.get(name, "no verdict"),
             visible=pool.counts.visible,
             found=pool.counts.matched,
             false=pool.counts.false,
@@ -202,17 +201,17 @@ def _results(run: RunRecord) -> Iterator[DetectorResult]:
 
 def run_thumbnails(run: RunRecord) -> Iterator[tuple[str, str]]:
     """The views of the worst trial, or of the first where none failed, cut to the teats."""
-    trial: TrialRecord | None = next(iter((*worst_trials(run), *run.trials)), None)
-    if trial is None:
+    trials = (*worst_trials(run), *run.trials)
+    if not trials:
         return
     calibration = read_calibration(run.folder / "calibration.toml")
-    for camera, image, points in frames_of(run, trial, calibration):
+    for camera, image, points in frames_of(run, trials[0], calibration):
         if cut := None if camera == "thermal" else round_teats(points, *image.shape[::-1]):
             x, y, width, height = cut
             image = image[y : y + height, x : x + width]
         small = cv2.resize(image, THUMBNAIL_PX, interpolation=cv2.INTER_AREA)
         _, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-        yield f"{camera}, trial {trial.id}", base64.b64encode(bytes(data)).decode("ascii")
+        yield f"{camera}, trial {trials[0].id}", base64.b64encode(bytes(data)).decode("ascii")
 
 
 def write_runs_page(found: RunList) -> Path:
@@ -235,16 +234,9 @@ def write_runs_page(found: RunList) -> Path:
         History(detector, script, tuple(_step(*pair) for pair in pairs))
         for (detector, script), pairs in found.histories().items()
     )
-    return write_runs(
-        RunsPage(
-            title="Runs",
-            summary=f"{found.folder.resolve()}: {counted(found)}",
-            runs=cards,
-            histories=histories,
-            others=found.others,
-        ),
-        found.folder / PAGE,
-    )
+    summary = f"{found.folder.resolve()}: {counted(found)}"
+    page = RunsPage("Runs", summary, cards, histories, found.others)
+    return write_runs(page, found.folder / PAGE)
 
 
 def _step(run: ListedRun, result: DetectorResult) -> Step:
@@ -253,15 +245,11 @@ def _step(run: ListedRun, result: DetectorResult) -> Step:
     return Step(result.verdict, result.share, run.report, hint)
 
 
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'s' * (count != 1)}"
-
-
 def counted(found: RunList) -> str:
     """How many there are, and what could not be read."""
-    text = _counted(len(found.runs), "run")
+    text = plural(len(found.runs), "run")
     if found.runs:
         text += f", {found.runs[-1].date[:10]} to {found.runs[0].date[:10]}"
     held = sum(bool(run.damage) for run in found.runs)
     text += f"; not as written: {held}" if held else ""
-    return text + (f"; {_counted(len(found.others), 'other folder')}." if found.others else ".")
+    return text + (f"; {plural(len(found.others), 'other folder')}." if found.others else ".")
