@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from reports import figures
+from reports.figures.course import found_bars
+from reports.figures.errors import error_histogram
 from reports.frames import Circle, ImageView, Label, Overlay
 from reports.page import (
     Banner,
@@ -36,19 +37,14 @@ HOSTILE = (
     "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>&amp;{{ 7*7 }}{% raw"
     " %}]]>--></style></svg>\x00\u202e"
 )
-DRAWING = figures.error_histogram([], 5.0)
+DRAWING = error_histogram([], 5.0)
 
 
 def page_of(text: str) -> Page:
     """A page that has `text` in every field that takes a text."""
     cell = Cell(text, "bad", "#trial-001", mono=True)
-    table = Table(
-        text,
-        (Column(text, "left", text, text), Column(text, "right", text, text)),
-        ((text, cell),),
-        text,
-        searchable=True,
-    )
+    columns = (Column(text, "left", text, text), Column(text, "right", text, text))
+    table = Table(text, columns, ((text, cell),), text, searchable=True)
     layers = (
         Overlay("truth", text, (Circle(1, 2, 3, text),)),
         Overlay("other", text, (Label(1, 2, text),)),
@@ -63,16 +59,8 @@ def page_of(text: str) -> Page:
         Notes(text, (text,)),
         Code(text, text),
     )
-    trial = TrialPart(
-        "trial-001",
-        text,
-        text,
-        (Result(text, "good"),),
-        ((text, cell),),
-        (image,),
-        (table,),
-        (text,),
-    )
+    shown = ((Result(text, "good"),), ((text, cell),), (image,), (table,), (text,))
+    trial = TrialPart("trial-001", text, text, *shown)
     return Page(
         text,
         text,
@@ -111,18 +99,8 @@ def test_every_text_field_was_tried() -> None:
     """Every str field of every dataclass of the page holds the marker, except ids, addresses and
     words from a list.
     """
-    closed = {
-        "id",
-        "trials_in",
-        "src",
-        "href",
-        "original",
-        "tone",
-        "verdict",
-        "kind",
-        "align",
-        "svg",
-    }
+    closed = {"id", "trials_in", "src", "href", "original", "tone"}
+    closed |= {"verdict", "kind", "align", "svg"}
     missed: list[str] = []
 
     def walk(value: Any) -> None:
@@ -218,12 +196,10 @@ def test_drawings_with_more_than_a_plot_are_refused(svg: str) -> None:
 
 def test_hostile_names_in_a_plot_are_text() -> None:
     names = ["<script>x</script>", "$\\frac{1}$ & more", '"quoted" \x00\n牛🐄', "_hidden"]
-    svg = figures.found_bars(names, [1, 2, 3, 4], [4, 4, 4, 4], [None] * 4)
-    banner = Banner("real", "met", "", "", "", "")
-    section = Section("s", "s", (Figure(svg, "c", "a"),))
+    svg = found_bars(names, [1, 2, 3, 4], [4, 4, 4, 4], [None] * 4)
+    banner, section = page_of("t").banner, Section("s", "s", (Figure(svg, "c", "a"),))
     document = read(render(Page("t", "", banner, (section,))))
-    plots = (svg for svg in document.all("svg") if "plot" in svg.attributes["class"])
-    drawn = next(plots).text
+    drawn = next(svg for svg in document.all("svg") if "plot" in svg.attributes["class"]).text
     seen = (*names[:2], '"quoted" \ufffd 牛🐄', names[3])
     assert [text for text in seen if text not in drawn] == []
     assert len(document.all("script")) == 1

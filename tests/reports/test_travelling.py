@@ -50,8 +50,7 @@ def test_everything_is_in_the_one_file(made: Made, tmp_path: Path) -> None:
     document = read(alone.read_text(encoding="utf-8"))
     assert articles(alone) == [f"trial-{number:03}" for number in range(1, 7)]
     assert all(src.startswith("data:image/png;base64,") for src in document.values("src"))
-    links = [link.attributes["href"] for link in document.all("a")]
-    assert all(link.startswith("#") for link in links)
+    assert all(link.attributes["href"].startswith("#") for link in document.all("a"))
     assert "trials.csv" in document.by_id("provenance").text
 
 
@@ -107,14 +106,9 @@ def strings(pdf: bytes, key: bytes) -> list[str]:
     digits.
     """
     found = re.findall(rb"/" + key + rb" (?:\(((?:[^()\\]|\\.)*)\)|<([0-9A-F]+)>)", pdf)
-    return [
-        (
-            bytes.fromhex(coded.decode()).decode("utf-16")
-            if coded
-            else re.sub(rb"\\(.)", rb"\1", plain).decode()
-        )
-        for plain, coded in found
-    ]
+    coded = (bytes.fromhex(digits.decode()).decode("utf-16") for _, digits in found)
+    plain = (re.sub(rb"\\(.)", rb"\1", text).decode() for text, _ in found)
+    return [one or other for one, other in zip(coded, plain, strict=True)]
 
 
 @pytest.mark.browser

@@ -16,12 +16,12 @@ from playwright.sync_api import expect
 
 from bench.cli.main import main
 from bench.config import read_calibration
-from bench.record.reader import RunRecord, read_run
+from bench.record.reader import read_run
 from bench.report.page import build_page, stored_rules
 from bench.results.verdicts import judge
+from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from reports.render import render
-from tests.axe import violations
-from tests.chromium import Scheme, browser_page, chromium
+from tests.chromium import Scheme, browser_page, chromium, violations
 from tests.conftest import NO_FIGURE
 from tests.reports.markup import Document, read
 
@@ -58,11 +58,6 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 def copy(folder: Path, tmp_path: Path) -> Path:
     """The run, for tests that write another report."""
     return Path(shutil.copytree(folder, tmp_path / folder.name))
-
-
-def page_of(run: RunRecord, pictures: Path) -> str:
-    rules, calibration = stored_rules(run.folder), read_calibration(run.folder / "calibration.toml")
-    return render(build_page(run, rules, judge(run, rules), calibration, pictures))
 
 
 # by chapter; the numbers are those of the points
@@ -157,18 +152,13 @@ def test_frames_are_jpeg_of_quality_80_and_link_their_originals(
     assert f"../frames/{trial}/left.png" in document.values("href")
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_faults_of_cameras_are_reported(folder: Path, tmp_path: Path) -> None:
+def test_hostile_notes_come_out_as_text_and_faults_are_reported(
+    folder: Path, tmp_path: Path
+) -> None:
     run = read_run(folder)
-    faults = {"camera faults": {"left: frozen": 3}, "retries": {"bath": 2}}
-    marked = dataclasses.replace(run, facts={**run.facts, **faults})
-    said = read(page_of(marked, tmp_path)).by_id("deviations").text
-    assert "left: frozen: 3 times" in said
-    assert "bath: 2 times" in said
-
-
-def test_hostile_notes_come_out_as_text(folder: Path, tmp_path: Path) -> None:
-    run = read_run(folder)
+    cameras = {note: f"opencv:0 (V4L2); {note}: exposure = 3" for note in (AUTOMATIC, UNSEEN_SIZE)}
+    facts = {"identities": {**run.facts["identities"], "cameras": {**cameras, "right": "opencv:1"}}}
+    facts |= {"camera faults": {"left: frozen": 3}, "retries": {"bath": 2}}
     trials = []
     for trial in run.trials:
         invalid = HOSTILE if trial.head["number"] == 2 else None
@@ -178,26 +168,31 @@ def test_hostile_notes_come_out_as_text(folder: Path, tmp_path: Path) -> None:
         trials.append(dataclasses.replace(trial, head=head, detections=rows))
     hostile = dataclasses.replace(
         run,
+        facts={**run.facts, **facts},
         trials=tuple(trials),
         events=({"t_s": 1.0, "kind": HOSTILE, "text": HOSTILE},),
         skipped=({"trial": HOSTILE, "reason": HOSTILE, "number": 1},),
     )
-    html = page_of(hostile, tmp_path)
+    rules, calibration = stored_rules(folder), read_calibration(folder / "calibration.toml")
+    html = render(build_page(hostile, rules, judge(hostile, rules), calibration, tmp_path))
     document = read(html)
     assert document.misplaced == []
     assert "<img src=x" not in html
     assert len(document.all("script")) == 1
     assert f"Note: {HOSTILE}" in document.by_id("trial-001").text
-
-
-def files_of(report: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in report.iterdir() if path.is_file()}
+    said = document.by_id("deviations").text
+    noted = [f"{name}: {who}" for name, who in cameras.items()]
+    titles = ["cameras adjust themselves (auto = true)", "picture size may change unnoticed (try)"]
+    counted = ["left: frozen: 3 times", "bath: 2 times"]
+    assert [words for words in (*noted, *titles, *counted) if words not in said] == []
+    assert "right: opencv:1" not in said
 
 
 def test_the_same_run_gives_the_same_bytes(folder: Path) -> None:
-    before = files_of(folder / "report")
+    files = [path for path in (folder / "report").iterdir() if path.is_file()]
+    before = {path: path.read_bytes() for path in files}
     assert main(["report", str(folder)]) in DECIDED
-    assert files_of(folder / "report") == before
+    assert {path: path.read_bytes() for path in files} == before
 
 
 @pytest.mark.usefixtures("undrawn")

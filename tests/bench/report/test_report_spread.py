@@ -112,10 +112,9 @@ def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: 
 
 
 @pytest.mark.slow
-def test_too_many_teats_are_one_cloud(two_teats: RunRecord) -> None:
+def test_too_many_teats_are_one_cloud(tmp_path: Path) -> None:
     ends = ENDS[0] + 40.0 * np.arange(7)[:, None]
-    many = [trial(k, f"p{k}", 1, ends, ends + 0.1) for k in range(1, 7)]
-    parts = spread(record(two_teats.folder, many))
+    parts = spread(record(tmp_path, [trial(k, f"p{k}", 1, ends, ends + 0.1) for k in range(1, 7)]))
     drawn = message(parts, Figure, "Errors with their 95 % ellipsoids")
     assert drawn.alt == "Errors with 95 % ellipsoids by teat. 7 teats: 42 poses."
 
@@ -139,12 +138,10 @@ def test_the_map_has_a_panel_a_teat_and_counts_the_missed(two_teats: RunRecord) 
     assert text.endswith("6 places of a teat are no map; 9 are the least.")
 
 
-def tilted(poses: int, slope: float, tilts: float = 15.0) -> ErrorRows:
-    """One teat at that many poses, a repeat each; z is off by so
-    much a degree, all else is noise.
-    """
+def tilted(poses: int, slope: float) -> ErrorRows:
+    """One teat at that many poses, a repeat each; z is off by so much a degree, all else is noise."""
     rng = np.random.default_rng(3)
-    tilt = np.linspace(0.0, tilts, poses, dtype=np.float64)
+    tilt = np.linspace(0.0, 15.0, poses, dtype=np.float64)
     errors = rng.normal(0, 0.1, (poses, 3)) + np.outer(tilt, [0.0, 0.0, slope])
     names = tuple(f"p{k}" for k in range(poses))
     return ErrorRows(
@@ -178,15 +175,12 @@ def test_a_trend_with_tilt_is_shown_with_its_slope_and_interval() -> None:
     assert "z error with tilt of the teat" in drawn.caption
 
 
-def test_no_trend_shown_says_what_may_still_hide() -> None:
+def test_no_trend_few_poses_and_unknown_tilts_say_what_they_are() -> None:
     parts = list(trend_parts(tilted(8, 0.0), "fused"))
     part = message(parts, Table, "Trends of the error")
     assert "“No trend shown” doesn't say that there is none" in part.note
     assert "could be up to" in part.note
     assert message(parts, Figure, "What each trend makes").caption.endswith("No trend is shown.")
-
-
-def test_trends_of_few_poses_and_unknown_tilts_are_not_measured() -> None:
     (few,) = trend_parts(tilted(4, 0.2), "fused")
     assert isinstance(few, Paragraph)
     assert "teats were found in 4 poses, and 5 are the least" in few.text
