@@ -235,10 +235,8 @@ READINGS = {
 
 def _trip_table(trip: dict[str, Any]) -> Table:
     words = {True: "yes", False: "no"}
-    rows = [
-        [words[value] if isinstance(value, bool) else value for value in map(row.get, READINGS)]
-        for row in trip["values"]
-    ]
+    rows = (map(row.get, READINGS) for row in trip["values"])
+    shown = [[words[one] if isinstance(one, bool) else one for one in row] for row in rows]
     note = f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}"
     caption = f"Readings that led to the trip: {trip['rule']}"
-    return table(caption, " | ".join(READINGS.values()), rows, note)
+    return table(caption, " | ".join(READINGS.values()), shown, note)

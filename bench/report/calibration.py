@@ -83,7 +83,8 @@ def _page(
     ``findings`` None: nothing was looked for; ``missing`` None: no views. ``banner`` has the fields
     of a `Banner`.
     """
-    rows, wrong, day = [*scores], list[Part](), record.made
+    rows = [*scores]
+    wrong: list[Part] = []
     if findings is not None:
         names = ", ".join(finding.name for finding in findings)
         score = Score("not met" if names else "met", names or "none", "")
@@ -99,7 +100,7 @@ def _page(
         rows.append((SEEN, "every part, tilt and distance", (score,)))
     heads = ("Looked at", "Good enough is")
     board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, HINTS)
-    who = {"day": day, "by": record.by or "not told", "with": record.with_what}
+    who = {"day": record.made, "by": record.by or "not told", "with": record.with_what}
     files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
     made = (
         key_values("Made", {**who, **record.cameras}),
@@ -117,11 +118,9 @@ def _page(
         for anchor, (head, parts) in every.items()
     )
     failed = any(score and score.verdict == "not met" for *_, found in rows for score in found)
-    shown = Banner(
-        **{"kind": "computed", "verdict": "not met" if failed else "no verdict", **banner}
-    )
-    subtitle = f"{'checked' if title == CHECK else 'made'} {day}"
-    return Page(title, subtitle, shown, sections, glossary=TERMS)
+    banner = {"verdict": "not met" if failed else "no verdict", **banner}
+    day = f"{'checked' if title == CHECK else 'made'} {record.made}"
+    return Page(title, day, Banner(kind="computed", **banner), sections, glossary=TERMS)
 
 
 def _held(mm: float) -> PageVerdict:
@@ -619,8 +618,8 @@ def working_volume_mm(touched_mm: Array) -> Array:
 def _target_table(volume_mm: Array, errors_mm: Array) -> Table:
     """Expected target errors (27,) at `working_volume_mm`: rows y and z, columns x."""
     places = volume_mm.reshape(3, 9, 3)
-    by_x = (f" | >x = {place[0, 0]:.0f} mm [mm] ~.2f" for place in places)
-    heads = f">y [mm] ~.0f | >z [mm] ~.0f{''.join(by_x)}"
+    by_x = (f">x = {x:.0f} mm [mm] ~.2f" for x in places[:, 0, 0])
+    heads = (">y [mm] ~.0f | >z [mm] ~.0f", *by_x)
     rows = np.column_stack([places[0, :, 1:], errors_mm.reshape(3, 9).T])
     note = (
         f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West"

@@ -26,7 +26,7 @@ from bench.campaign.plan import Plan
 from bench.report.glossary import TERMS
 from bench.report.scenes import draw_again, scene_parts
 from bench.report.trials import look_at
-from bench.report.wording import NOT_MEASURED, key_values, table
+from bench.report.wording import NOT_MEASURED, key_values, p_text, table
 from bench.scoring.comparison import ALPHA
 from bench.scoring.rates import percent, plural
 from instruments.world.situations import SITUATIONS, member, spoken
@@ -49,6 +49,13 @@ from reports.render import write_report
 
 REPORT = "report"
 LOOKED_AT = 3  # drawn, and a typical one
+ABOUT = {
+    "rates": "each family's rate, interval, kinds of failures",
+    "worst": "by name, with the command that draws each",
+    "depends": "the parameters on which failures depend",
+    "sure": "NEES, 95 % regions, ends that are sure and wrong",
+    "made": "plan, program, detectors",
+}
 UNITS = ("mm", "deg", "rad", "k")
 
 
@@ -87,34 +94,14 @@ def campaign_page(
         "looks": ("Where to look first", [Looks(looks)] if looks else []),
         "figures": ("Figures", _figures(numbers, plan) if numbers.rates else []),
     }
-    behind = {
-        "rates": (
-            "Failures by family",
-            "each family's rate, interval, kinds of failures",
-            _rates(numbers, plan),
-        ),
-        "worst": (
-            "Worst scenes",
-            "by name, with the command that draws each",
-            _worst(numbers, folder, drawn),
-        ),
-        "depends": (
-            "Failures and parameters",
-            "the parameters on which failures depend",
-            _depends(numbers),
-        ),
-        "sure": (
-            "How sure they are",
-            "NEES, 95 % regions, ends that are sure and wrong",
-            _sure(numbers),
-        ),
-        "made": (
-            "Made with",
-            "plan, program, detectors",
-            key_values("Plan and program", {**asked, **made_by}),
-        ),
-    }
-    shown = ((anchor, title, tuple(parts)) for anchor, (title, parts) in first.items())
+    behind = (
+        ("rates", "Failures by family", _rates(numbers, plan)),
+        ("worst", "Worst scenes", _worst(numbers, folder, drawn)),
+        ("depends", "Failures and parameters", _depends(numbers)),
+        ("sure", "How sure they are", _sure(numbers)),
+        ("made", "Made with", key_values("Plan and program", {**asked, **made_by})),
+    )
+    shown = ((anchor, title, tuple(each)) for anchor, (title, each) in first.items())
     return Page(
         plan.title or "Campaign",
         "Simulated scenes, scored without instruments",
@@ -122,8 +109,8 @@ def campaign_page(
         (
             *(Section(*chapter) for chapter in shown if chapter[-1]),
             *(
-                Section(anchor, title, (part,), folded=True, about=about)
-                for anchor, (title, about, part) in behind.items()
+                Section(anchor, title, (part,), folded=True, about=ABOUT[anchor])
+                for anchor, title, part in behind
             ),
         ),
         trials=parts,
@@ -379,7 +366,7 @@ def _depends(numbers: Numbers) -> Part:
             one.detector,
             _spoken(one.name),
             *(f"{percent(f / n)} of {n}" for f, n in one.quarters),
-            "< 0.001" if one.p_value < 0.001 else f"{one.p_value:.3f}",
+            p_text(one.p_value),
         )
         for each in shown.values()
         for one in each

@@ -19,7 +19,7 @@ from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.report.glossary import TERMS
-from bench.report.wording import NOT_MEASURED, key_values, listed, table
+from bench.report.wording import NOT_MEASURED, key_values, listed, p_text, table
 from bench.results.comparison import Comparison, Side, compare_folders, compare_sides
 from bench.results.error_rows import truth_gage
 from bench.scoring.comparison import (
@@ -173,16 +173,12 @@ def success_table(comparison: Comparison) -> Table:
     confidence, rows = comparison.compared.confidence, []
     for row in _rows(comparison):
         won, change = row.success, row.success.difference
-        span = won.interval(confidence)
-        points = (
-            None
-            if span is None or change is None
-            else f"{100 * change:+.1f} ({100 * span[0]:+.1f} to {100 * span[1]:+.1f})"
-        )
-        p = _p(won.p_value if row.success_holm is None else row.success_holm)
+        span, points = won.interval(confidence), None
+        if span is not None and change is not None:
+            points = f"{100 * change:+.1f} ({100 * span[0]:+.1f} to {100 * span[1]:+.1f})"
+        p = p_text(won.p_value if row.success_holm is None else row.success_holm)
         counts = (row.new.false - row.old.false, row.new.missed - row.old.missed)
-        name = spoken(row.situation) if row.situation else "all"
-        rows.append((name, row.poses, won.only_old, won.only_new, points, p, *counts))
+        rows.append((_name(row), row.poses, won.only_old, won.only_new, points, p, *counts))
     heads = (
         "situation | >poses",
         ">lost # poses that only the old one got right",
@@ -199,11 +195,10 @@ def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
     """Distances and axes: all, then each situation. ``wide`` adds the axes' intervals."""
     rows = []
     for row in _rows(comparison):
-        p = _p(row.radial.p_value if row.radial_holm is None else row.radial_holm)
+        p = p_text(row.radial.p_value if row.radial_holm is None else row.radial_holm)
         axes = row.axes if wide else [replace(axis, low=None, high=None) for axis in row.axes]
         change, *along = map(_difference, (row.radial, *axes))
-        name = spoken(row.situation) if row.situation else "all"
-        rows.append((name, row.teats, change, p, *along))
+        rows.append((_name(row), row.teats, change, p, *along))
     heads = (
         "situation | >teats # that both found",
         ">change [mm] # of the mean distance to the teat end, with its interval",
@@ -218,6 +213,10 @@ def _rows(comparison: Comparison) -> tuple[Row, ...]:
     return (found.pooled, *(found.situations if len(found.situations) > 1 else ()))
 
 
+def _name(row: Row) -> str:
+    return spoken(row.situation) if row.situation else "all"
+
+
 def _difference(difference: PairedDifference, form: str = ".3f") -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
@@ -228,37 +227,31 @@ def _difference(difference: PairedDifference, form: str = ".3f") -> str:
     return f"{difference.mean:+{form}} ({low} to {high})"
 
 
-def _p(value: float | None) -> str:
-    if value is None:
-        return ""
-    return "< 0.001" if value < 0.001 else f"{value:.3f}"
-
-
 def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
     """Plain numbers and text; every figure that is printed, unrounded."""
-    return [
-        {
-            "old": {"run": str(one.old.run.folder), "detector": one.old.detector},
-            "new": {"run": str(one.new.run.folder), "detector": one.new.detector},
-            "scenes": len(one.pairs),
-            "same_frames": one.same_frames,
-            "only_old": one.only_old,
-            "only_new": one.only_new,
-            "elsewhere": one.elsewhere,
-            "confidence": one.compared.confidence,
-            "gate": {
-                "verdict": GATE[one.compared.gate.verdict][0],
-                "reasons": list(worded(one, one.compared.gate.reasons)),
-                "margin_mm": (gate := one.compared.gate).margin_mm,
-                **({} if gate.margin_rate is None else {"margin_rate": gate.margin_rate}),
-            },
-            "rows": [
-                _numbers(row, one.compared.confidence)
-                for row in (one.compared.pooled, *one.compared.situations)
-            ],
-        }
-        for one in found
-    ]
+    whole = []
+    for one in found:
+        compared, gate = one.compared, one.compared.gate
+        rate = {} if gate.margin_rate is None else {"margin_rate": gate.margin_rate}
+        said = {"verdict": GATE[gate.verdict][0], "reasons": list(worded(one, gate.reasons))}
+        whole.append(
+            {
+                "old": {"run": str(one.old.run.folder), "detector": one.old.detector},
+                "new": {"run": str(one.new.run.folder), "detector": one.new.detector},
+                "scenes": len(one.pairs),
+                "same_frames": one.same_frames,
+                "only_old": one.only_old,
+                "only_new": one.only_new,
+                "elsewhere": one.elsewhere,
+                "confidence": compared.confidence,
+                "gate": {**said, "margin_mm": gate.margin_mm, **rate},
+                "rows": [
+                    _numbers(row, compared.confidence)
+                    for row in (compared.pooled, *compared.situations)
+                ],
+            }
+        )
+    return whole
 
 
 def _numbers(row: Row, confidence: float) -> dict[str, Any]:
@@ -324,9 +317,7 @@ def worded(one: Comparison, value: Text) -> Text:
 
 def _of_scenes(value: Any) -> Any:
     if isinstance(value, str) and not isinstance(value, Enum):
-        return re.sub(
-            r"\b([Pp])ose(?=s?\b)", lambda found: "Scene" if found[1] == "P" else "scene", value
-        )
+        return re.sub(r"\bpose(?=s?\b)", "scene", re.sub(r"\bPose(?=s?\b)", "Scene", value))
     if isinstance(value, tuple | list):
         return type(value)(map(_of_scenes, value))
     if isinstance(value, Mapping):
@@ -369,9 +360,8 @@ def _called(one: Comparison) -> tuple[str, str]:
     old, new = one.old, one.new
     if old.detector != new.detector:
         return old.detector, new.detector
-    was, now = (
-        side.run.facts["items"].get(side.detector, {}).get("version") for side in (old, new)
-    )
+    items = (side.run.facts["items"].get(side.detector, {}) for side in (old, new))
+    was, now = (item.get("version") for item in items)
     if was != now and was and now:
         return f"{old.detector} {was}", f"{new.detector} {now}"
     return "the old run", "the new run"
@@ -526,7 +516,7 @@ def _mean_mm(errors_mm: Floats, one: Comparison) -> str:
 
 def _by_situation(comparison: Comparison, number: int) -> Figure:
     rows = _rows(comparison)
-    names = [spoken(row.situation) if row.situation else "all" for row in rows]
+    names = [*map(_name, rows)]
     right = [
         (
             row.success.both + row.success.only_old,

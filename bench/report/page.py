@@ -168,11 +168,27 @@ def _pages(
     run: RunRecord, rules: Rules, calibration: Calibration, chapters: tuple[Section, ...]
 ) -> Iterator[Section]:
     """What stands behind the first page, by name."""
+
+    def behind(anchor: str, title: str, about: str, *sections: Section) -> Section:
+        return Section(anchor, title, sections, folded=True, about=about)
+
     limit_mm, looks = rules.visible_within_mm, first_looks(run)
     listed: tuple[Part, ...] = (*([looks] if looks else []), trial_table(run))
     blamed = tuple(tables.attribution_parts(run, calibration))
     deviations = (*deviation_parts(run), *fault_parts(run))
-    accuracy = (
+    reference = (
+        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
+        *gage_parts(run, limit_mm),
+        *(*arm_parts(run), *record_parts(run)),
+    )
+    yield behind(
+        *("page-trials", "Trials", f"all {len(run.trials)}: filter, sort, frames"),
+        Section("trial-list", "All trials", listed),
+        Section("deviations", "Deviations and exclusions", deviations),
+        *([Section("blamed", "What went wrong where", blamed)] if blamed else []),
+    )
+    yield behind(
+        *("page-accuracy", "Accuracy", "errors, rates, poses, time"),
         Section("results", "Results by situation", tuple(_result_parts(run, rules))),
         *detectors_section(run),
         *chapters,
@@ -180,43 +196,20 @@ def _pages(
         Section("poses", "Poses", tuple(pose_parts(run, limit_mm, anchors_of(run)))),
         Section("latency", "Time", tuple(_latency_parts(run, rules))),
     )
-    reference = (
-        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
-        *gage_parts(run, limit_mm),
-        *(*arm_parts(run), *record_parts(run)),
+    yield behind(
+        *("page-truth", "Truth and uncertainty", "what is measured, how well"),
+        Section("reference", "Measurand and reference", reference),
     )
-    thesis = thesis_chapter(run, rules, calibration)
-    inner = {
-        "page-trials": (
-            "Trials",
-            f"all {len(run.trials)}: filter, sort, frames",
-            (
-                Section("trial-list", "All trials", listed),
-                Section("deviations", "Deviations and exclusions", deviations),
-                *([Section("blamed", "What went wrong where", blamed)] if blamed else []),
-            ),
-        ),
-        "page-accuracy": ("Accuracy", "errors, rates, poses, time", accuracy),
-        "page-truth": (
-            "Truth and uncertainty",
-            "what is measured, how well",
-            (Section("reference", "Measurand and reference", reference),),
-        ),
-        "page-bath": (
-            "Bath and interlocks",
-            "stability, safe states",
-            (Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),),
-        ),
-        "page-thesis": ("Thesis", "its figures beside ours", thesis),
-        "page-provenance": (
-            "Provenance",
-            "item, versions, files, command",
-            (Section("provenance", "Who, with what, when", tuple(provenance_parts(run))),),
-        ),
-    }
-    for anchor, (title, about, sections) in inner.items():
-        if sections:
-            yield Section(anchor, title, tuple(sections), folded=True, about=about)
+    yield behind(
+        *("page-bath", "Bath and interlocks", "stability, safe states"),
+        Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),
+    )
+    if thesis := thesis_chapter(run, rules, calibration):
+        yield behind("page-thesis", "Thesis", "its figures beside ours", *thesis)
+    yield behind(
+        *("page-provenance", "Provenance", "item, versions, files, command"),
+        Section("provenance", "Who, with what, when", tuple(provenance_parts(run))),
+    )
 
 
 def anchors_of(run: RunRecord) -> dict[str, str]:
@@ -235,10 +228,8 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
     rate, confidence = claims[0]
     needed, sure = zero_failure_n(rate, confidence), f"{100 * confidence:g} % confidence"
     if not poses:
-        return (
-            f"No pose was tried; {needed} without a failure would show {100 * rate:g} % with"
-            f" {sure}."
-        )
+        without = f"{needed} without a failure would show {100 * rate:g} % with {sure}."
+        return f"No pose was tried; {without}"
     if not any(trial.truth for trial in run.counted):
         return f"{poses} poses have no truth: they show nothing of how well a detector finds teats."
     best = (1.0 - confidence) ** (1.0 / poses)
@@ -261,16 +252,14 @@ def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         counts = [scored(run, detector, name).counts for name in names]
         found, visible = [c.matched for c in counts], [c.visible for c in counts]
         each = zip(called, found, visible, strict=True)
-        yield Figure(
-            found_bars(called, found, visible, theirs, name=f"found-{id_of(detector)}"),
-            f"Teats found by {detector}, beside the thesis's own count",
-            "; ".join(f"{name}: {k} of {n}" for name, k, n in each) or "not measured",
-        )
+        alt = "; ".join(f"{name}: {k} of {n}" for name, k, n in each) or "not measured"
+        svg = found_bars(called, found, visible, theirs, name=f"found-{id_of(detector)}")
+        yield Figure(svg, f"Teats found by {detector}, beside the thesis's own count", alt)
         yield tables.rates(run, detector)
-        each_situation = [tables.found_by_situation(run, detector, published)]
+        listed = [tables.found_by_situation(run, detector, published)]
         if len(names) > 1:
-            each_situation.append(tables.rates_by_situation(run, detector))
-        yield Fold(f"Counts and rates of each situation, {detector}", tuple(each_situation))
+            listed.append(tables.rates_by_situation(run, detector))
+        yield Fold(f"Counts and rates of each situation, {detector}", tuple(listed))
 
 
 def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
@@ -293,14 +282,9 @@ def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator
         detector: [(pool.counts.matched, pool.counts.missed, pool.counts.false) for pool in each]
         for detector, each in pools.items()
     }
-    yield Figure(
-        outcome_bars(called, outcomes),
-        "Teats found · missed · false answers",
-        "; ".join(
-            f"{detector}: {' · '.join(str(sum(column)) for column in zip(*each, strict=True))}"
-            for detector, each in outcomes.items()
-        ),
-    )
+    sums = {name: map(sum, zip(*each, strict=True)) for name, each in outcomes.items()}
+    alt = "; ".join(f"{name}: {' · '.join(map(str, each))}" for name, each in sums.items())
+    yield Figure(outcome_bars(called, outcomes), "Teats found · missed · false answers", alt)
     camera_from_world = calibration.world_from_right.inverse().R
     for place, detector in enumerate(run.detectors):
         errors_mm = scored(run, detector).errors_mm
@@ -338,18 +322,13 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
         pool, name = scored(run, detector), id_of(detector)
         radial = np.linalg.norm(pool.errors_mm, axis=1)
         accept_mm = _accepted_mm(run, rules, detector)
-        yield Figure(
-            error_histogram(radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{name}"),
-            f"Distance to the teat end, {detector}",
-            f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit",
-        )
+        svg = error_histogram(radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{name}")
+        alt = f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit"
+        yield Figure(svg, f"Distance to the teat end, {detector}", alt)
         errors = [scored(run, detector, situation).errors_mm for situation in names]
-        yield Figure(
-            per_axis_errors([*map(spoken, names)], errors, limit_mm, name=f"axes-{name}"),
-            f"Errors along the world's axes by situation, {detector}",
-            "strips of signed errors",
-            wide=True,
-        )
+        svg = per_axis_errors([*map(spoken, names)], errors, limit_mm, name=f"axes-{name}")
+        caption = f"Errors along the world's axes by situation, {detector}"
+        yield Figure(svg, caption, "strips of signed errors", wide=True)
         yield Fold(
             f"By axis, situation and teat in figures, and tolerance limits, {detector}",
             tuple(accuracy_tables(run, detector, limit_mm, camera_from_world)),
@@ -373,18 +352,14 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     for detector in run.detectors:
         times = latency_of(run, detector)
         seconds = times.seconds
-        yield Figure(
-            latency_strip(seconds, limits, name=f"latency-{id_of(detector)}"),
-            f"Detection time, {detector}",
-            f"{len(seconds)} detections",
-        )
+        svg = latency_strip(seconds, limits, name=f"latency-{id_of(detector)}")
+        yield Figure(svg, f"Detection time, {detector}", f"{len(seconds)} detections")
         if times.starved:
             yield Paragraph(f"{detector}: {times.starved}", tone="warn")
         quantiles = (times.median_s, times.p95_s, times.p99_s, max(seconds, default=None))
         first = (max(times.cold_s, default=None), times.start_up_s)
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
-        message = failures_text(times)
-        rows.append((detector, len(seconds), *quantiles, *first, *over, message))
+        rows.append((detector, len(seconds), *quantiles, *first, *over, failures_text(times)))
     heads = (
         "detector | >n | >median [s] ~.3f | >p95 [s] ~.3f | >p99 [s] ~.3f | >max [s] ~.3f"
         " | >first call (cold) [s] ~.3f | >start-up [s] ~.3f | above 1 s | above 2 s | no answer"

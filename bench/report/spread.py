@@ -54,11 +54,8 @@ def pose_parts(run: RunRecord, limit_mm: float, anchors: Mapping[str, str]) -> I
     """How the poses were chosen, and what depends on the place. ``anchors``: links by trial."""
     chosen = run.facts.get(POSE_SET)
     if chosen:
-        yield Notes(
-            f"How the poses were chosen (order: {chosen['order']}; seed of the script:"
-            f" {chosen['seed']})",
-            tuple(chosen["chosen"]),
-        )
+        how = f"order: {chosen['order']}; seed of the script: {chosen['seed']}"
+        yield Notes(f"How the poses were chosen ({how})", tuple(chosen["chosen"]))
     else:
         yield Paragraph("The poses are those of the recording; how they were chosen isn't in it.")
     for detector in run.detectors:
@@ -287,14 +284,10 @@ def _ellipsoids(run: RunRecord, whole: Bias, teats: Sequence[TeatErrors], detect
         " | >longest axis along ~.2f # unit vector in the world frame"
         " | >is there a bias? # p of Hotelling's T²: below 0.05 the mean error isn't zero"
     )
-    lines = [
-        (who, *_ellipsoid(what, body, bias))
-        for who, bias in bodies.items()
-        for what, body in (
-            ("next pose's mean error, 95 %", bias.next_error),
-            ("bias, 95 % confidence", bias.bias),
-        )
-    ]
+    lines = []
+    for who, bias in bodies.items():
+        lines.append((who, *_ellipsoid("next pose's mean error, 95 %", bias.next_error, bias)))
+        lines.append((who, *_ellipsoid("bias, 95 % confidence", bias.bias, bias)))
     text = ""
     if test.p_value is not None:
         text = f"Is there a bias? Hotelling's T² = {test.t_squared:.2f}, p = {test.p_value:.3g}. "

@@ -537,12 +537,10 @@ def _directions(found: Sequence[Outcome], limit: float) -> Table:
 
 def _figures(found: Sequence[Outcome], limit: float) -> Iterator[Figure]:
     for at, one in enumerate(found, 1):
+        svg, off = error_histogram(one.distances_mm, limit, name=f"offset-{at}"), one.offset
+        caption = f"Teat {off.teat}, {offset_text(off)}: error over all directions"
         within = int((one.distances_mm <= limit).sum())
-        yield Figure(
-            error_histogram(one.distances_mm, limit, name=f"offset-{at}"),
-            f"Teat {one.offset.teat}, {offset_text(one.offset)}: error over all directions",
-            f"{within} of {len(one.distances_mm)} within",
-        )
+        yield Figure(svg, caption, f"{within} of {len(one.distances_mm)} within")
 
 
 def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part]:

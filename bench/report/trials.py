@@ -184,17 +184,11 @@ def trial_table(run: RunRecord) -> Table:
 
 def first_looks(run: RunRecord) -> KeyValues | None:
     """Links to the trials that are worth the first look; None where none failed."""
-    entries = tuple(
-        (trial.id, Cell(*_statuses(trial), href=f"#{trial_id(trial)}"))
-        for trial in worst_trials(run)[:FIRST_LOOKS]
-    )
-    return KeyValues("Look at these first", entries) if entries else None
-
-
-def _statuses(trial: TrialRecord) -> tuple[str, Tone]:
-    """What one says of the trial: its worst detector's status."""
-    statuses = [_status(trial, score) for score in trial.scores.values() or (None,)]
-    return next((status for status in statuses if status[1] == "bad"), statuses[0])
+    entries = []
+    for trial in worst_trials(run)[:FIRST_LOOKS]:
+        failed = next(score for score in trial.scores.values() if not score.success)
+        entries.append((trial.id, Cell(*_status(trial, failed), href=f"#{trial_id(trial)}")))
+    return KeyValues("Look at these first", tuple(entries)) if entries else None
 
 
 def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path) -> TrialPart:
@@ -427,7 +421,10 @@ def overlays(
         drawn = [*_stages(trace, camera, name), *_models(trace, camera, calibration, name)]
         for row in trial.found:
             if row["detector"] == name:
-                drawn += [("point", shape) for shape in _final(row, camera, who)]
+                if at := row.get(f"{camera}_px"):
+                    x, y = json.loads(at)
+                    if np.isfinite([x, y]).all():
+                        drawn.append(("point", answer_mark(who, x, y, 6, f"{name}: end")))
                 drawn += [("spread", shape) for shape in _spread(row, camera, calibration)]
         for tone, shape in drawn:
             shapes.setdefault((tone, who), []).append(shape)
@@ -517,14 +514,6 @@ def _models(
             text = f"{detector}: rejected, {reason}" if reason else f"{detector}: fitted teat"
             tone: LayerTone = "other" if reason else "model"
             yield tone, Polyline(tuple((float(x), float(y)) for x, y in line), title=text)
-
-
-def _final(row: Row, camera: str, who: int) -> Iterator[Shape]:
-    at = row.get(f"{camera}_px")
-    if at:
-        x, y = json.loads(at)
-        if np.isfinite([x, y]).all():
-            yield answer_mark(who, x, y, 6, f"{row['detector']}: end")
 
 
 def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:

@@ -47,6 +47,11 @@ def listed(values: Iterable[float], form: str = ".2f") -> str:
     return ", ".join(f"{value:{form}}" for value in values)
 
 
+def p_text(p: float | None) -> str:
+    """A p-value to three digits; empty for None."""
+    return "" if p is None else "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
 def xyz(row: Mapping[str, Any], prefix: str = "") -> str:
     """The point of a record's row, mm."""
     return listed((row[f"{prefix}{axis}_mm"] for axis in "xyz"), ".1f")

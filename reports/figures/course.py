@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -83,13 +82,9 @@ def bath_curve(
         (drawn,) = close.plot(captures / 60, np.full(captures.size, 1.0), **ticks)
         drawn.set(transform=close.get_xaxis_transform(), clip_on=False)
         close.set_xlabel("time (min)")
-        entries: list[LegendEntry] = [
-            ("bath", "ours", "-"),
-            (f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--"),
-            ("stable", "span", "patch"),
-            (f"capture ({taken})", "ink", "v"),
-        ]
-        legend(figure, entries)
+        held: LegendEntry = (f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--")
+        capture: LegendEntry = (f"capture ({taken})", "ink", "v")
+        legend(figure, [("bath", "ours", "-"), held, ("stable", "span", "patch"), capture])
 
     return draw(name, inches, plot)
 
@@ -104,9 +99,6 @@ def bath_sparkline(
 ) -> str:
     """Bath temperature (n,) over time (n,) as a line on its band, ± band_k."""
     times, temps = together("bath_sparkline", times_s=times_s, temps_c=temps_c)
-    inches = (HALF_INCHES, 1.6)
-    if not times.size:
-        return not_measured(name, inches, "the bath gave no reading")
     shown = envelope(temps)
 
     def plot(figure: Figure) -> None:
@@ -120,7 +112,7 @@ def bath_sparkline(
         axes.set(xlabel="time (min)", ylabel=f"{setpoint_c:g} °C")
         axes.grid(visible=False)
 
-    return draw(name, inches, plot)
+    return draw(name, (HALF_INCHES, 1.6), plot)
 
 
 def latency_strip(
@@ -205,10 +197,7 @@ class Slope:
 def slope_intervals(slopes: Sequence[Slope], *, name: str = "slope-intervals") -> str:
     """A panel a response, a row a question, with intervals. Raises ValueError if not finite."""
     for one in slopes:
-        if not all(map(isfinite, (one.value, one.low, one.high))):
-            raise ValueError(
-                f"slope_intervals: {one.against} is not finite; leave out what was not measured"
-            )
+        finite("slope_intervals", one.against, [one.value, one.low, one.high])
     rows = list(dict.fromkeys(slope.against for slope in slopes))
     panels = list(dict.fromkeys(slope.response for slope in slopes))
     if not rows:

@@ -66,10 +66,8 @@ def change_scatter(
         drawn = telling(np.abs(new - old))
         for grown, role in ((new > old, "limit"), (new <= old, "good")):
             linked(axes, old, new, drawn[grown[drawn]], role=role, alpha=0.75)
-        legend(
-            figure,
-            [("grew", "limit", "o"), ("not grown", "good", "o"), ("no change", "muted", "-")],
-        )
+        grew: list[LegendEntry] = [("grew", "limit", "o"), ("not grown", "good", "o")]
+        legend(figure, [*grew, ("no change", "muted", "-")])
 
     return draw(name, _SQUARE, plot)
 
@@ -86,11 +84,8 @@ def change_by_situation(
     """Of each situation the poses right (old, new, of) as shares, and beside it the change of the
     mean distance (mean, low, high) with the margin; None where no teat was found by both.
     """
-    rows = len(situations)
     known = finite("change_by_situation", "change_mm", [c for c in change_mm if c is not None])
-    inches = (WIDE_INCHES, 1.1 + 0.28 * max(rows, 2))
-    if not rows:
-        return not_measured(name, inches, "no pose was compared")
+    inches = (WIDE_INCHES, 1.1 + 0.28 * max(len(situations), 2))
 
     def plot(figure: Figure) -> None:
         poses, distance = figure.subplots(1, 2, sharey=True)
@@ -231,14 +226,9 @@ def per_axis_errors(
             row_names(panel, situations)
         every = all(len(array) <= each for array in arrays)
         points = f"teat ends, at most {each} drawn, the worst among them"
-        legend(
-            figure,
-            [
-                (point if every else points, "ours", "o"),
-                ("mean", "ink", "-"),
-                (f"{bound} ± {limit_mm:.3g} mm", "limit", "-"),
-            ],
-        )
+        shown: LegendEntry = (point if every else points, "ours", "o")
+        limit: LegendEntry = (f"{bound} ± {limit_mm:.3g} mm", "limit", "-")
+        legend(figure, [shown, ("mean", "ink", "-"), limit])
 
     return draw(name, inches, plot)
 
