@@ -274,7 +274,7 @@ REFUSED: dict[str, Callable[[], str]] = {
     "teat 1: lengths differ: places_mm 1, error_mm 2$": lambda: error_maps(
         [TeatPlaces("1", [[0, 0, 0]], [1.0, 2.0])], 5.0
     ),
-    "slope_intervals: tilt is not finite": lambda: slope_intervals(
+    "slope_intervals: tilt holds 1 of 3 values that are not finite": lambda: slope_intervals(
         [replace(_slope("tilt", False), value=NAN)]
     ),
     "not above 0 mm has no place": lambda: sensitivity(

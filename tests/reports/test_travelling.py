@@ -12,13 +12,14 @@ import zlib
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser
 
 from reports.mail import write_single_file
 from reports.page import Page
 from reports.pdf import BROWSER, find_browser, print_pdf, travelling
 from reports.render import write_report
 from reports.trust import PageError
-from tests.chromium import browser_page, chromium
+from tests.chromium import chromium, window
 from tests.reports.markup import read
 from tests.reports.sample import sample_page
 
@@ -83,9 +84,9 @@ def test_only_jpeg_and_png_travel(made: Made, tmp_path: Path) -> None:
 
 
 @pytest.mark.browser
-def test_it_opens_anywhere_with_its_pictures(made: Made, tmp_path: Path) -> None:
+def test_it_opens_anywhere_with_its_pictures(browser: Browser, made: Made, tmp_path: Path) -> None:
     alone = write_single_file(*made, tmp_path / "alone.html")
-    with browser_page() as seen:
+    with window(browser) as seen:
         page = seen.open(alone, "trial-003")
         assert set(seen.image_widths().values()) == {640}
         assert page.locator("#trial-003 .pane").count() == 3
@@ -143,10 +144,12 @@ def test_its_links_lead_from_where_it_stands(printed: bytes) -> None:
 
 
 @pytest.mark.browser
-def test_nothing_is_cut_off_on_paper_and_a_trial_stays_whole(tmp_path: Path) -> None:
+def test_nothing_is_cut_off_on_paper_and_a_trial_stays_whole(
+    browser: Browser, tmp_path: Path
+) -> None:
     """At the width that A4 leaves between its margins, 184 mm, in CSS pixels."""
     wide_px = round(184 / 25.4 * 96)
-    with browser_page(width=wide_px, scheme="dark") as seen:
+    with window(browser, width=wide_px, scheme="dark") as seen:
         page = seen.open(write_report(sample_page(tmp_path), tmp_path))
         page.emulate_media(media="print")
         sticking_out = page.evaluate(

@@ -76,10 +76,8 @@ def answered(run: RunRecord) -> RunRecord:
 def test_each_teat_counts_its_poses_once(two_teats: RunRecord) -> None:
     rows = error_rows(two_teats, "fused")
     first, second = teat_errors(rows)
-    assert [(one.teat, one.means_mm.shape) for one in (first, second)] == [
-        ("1", (12, 3)),
-        ("2", (4, 3)),
-    ]
+    assert (first.teat, first.means_mm.shape) == ("1", (12, 3))
+    assert (second.teat, second.means_mm.shape) == ("2", (4, 3))
     assert first.means_mm.mean(axis=0) == pytest.approx(BIAS[0], abs=0.5)
     assert first.bias.next_error is not None
     assert second.bias.next_error is None
@@ -102,11 +100,8 @@ def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: 
     alt = "Errors with 95 % ellipsoids by teat. teat 1: 12 poses; teat 2: 4 poses, too few."
     assert drawn.alt == alt
     rows = table(parts, "Ellipsoids of the error")
-    assert [(row[0], row[2]) for row in rows[::2]] == [
-        ("all teats", "12"),
-        ("teat 1", "12"),
-        ("teat 2", "4"),
-    ]
+    poses = {row[0]: row[2] for row in rows[::2]}
+    assert poses == {"all teats": "12", "teat 1": "12", "teat 2": "4"}
     assert rows[2][3].split(", ")[1].startswith(("2.", "3."))  # the first teat's bias along y
     assert rows[4][4] == "not measured"
 
@@ -217,8 +212,8 @@ def test_a_truth_without_a_stated_uncertainty_accepts_no_axis(two_teats: RunReco
     )
     parts = list(accuracy_tables(replace(two_teats, trials=unstated), "fused", 50.0, np.eye(3)))
     assert {row[-1] for row in table(parts, "Errors along each axis, detector")} == {"between"}
-    expected = "nothing can be accepted and 50.000 mm or more refused"
-    assert expected in (message(parts, Table, "Errors along each axis, detector").note)
+    note = message(parts, Table, "Errors along each axis, detector").note
+    assert "nothing can be accepted and 50.000 mm or more refused" in note
     assert "noise" not in message(parts, Table, "Distance to the teat end").note
 
 
@@ -266,8 +261,8 @@ def test_few_repeats_say_what_is_missing(tmp_path: Path, two_teats: RunRecord) -
     text = message(parts, Paragraph, "AP, RP, AD and RD").text
     assert "of one teat at one pose there are 3 finds at most, and 10 are the least" in text
     single = list(precision_parts(replace(two_teats, trials=two_teats.trials[::3]), "fused"))
-    expected = "no teat was found twice at one pose"
-    assert expected in (message(single, Paragraph, "Repeatability and reproducibility").text)
+    text = message(single, Paragraph, "Repeatability and reproducibility").text
+    assert "no teat was found twice at one pose" in text
 
 
 def test_the_truth_s_own_gage_study_is_reported(tmp_path: Path) -> None:
