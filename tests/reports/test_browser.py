@@ -2,6 +2,7 @@
 and switches work, and axe-core finds nothing.
 """
 
+import dataclasses
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,8 +11,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from reports.render import write_report
-from reports.runs import History, RunCard, RunsPage, Step, write_runs
-from reports.runs import Result as RunResult
+from reports.runs import Result, Run, Runs, write_runs
 from tests.chromium import Scheme, Seen, violations, window
 from tests.reports.sample import sample_page
 
@@ -215,26 +215,34 @@ def test_axe_would_have_seen_a_fault(browser: Browser, folders: dict[str, Path])
 
 
 NAME = '<img src=x onerror="document.title=1">'
-RUN = RunCard(
-    "20261122-101500-demo",
-    "20261122-101500-demo/report/index.html",
-    "2026-11-22 10:15",
-    NAME,
-    "demo",
-    "emulated",
-    "Aborted: 3 of 60 trials.",
-    (RunResult(NAME, "met", "4 of 4 found."), RunResult("thesis", "not met", "1 of 4 found.")),
-    (("left, trial 001", "/9j/4AAQ"),),
+FOUND = (
+    Result(NAME, "1", "met", 4, 4, 0, 0.5, 1.0),
+    Result("a", "", "aborted", 0, 0, 0, None, None),
 )
-STEPS = (Step("met", "100 %", RUN.href, "2026-11-22: met"), Step("aborted", "–", "", "aborted"))
-RUNS = RunsPage("Runs", "1 run.", (RUN,), (History(NAME, "demo", STEPS),), (("old", "why"),))
+RUN = Run(
+    folder=Path("20261122-101500-demo"),
+    started="2026-11-22T10:15:00+00:00",
+    title=NAME,
+    script="demo",
+    kind="emulated",
+    ending="aborted",
+    trials=3,
+    planned=60,
+    results=FOUND,
+    damage=(),
+    report="20261122-101500-demo/report/index.html",
+    note="Aborted: 3 of 60 trials.",
+    thumbnails=(("left, trial 001", "/9j/4AAQ"),),
+)
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(1440, "light"), (390, "dark")])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1440, 390])
 def test_the_page_over_runs_takes_hostile_names_and_axe_is_content(
     browser: Browser, tmp_path: Path, width: int, scheme: Scheme
 ) -> None:
-    path = write_runs(RUNS, tmp_path / "index.html")
+    runs = (RUN, dataclasses.replace(RUN, report="", note=""))
+    path = write_runs(Runs(tmp_path, runs, (("old", "why"),)), "2 runs.")
     with window(browser, width=width, scheme=scheme) as seen:
         page = seen.open(path)
         assert violations(page) == []
