@@ -7,9 +7,9 @@ Coordinates are pixels of the image file `src`: x right, y down, the first pixel
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
-from typing import ClassVar, Literal, get_args
+from typing import Literal, get_args
 
-from reports.trust import PageError, address, one_of
+from reports.trust import PageError, address
 
 LayerTone = Literal["truth", "nomination", "region", "point", "model", "spread", "other"]
 LAYER_TONES: tuple[LayerTone, ...] = get_args(LayerTone)
@@ -19,7 +19,6 @@ LAYER_TONES: tuple[LayerTone, ...] = get_args(LayerTone)
 class Circle:
     """A ring; `title` is what the pointer shows over it."""
 
-    kind: ClassVar[str] = "circle"
     x_px: float
     y_px: float
     radius_px: float = 8.0
@@ -30,7 +29,6 @@ class Circle:
 class Ellipse:
     """Half axes `major_px` and `minor_px`; the first is `turn_deg` from x towards y."""
 
-    kind: ClassVar[str] = "ellipse"
     x_px: float
     y_px: float
     major_px: float
@@ -43,7 +41,6 @@ class Ellipse:
 class Cross:
     """Two strokes that meet at (x, y); `turned` makes an X of the plus."""
 
-    kind: ClassVar[str] = "cross"
     x_px: float
     y_px: float
     arm_px: float = 8.0
@@ -55,7 +52,6 @@ class Cross:
 class Rect:
     """Top left corner and size; pixels x to x + n - 1 start at x - 0.5 and are n wide."""
 
-    kind: ClassVar[str] = "rect"
     x_px: float
     y_px: float
     width_px: float
@@ -67,7 +63,6 @@ class Rect:
 class Polyline:
     """Straight lines through `points_px`, (x, y) pairs; `closed` joins the last to the first."""
 
-    kind: ClassVar[str] = "polyline"
     points_px: tuple[tuple[float, float], ...]
     closed: bool = False
     title: str = ""
@@ -77,7 +72,6 @@ class Polyline:
 class Label:
     """A short text whose baseline starts at (x, y); its size follows the view, not the pixels."""
 
-    kind: ClassVar[str] = "label"
     x_px: float
     y_px: float
     text: str
@@ -117,7 +111,6 @@ class Overlay:
     who: int = 0
 
     def __post_init__(self) -> None:
-        one_of(self.tone, LAYER_TONES, f"overlay {self.name!r}")
         for shape in self.shapes:
             values = (getattr(shape, field.name) for field in fields(shape))
             numbers = [one for one in values if not isinstance(one, str | bool | tuple)]

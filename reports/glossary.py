@@ -34,8 +34,12 @@ class Explained:
 
     def __init__(self, terms: Sequence[Term], base: str = "", names: Sequence[str] = ()) -> None:
         self._base = base
-        self._ids = {word: term.id for term in terms for word in _spellings(term)}
-        self._ids = {word: term for word, term in self._ids.items() if word not in names}
+        self._ids: dict[str, str] = {}
+        for term in terms:
+            for word in (term.name, *term.also):
+                # as in the middle of a sentence and, of a word, at its beginning
+                begun = word[0].upper() + word[1:] if len(word) > 3 else word
+                self._ids |= {spelt: term.id for spelt in (word, begun) if spelt not in names}
         words = sorted(self._ids, key=len, reverse=True)
         text = "|".join(map(re.escape, words))
         self._pattern = re.compile(rf"(?<![\w|-])(?:{text})(?![\w|-])") if words else None
@@ -43,12 +47,10 @@ class Explained:
 
     def __call__(self, text: str) -> Markup:
         """`text`, escaped, with each term's first occurrence as a link."""
-        if text not in self._known:
-            self._known[text] = self._linked(sanitized(text))
-        return self._known[text]
-
-    def _linked(self, text: str) -> Markup:
-        parts, done, at = [], set(), 0
+        if text in self._known:
+            return self._known[text]
+        parts, done, at, given = [], set(), 0, text
+        text = sanitized(text)
         for found in self._pattern.finditer(text) if self._pattern else ():
             name = self._ids[found[0]]
             if name in done:
@@ -58,21 +60,12 @@ class Explained:
             parts += [escape(text[at : found.start()]), Markup(link), escape(found[0])]  # noqa: S704 ours
             parts.append(Markup("</a>"))
             at = found.end()
-        return Markup("").join([*parts, escape(text[at:])])
-
-
-def _spellings(term: Term) -> tuple[str, ...]:
-    """As in the middle of a sentence and, of a word, at its beginning."""
-    words = (term.name, *term.also)
-    return (*words, *(word[0].upper() + word[1:] for word in words if len(word) > 3))
+        self._known[given] = Markup("").join([*parts, escape(text[at:])])
+        return self._known[given]
 
 
 def style_rules(terms: Sequence[Term]) -> str:
     """What the terms' links show: each text once in a file, however often it is shown."""
-    rules = []
-    for term in terms:
-        text = (
-            sanitized(term.says).replace("\\", r"\5c ").replace('"', r"\22 ").replace("<", r"\3c ")
-        )
-        rules.append(f'.{term.id}::after{{--tip:"{text}"}}\n')
-    return "".join(rules)
+    escapes = str.maketrans({"\\": r"\5c ", '"': r"\22 ", "<": r"\3c "})
+    tips = ((term.id, sanitized(term.says).translate(escapes)) for term in terms)
+    return "".join(f'.{name}::after{{--tip:"{text}"}}\n' for name, text in tips)

@@ -30,9 +30,8 @@ def write_single_file(page: Page, folder: Path, target: Path, most_bytes: int = 
     refuse_missing((replace(image, original="") for image in images), folder)
     room = most_bytes - len(_html(page, (), folder).encode("utf-8"))
     if room < 0:
-        raise PageError(
-            f"{target}: the page alone is larger than {most_bytes} bytes by {-room}; allow more"
-        )
+        said = f"the page alone is larger than {most_bytes} bytes by {-room}; allow more"
+        raise PageError(f"{target}: {said}")
     kept: list[TrialPart] = []
     for trial in trials:
         # each picture in base 64, and what stands before it
@@ -71,10 +70,7 @@ def _images(page: Page, trials: Sequence[TrialPart]) -> list[ImageView]:
 
 
 def _data_uri(path: Path) -> str:
-    kind = _TYPES.get(path.suffix)
+    kind, other = _TYPES.get(path.suffix), path.suffix or "file without an ending"
     if kind is None:
-        raise PageError(
-            f"{path}: a file for mail holds JPEG and PNG, no"
-            f" {path.suffix or 'file without an ending'}"
-        )
+        raise PageError(f"{path}: a file for mail holds JPEG and PNG, no {other}")
     return f"data:{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import ClassVar, Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 from reports.frames import LAYER_TONES, MOST_DETECTORS, ImageView
 from reports.glossary import Term
@@ -19,7 +19,6 @@ Verdict = Literal[
 ]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 Tone = Literal["plain", "good", "bad", "warn", "info", "muted"]
-TONES: tuple[Tone, ...] = get_args(Tone)
 Align = Literal["left", "right", "center"]
 Kind = Literal["computed", "emulated", "mixed", "real", "recorded"]
 KINDS: dict[Kind, str] = {
@@ -64,7 +63,6 @@ class Requirement:
 class Requirements:
     """The table of requirements; on a narrow screen each row becomes a card."""
 
-    kind: ClassVar[str] = "requirements"
     caption: str
     rows: tuple[Requirement, ...]
     note: str = ""
@@ -78,9 +76,6 @@ class Score:
     value: str
     shows: str
 
-    def __post_init__(self) -> None:
-        one_of(self.verdict, VERDICTS, f"score {self.value!r}, verdict")
-
 
 @dataclass(frozen=True, slots=True)
 class Scoreboard:
@@ -90,7 +85,6 @@ class Scoreboard:
     explain a row on hovering.
     """
 
-    kind: ClassVar[str] = "scoreboard"
     caption: str
     detectors: tuple[str, ...]
     rows: tuple[tuple[str, str, tuple[Score | None, ...]], ...]
@@ -117,7 +111,6 @@ class Cell:
     mono: bool = False
 
     def __post_init__(self) -> None:
-        one_of(self.tone, TONES, f"cell {self.text!r}, tone")
         if self.href:
             address(self.href, f"cell {self.text!r}, link")
 
@@ -141,7 +134,6 @@ class Table:
     then hide that trial with them.
     """
 
-    kind: ClassVar[str] = "table"
     caption: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[str | Cell, ...], ...]
@@ -163,7 +155,6 @@ class Figure:
     be seen. `wide` fills the page.
     """
 
-    kind: ClassVar[str] = "figure"
     svg: str
     caption: str
     alt: str
@@ -183,7 +174,6 @@ class Figure:
 class KeyValues:
     """A list of names and values, as for provenance."""
 
-    kind: ClassVar[str] = "key-values"
     title: str
     entries: tuple[Entry, ...]
 
@@ -192,19 +182,14 @@ class KeyValues:
 class Paragraph:
     """Running text; a tone other than plain puts it in a box. Line ends are kept."""
 
-    kind: ClassVar[str] = "paragraph"
     text: str
     tone: Tone = "plain"
-
-    def __post_init__(self) -> None:
-        one_of(self.tone, TONES, f"paragraph {self.text[:40]!r}, tone")
 
 
 @dataclass(frozen=True, slots=True)
 class Notes:
     """Short points under a title: deviations, exclusions, warnings."""
 
-    kind: ClassVar[str] = "notes"
     title: str
     items: tuple[str, ...]
 
@@ -213,7 +198,6 @@ class Notes:
 class Code:
     """A command or a file's text, letter for letter."""
 
-    kind: ClassVar[str] = "code"
     title: str
     text: str
 
@@ -225,9 +209,6 @@ class Result:
     text: str
     tone: Tone = "plain"
     who: int = 0
-
-    def __post_init__(self) -> None:
-        one_of(self.tone, TONES, f"result {self.text!r}, tone")
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,7 +226,6 @@ class Look:
 class Looks:
     """A strip of pictures; a click on one opens its trial."""
 
-    kind: ClassVar[str] = "looks"
     looks: tuple[Look, ...]
 
 
@@ -253,7 +233,6 @@ class Looks:
 class Fold:
     """Parts behind their title, which opens them; on paper only those that are open."""
 
-    kind: ClassVar[str] = "fold"
     title: str
     parts: tuple["Part", ...]
 
@@ -265,7 +244,6 @@ class Section:
     `about` stands beside a folded chapter's title: what is in it, in a few words.
     """
 
-    kind: ClassVar[str] = "section"
     id: str
     title: str
     parts: tuple["Part", ...]
@@ -276,6 +254,7 @@ class Section:
         checked_slug(self.id, f"section {self.title!r}")
 
 
+P = TypeVar("P")
 Part = (
     Requirements
     | Scoreboard
@@ -377,10 +356,9 @@ class Page:
 
     def __post_init__(self) -> None:
         what = f"page {self.title!r}"
-        figures = [part for part in self.parts() if isinstance(part, Figure)]
-        inner = (part for part in self.parts() if isinstance(part, Section))
+        figures = [*self.parts_of(Figure)]
         ids = [*RESERVED_IDS, *(term.id for term in self.glossary)]
-        ids += [section.id for section in (*self.sections, *inner)]
+        ids += [section.id for section in (*self.sections, *self.parts_of(Section))]
         ids += [name for trial in self.trials for name in (trial.id, f"{trial.id}-heading")]
         ids += [name for figure in figures for name in figure.facts.ids]
         twice = sorted(name for name, times in Counter(ids).items() if times > 1)
@@ -399,12 +377,11 @@ class Page:
                 raise PageError(
                     f"{what}: the link {link!r} leads nowhere; no section or trial has that id"
                 )
-        rows = (row for part in self.parts() if isinstance(part, Requirements) for row in part.rows)
+        rows = (row for part in self.parts_of(Requirements) for row in part.rows)
         failed = [row.name for row in rows if row.verdict in {"not met", "aborted"}]
-        boards = (part for part in self.parts() if isinstance(part, Scoreboard))
         failed += [
             name
-            for board in boards
+            for board in self.parts_of(Scoreboard)
             for name, _, scores in board.rows
             if any(score and score.verdict == "not met" for score in scores)
         ]
@@ -430,10 +407,13 @@ class Page:
         """Every part of every section, in order; a fold or a section, then what it holds."""
         return (part for section in self.sections for part in _unfolded(section.parts))
 
+    def parts_of(self, kind: type[P]) -> Iterator[P]:
+        """Every part of that class, in order."""
+        return (part for part in self.parts() if isinstance(part, kind))
+
     def looks(self) -> Iterator[Look]:
         """Every trial of the strips of pictures."""
-        strips = (part for part in self.parts() if isinstance(part, Looks))
-        return (look for strip in strips for look in strip.looks)
+        return (look for strip in self.parts_of(Looks) for look in strip.looks)
 
     def images(self) -> Iterator[ImageView]:
         """Every image, in order."""
@@ -441,13 +421,11 @@ class Page:
         return (image for one in shown for image in one.images)
 
     def _cells(self) -> Iterator[Cell]:
-        for part in (*self.parts(), *(table for trial in self.trials for table in trial.tables)):
-            if isinstance(part, Table):
-                yield from (cell for row in part.rows for cell in row if isinstance(cell, Cell))
-            elif isinstance(part, KeyValues):
-                yield from (value for _, value in part.entries if isinstance(value, Cell))
-        for trial in self.trials:
-            yield from (value for _, value in trial.summary if isinstance(value, Cell))
+        tables = chain(self.parts_of(Table), *(trial.tables for trial in self.trials))
+        lists = (part.entries for part in self.parts_of(KeyValues))
+        rows = chain((row for table in tables for row in table.rows), *lists)
+        rows = chain(rows, *(trial.summary for trial in self.trials))
+        return (cell for row in rows for cell in row if isinstance(cell, Cell))
 
 
 def _unfolded(parts: tuple[Part, ...]) -> Iterator[Part]:

@@ -101,8 +101,8 @@ class Press:
 
     def page(self, place: Place) -> str:
         """The page's own file. Raises PageError where a trial is neither in it nor listed."""
-        tables = (part for part in self._page.parts() if isinstance(part, Table))
-        rows = (row for table in tables if table.searchable for row in table.rows)
+        tables = (table for table in self._page.parts_of(Table) if table.searchable)
+        rows = (row for table in tables for row in table.rows)
         listed = {trial.id for trial in place.trials} | {_trial_of(row) for row in rows}
         lost = [trial.id for trial in self._page.trials if trial.id not in listed]
         if lost and place.files and not place.apart:

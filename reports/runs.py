@@ -1,111 +1,136 @@
-"""One page over many runs, as data and as a file: a card a run, newest first, and each detector's
-verdicts in the order of time. Its pictures are in it; links to reports need the folders beside it.
+"""One page over many runs: a card a run, newest first, and each detector's verdicts in the order of
+time. Its pictures are in it; links to reports need the folders beside it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from markupsafe import Markup
 
-from reports.page import KINDS, VERDICTS, Kind, Verdict
+from reports.page import KINDS, Kind, Verdict
 from reports.render import SIGNS, assets, environment, policy_hash, write_whole
 from reports.trust import address, one_of
+
+PAGE = "index.html"
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a run found of one detector; ``text`` has the figures in words."""
+    """One detector in one run. ``verdict`` is "aborted" in an unfinished run, "no verdict" where
+    nothing was scored or the record is damaged; errors are None where nothing was found.
+    """
 
     detector: str
+    version: str
     verdict: Verdict
-    text: str
+    visible: int
+    found: int
+    false: int
+    median_error_mm: float | None
+    max_error_mm: float | None
 
-    def __post_init__(self) -> None:
-        one_of(self.verdict, VERDICTS, f"detector {self.detector!r}, verdict")
+    @property
+    def share(self) -> str:
+        """``97 %`` of the visible teats found; a dash where none was visible."""
+        return f"{100 * self.found // self.visible} %" if self.visible else "–"
+
+    @property
+    def text(self) -> str:
+        """Its figures in a sentence."""
+        if not self.visible:
+            return "No visible teat was scored."
+        text = f"{self.found} of {self.visible} visible teats found, {self.false} false"
+        if self.median_error_mm is None or self.max_error_mm is None:
+            return f"{text}."
+        errors = f"{self.median_error_mm:.2f} mm in the median, {self.max_error_mm:.2f} mm at most"
+        return f"{text}; error {errors}."
 
 
 @dataclass(frozen=True, slots=True)
-class RunCard:
-    """A run. ``href``: its report beside the page, empty where it has none; ``thumbnails``: JPEG
-    data with what each shows.
+class Run:
+    """A run that could be read; ``damage`` says what isn't as it was written, ``note`` what holds
+    it back. ``report``: its page's path from the folder of runs, empty where there is none;
+    ``thumbnails``: what each shows, and JPEG data.
     """
 
-    name: str
-    href: str
-    date: str
+    folder: Path
+    started: str
     title: str
     script: str
     kind: Kind
-    note: str
+    ending: str
+    trials: int
+    planned: int | None
     results: tuple[Result, ...]
+    damage: tuple[str, ...]
+    report: str
+    note: str
     thumbnails: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
-        one_of(self.kind, KINDS, f"run {self.name!r}, kind")
-        if self.href:
-            address(self.href, f"run {self.name!r}, report")
+        one_of(self.kind, KINDS, f"run {self.folder.name!r}, kind")
+
+    @property
+    def date(self) -> str:
+        """``2026-11-22 14:05``."""
+        return datetime.fromisoformat(self.started).strftime("%Y-%m-%d %H:%M")
 
     @property
     def kind_text(self) -> str:
         """What the badge says."""
         return KINDS[self.kind]
 
+    def hint(self, result: Result) -> str:
+        """What is shown on hovering over a step of a detector's history."""
+        version = f" {result.version}" if result.version else ""
+        return f"{self.date}, {result.detector}{version}: {result.verdict}. {result.text}"
 
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One run in a detector's history; ``hint`` is shown on hovering."""
-
-    verdict: Verdict
-    text: str
-    href: str
-    hint: str
-
-
-@dataclass(frozen=True, slots=True)
-class History:
-    """A detector's runs of one script, oldest first."""
-
-    detector: str
-    script: str
-    steps: tuple[Step, ...]
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        shown = asdict(replace(self, thumbnails=()))
+        del shown["thumbnails"], shown["note"]
+        return shown | {"folder": str(self.folder)}
 
 
 @dataclass(frozen=True, slots=True)
-class RunsPage:
-    """``others``: folders that are no readable run, each with the reason."""
+class Runs:
+    """The runs in ``folder``, newest first, and the other folders with why they are no run."""
 
-    title: str
-    summary: str
-    runs: tuple[RunCard, ...]
-    histories: tuple[History, ...]
+    folder: Path
+    runs: tuple[Run, ...]
     others: tuple[tuple[str, str], ...]
 
+    def histories(self) -> Mapping[tuple[str, str], Sequence[tuple[Run, Result]]]:
+        """Detector and script with their runs, oldest first."""
+        found: dict[tuple[str, str], list[tuple[Run, Result]]] = {}
+        for run in reversed(self.runs):
+            for result in run.results:
+                found.setdefault((result.detector, run.script), []).append((run, result))
+        return dict(sorted(found.items()))
+
     @property
-    def verdicts(self) -> frozenset[Verdict]:
+    def verdicts(self) -> set[Verdict]:
         """Those that stand in it."""
-        return frozenset(step.verdict for one in self.histories for step in one.steps)
+        return {result.verdict for run in self.runs for result in run.results}
 
 
-def render_runs(page: RunsPage) -> str:
-    """The HTML text."""
+def write_runs(runs: Runs, summary: str) -> Path:
+    """Writes the page into the folder of the runs, whole or not at all; gives back its path."""
     style = assets("style.css", "runs.css")
-    policy = (
-        f"default-src 'none'; img-src data:; style-src '{policy_hash(style)}'; base-uri 'none';"
-        " form-action 'none'"
-    )
-    return (
+    policy = f"default-src 'none'; img-src data:; style-src '{policy_hash(style)}'"
+    html = (
         environment()
         .get_template("runs.html.j2")
         .render(
-            page=page,
+            page=runs,
+            summary=summary,
             signs=SIGNS,
             style=Markup(style),  # noqa: S704 our own file
-            policy=policy,
+            policy=f"{policy}; base-uri 'none'; form-action 'none'",
             link=lambda href: address(href, "link"),
         )
     )
-
-
-def write_runs(page: RunsPage, target: Path) -> Path:
-    """Writes the page to ``target``, whole or not at all."""
-    return write_whole(target, render_runs(page))
+    return write_whole(runs.folder / PAGE, html)

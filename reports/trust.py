@@ -62,12 +62,10 @@ def address(value: str, what: str) -> str:
     return quote(value, safe="/-._~()", errors="replace")
 
 
-def one_of(value: str, allowed: Iterable[str], what: str) -> str:
-    """`value`, when it is one of `allowed`. Raises PageError."""
-    words = tuple(allowed)
-    if value not in words:
-        raise PageError(f"{what}: {value!r} is none of {', '.join(repr(word) for word in words)}")
-    return value
+def one_of(value: str, allowed: Iterable[str], what: str) -> None:
+    """Raises PageError where `value` is none of `allowed`."""
+    if value not in (words := tuple(allowed)):
+        raise PageError(f"{what}: {value!r} is none of {', '.join(map(repr, words))}")
 
 
 def svg_facts(svg: str, what: str) -> SvgFacts:

@@ -1,9 +1,6 @@
 """Opens pages from disk in the machine's own Chromium, offline, and notes what they ask for and
-complain about.
-
-Strategy: plain functions over Playwright, so that any test can use them: `with browser_page() as
-seen: seen.open(path)`. A machine without a browser skips, saying so. Nothing here knows what a
-report says.
+complain about: `with browser_page() as seen: seen.open(path)`. Without a browser the test is
+skipped.
 """
 
 import os
@@ -15,25 +12,14 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
-from playwright.sync_api import (
-    Browser,
-    ConsoleMessage,
-    Page,
-    Request,
-    ViewportSize,
-    sync_playwright,
-)
+from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 Scheme = Literal["light", "dark"]
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 ARGUMENTS = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
+    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
+    *("--disable-background-networking", "--disable-component-update"),
 )
 
 
@@ -53,11 +39,8 @@ class Seen:
 
     def network_requests(self) -> list[str]:
         """Everything that was asked for beyond this disk and the page itself."""
-        return [
-            url
-            for url in self.requests
-            if not url.startswith(("file:", "data:", "blob:", "about:"))
-        ]
+        own = ("file:", "data:", "blob:", "about:")
+        return [url for url in self.requests if not url.startswith(own)]
 
     def image_widths(self) -> dict[str, int]:
         """Width in pixels of every image as decoded, by its address; 0 where it could not be. Lazy
@@ -78,14 +61,10 @@ def chromium() -> str:
     """
     found = next((path for path in map(shutil.which, NAMES) if path), None)
     if found is None and os.environ.get("TEATBENCH_NEED_BROWSER"):
-        pytest.fail(
-            "no browser is installed, and TEATBENCH_NEED_BROWSER says that there has to be one"
-        )
+        pytest.fail("no browser is installed, and TEATBENCH_NEED_BROWSER says that one has to be")
     if found is None:
-        pytest.skip(
-            f"needs a browser ({', '.join(NAMES)}): none is installed; on Debian: apt-get install"
-            " chromium"
-        )
+        names = ", ".join(NAMES)
+        pytest.skip(f"needs a browser ({names}); on Debian: apt-get install chromium")
     return found
 
 
@@ -116,7 +95,14 @@ def window(
     )
     try:
         seen = Seen(context.new_page())
-        _listen(seen)
+        said = seen.complaints.append
+        seen.page.on(
+            "console",
+            lambda one: said(one.text) if one.type in {"error", "warning"} else None,
+        )
+        seen.page.on("pageerror", lambda error: said(f"exception: {error}"))
+        seen.page.on("requestfailed", lambda one: said(f"failed: {one.url}: {one.failure}"))
+        seen.page.on("request", lambda request: seen.requests.append(request.url))
         yield seen
     finally:
         context.close()
@@ -131,15 +117,7 @@ def browser_page(
         yield seen
 
 
-def _listen(seen: Seen) -> None:
-    def on_console(message: ConsoleMessage) -> None:
-        if message.type in {"error", "warning"}:
-            seen.complaints.append(f"console: {message.text}")
-
-    def on_failure(request: Request) -> None:
-        seen.complaints.append(f"failed: {request.url}: {request.failure}")
-
-    seen.page.on("console", on_console)
-    seen.page.on("pageerror", lambda error: seen.complaints.append(f"exception: {error}"))
-    seen.page.on("requestfailed", on_failure)
-    seen.page.on("request", lambda request: seen.requests.append(request.url))
+def violations(page: Page) -> list[tuple[str, str]]:
+    """What axe-core, as its package carries it, finds in an open page: rule and first element."""
+    found = Axe().run(page).response["violations"]
+    return [(str(one["id"]), str(one["nodes"][0]["html"])[:200]) for one in found]

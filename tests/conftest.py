@@ -26,9 +26,11 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 TRIM_MIB, GROWN_MIB, MOST_MIB = 700.0, 32.0, 1024.0
 NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"/>'
-# rooms whose tests run the bench and look at no figure
-UNDRAWN = tuple(
-    f"tests.bench.{room}." for room in ("cli", "dry_run", "record", "rig", "run", "safety", "truth")
+# rooms and files whose tests run the bench and look at no figure
+UNDRAWN = (
+    *(f"tests.bench.{room}." for room in ("cli", "dry_run", "record", "rig", "run", "safety")),
+    *("tests.bench.truth.", "tests.bench.report.test_odd_recordings"),
+    *("tests.bench.report.test_detector_errors", "tests.bench.report.test_report_thesis"),
 )
 
 

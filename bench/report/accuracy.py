@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from itertools import combinations
 from math import sqrt
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from bench.report.wording import NOT_MEASURED, number, spanned, table
 from bench.results.error_rows import ErrorRows, error_rows, run_precision, truth_gage
 from bench.results.verdicts import scored, truth_u_mm
 from bench.scoring.errors import (
-    AxisSummary,
     ErrorSummary,
     Floats,
     normal_k,
@@ -55,7 +55,7 @@ def accuracy_tables(
             own = rows.of_teat(teat)
             poses = len(set(own.of_found(own.poses)))
             six = _six(summarise(own.errors_mm), summarise(own.errors_mm, camera_from_world))
-            lines += [(teat, name, poses, *figures) for name, _, figures in six]
+            lines += [(teat, name, poses, *figures) for name, *figures in six]
         caption = f"Errors along each axis by teat, detector {detector}"
         yield table(caption, ("teat | axis | >poses | >n", MM), lines)
     yield _distances(run, rows, pool, detector, u_mm)
@@ -75,10 +75,8 @@ def _axes(
             return Cell("accepted", "good")
         return Cell("refused", "bad") if largest >= refuse else Cell("between", "warn")
 
-    rows = [
-        (name, *figures, against(axis.max_abs_mm))
-        for name, axis, figures in _six(pool.summary(), pool.summary(camera_from_world))
-    ]
+    six = _six(pool.summary(), pool.summary(camera_from_world))
+    rows = [(*figures, against(figures[-1])) for figures in six]
     upto = "nothing can be" if accept is None else f"up to {accept:.3f} mm is"
     known = "u isn't stated" if u_mm is None else f"u = {u_mm:.3g} mm"
     note = (
@@ -90,19 +88,17 @@ def _axes(
     return table(f"Errors along each axis, detector {detector}", heads, rows, note)
 
 
-def _six(
-    world: ErrorSummary, camera: ErrorSummary
-) -> Iterator[tuple[str, AxisSummary, tuple[float | None, ...]]]:
-    """Name, summary, and figures under ``>n`` and MM, of each axis of world and camera."""
-    for name, a in {
-        "world x": world.x,
-        "world y": world.y,
-        "world z": world.z,
-        "camera x (across)": camera.x,
-        "camera y (down)": camera.y,
-        "camera z (depth)": camera.z,
-    }.items():
-        yield name, a, (a.n, a.bias_mm, a.sd_mm, a.rms_mm, a.mean_abs_mm, a.max_abs_mm)
+AXES = (
+    *("world x", "world y", "world z"),
+    *("camera x (across)", "camera y (down)", "camera z (depth)"),
+)
+
+
+def _six(world: ErrorSummary, camera: ErrorSummary) -> Iterator[tuple[Any, ...]]:
+    """Name, and figures under ``>n`` and MM, of each axis of world and camera."""
+    six = (world.x, world.y, world.z, camera.x, camera.y, camera.z)
+    for name, a in zip(AXES, six, strict=True):
+        yield name, a.n, a.bias_mm, a.sd_mm, a.rms_mm, a.mean_abs_mm, a.max_abs_mm
 
 
 def _distances(
@@ -141,12 +137,9 @@ def _without_noise(pool: Pool, u_mm: float | None) -> str:
     seen = pool.summary().radial.rms_mm
     if seen is None or not u_mm:
         return ""
-    left = error_without_noise_mm(seen, u_mm)
-    rest = (
-        "the noise explains all that was seen"
-        if left is None
-        else f"without it the rms is {left:.2f} mm"
-    )
+    left, rest = error_without_noise_mm(seen, u_mm), "the noise explains all that was seen"
+    if left is not None:
+        rest = f"without it the rms is {left:.2f} mm"
     return (
         f" The truth's noise alone would show {sqrt(3.0) * u_mm:.2f} mm rms (u = {u_mm:.3g} mm"
         f" along an axis): {rest}."
@@ -165,11 +158,9 @@ def _tolerance(pool: Pool, detector: str) -> Part:
             " are the least."
         )
     heads = (
-        "covers | with | >poses | "
-        ">any distribution [mm] ~.2f"
-        " # an order statistic of the poses' worst distances (ISO 16269-6) | "
-        ">k ~.3f | "
-        ">if they were normal [mm] ~.2f # mean + k sd of the poses' worst distances"
+        "covers | with | >poses | >any distribution [mm] ~.2f"
+        " # an order statistic of the poses' worst distances (ISO 16269-6) | >k ~.3f"
+        " | >if they were normal [mm] ~.2f # mean + k sd of the poses' worst distances"
     )
     lines = []
     for share in SHARES:
@@ -221,11 +212,11 @@ def limit_table(ends_mm: Floats, calibration: Calibration) -> Table:
         figures = (int(at.sum()), per_px[at].max(), alone, seen[at].max())
         rows.append((spanned(depth[at], ".0f"), *figures))
     heads = (
-        ">distance [mm] | >teat ends | "
-        ">one pixel of disparity [mm] ~.1f # of depth: Z² / (f B) | "
-        ">calibration alone [mm] ~.2f # expanded uncertainty (k = 2) of a point, along its worst"
-        " direction | "
-        f">with {PIXEL_SD_PX:g} px noise [mm] ~.2f # the same with noise of the pixels besides"
+        ">distance [mm] | >teat ends"
+        " | >one pixel of disparity [mm] ~.1f # of depth: Z² / (f B)"
+        " | >calibration alone [mm] ~.2f # expanded uncertainty (k = 2) of a point, along its worst"
+        f" direction | >with {PIXEL_SD_PX:g} px noise [mm] ~.2f # the same with noise of the pixels"
+        " besides"
     )
     text = " This calibration states no uncertainty, so that its own share is not in it."
     note = (
@@ -246,7 +237,7 @@ def precision_parts(run: RunRecord, detector: str) -> Iterator[Part]:
     rows = error_rows(run, detector)
     yield _components(rows, detector)
     found: dict[tuple[str, str], dict[str, Floats]] = {}
-    columns = (rows.of_found(rows.poses), rows.of_found(rows.teats), rows.of_found(rows.trials))
+    columns = map(rows.of_found, (rows.poses, rows.teats, rows.trials))
     points = np.stack([rows.errors_mm, rows.places_mm[rows.found]], axis=1)
     for pose, teat, trial, point in zip(*columns, points, strict=True):
         found.setdefault((pose, teat), {})[trial] = point
@@ -272,20 +263,17 @@ def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
         yield Paragraph(f"Gage R&R of the ground truth: {NOT_MEASURED}; {found.why}.")
         return
     heads = (
-        "axis | >ends | >set-ups | >touches | "
-        ">repeatability [mm] ~.3f # touch after touch | "
-        ">reproducibility [mm] ~.3f # set-up after set-up, the interaction with the end included | "
-        ">gage R&R [mm] ~.3f | >between ends [mm] ~.3f | "
-        ">of the tolerance [%] ~.1f # 6 gage over the whole width: below 10 % is good, above 30 %"
-        " not acceptable | "
-        ">ndc # how many sizes of part it can tell apart"
+        "axis | >ends | >set-ups | >touches | >repeatability [mm] ~.3f # touch after touch"
+        " | >reproducibility [mm] ~.3f # set-up after set-up, the interaction with the end included"
+        " | >gage R&R [mm] ~.3f | >between ends [mm] ~.3f | >of the tolerance [%] ~.1f"
+        " # 6 gage over the whole width: below 10 % is good, above 30 % not acceptable"
+        " | >ndc # how many sizes of part it can tell apart"
     )
     lines = []
     for axis, s in zip("xyz", found.studies, strict=True):
+        sizes, share = (s.parts, s.appraisers, s.repeats), s.share_of_tolerance(2.0 * limit_mm)
         sd_mm = (s.repeatability, s.reproducibility, s.gage, s.part)
-        share = 100.0 * s.share_of_tolerance(2.0 * limit_mm)
-        sizes = (s.parts, s.appraisers, s.repeats)
-        lines.append((axis, *sizes, *sd_mm, share, s.distinct_categories))
+        lines.append((axis, *sizes, *sd_mm, 100.0 * share, s.distinct_categories))
     left = f" {found.left_out} ends had too few touches or set-ups, and are left out."
     note = (
         "Standard deviations, crossed analysis of variance (AIAG MSA, 4th edition; ISO 22514-7):"
@@ -303,10 +291,9 @@ def _components(rows: ErrorRows, detector: str) -> Part:
             " found twice at one pose."
         )
     heads = (
-        "axis | >n | >teats at poses | "
-        ">s_r [mm] # repeatability: within a pose | "
-        ">s_L [mm] # between teats and poses | "
-        ">s_R [mm] # reproducibility: the root of s_r² + s_L²"
+        "axis | >n | >teats at poses | >s_r [mm] # repeatability: within a pose"
+        " | >s_L [mm] # between teats and poses"
+        " | >s_R [mm] # reproducibility: the root of s_r² + s_L²"
     )
     note = (
         "Standard deviations of the error (ISO 5725-2, 7.4.5). A set-up is a teat at a pose; its"
@@ -350,14 +337,12 @@ def _pairs(ends: Errors, detector: str) -> Part:
         both = [(ends[a][trial], ends[b][trial]) for trial in ends[a] if trial in ends[b]]
         if not several:
             both = list(zip(ends[a].values(), ends[b].values(), strict=False))
-        points = np.array(both, dtype=np.float64).reshape(
-            -1, 2, 2, 3
-        )  # pair, a or b, error or place
-        true = np.linalg.norm(points[:, 0, 1] - points[:, 1, 1], axis=1)
-        seen = np.linalg.norm(points.sum(axis=2)[:, 0] - points.sum(axis=2)[:, 1], axis=1)
-        off = np.asarray(seen - true)
+        # pair, a or b, error or place
+        points = np.array(both, dtype=np.float64).reshape(-1, 2, 2, 3)
+        apart = points[:, 0] - points[:, 1]
+        off = np.linalg.norm(apart.sum(axis=1), axis=1) - np.linalg.norm(apart[:, 1], axis=1)
         if len(off) >= CYCLES_FROM:
-            found = distance_accuracy(off, 0.0)
+            found = distance_accuracy(np.asarray(off), 0.0)
             what = f"{a[0]}: teat {a[1]} to {b[1]}" if several else f"{a[0]} to {b[0]}"
             lines.append((what, found.n, found.ad_mm, found.rd_mm))
     if not lines:

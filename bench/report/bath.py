@@ -13,7 +13,7 @@ from bench.report.wording import NOT_MEASURED, guardian_text, key_values, number
 from bench.results.teat_temperature import Figures, Surface, surface
 from bench.safety.interlocks import RULES
 from bench.script.model import Rules, Script
-from reports.figures import bath_curve, bath_sparkline
+from reports.figures.course import bath_curve, bath_sparkline
 from reports.page import Figure, Fold, Paragraph, Part, Table
 
 MOST_ROWS = 40  # of a table that has a row a capture
@@ -22,34 +22,37 @@ AROUND_S = 5.0  # readings so near to a capture are those of the capture
 
 def sparkline(run: RunRecord, rules: Rules) -> Iterator[Part]:
     """The bath's course in a line for the first page; nothing for recorded frames."""
-    set_point = run.facts.get("set_point_c")
+    set_point, captured = run.facts.get("set_point_c"), _captured(run)
     if set_point is None or not len(run.bath):
         return
-    band_k = rules.bath.leave_k if isinstance(rules, Script) else 0.15
-    svg = bath_sparkline(run.bath[:, 0], run.bath[:, 1], set_point, band_k)
-    captured = [trial for trial in run.trials if trial.head["captured_s"] is not None]
+    svg = bath_sparkline(run.bath[:, 0], run.bath[:, 1], set_point, _band_k(rules))
     stable = sum(trial.head["bath_state"] == "stable" for trial in captured)
     caption = f"The bath; stable at {stable} of {len(captured)} captures"
     yield Figure(svg, caption, f"{len(run.bath)} readings about {set_point:g} °C")
 
 
+def _captured(run: RunRecord) -> list[TrialRecord]:
+    return [trial for trial in run.trials if trial.head["captured_s"] is not None]
+
+
+def _band_k(rules: Rules) -> float:
+    return rules.bath.leave_k if isinstance(rules, Script) else 0.15
+
+
 def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     """The section on bath and environment."""
-    set_point = run.facts.get("set_point_c")
+    set_point, captured = run.facts.get("set_point_c"), _captured(run)
     if set_point is None or not len(run.bath):
         yield Paragraph("No bath belongs to recorded frames.", tone="muted")
         return
     times_s, temps_c = run.bath[:, 0], run.bath[:, 1]
-    captured = [trial for trial in run.trials if trial.head["captured_s"] is not None]
     captures = [trial.head["captured_s"] for trial in captured]
-    band_k = rules.bath.leave_k if isinstance(rules, Script) else 0.15
     spans: list[tuple[float, float]] = []
-    for t_s, state in zip(run.bath[:, 0].tolist(), run.bath_states, strict=True):
+    for t_s, state in zip(times_s.tolist(), run.bath_states, strict=True):
         if state == "stable":
             joined = spans and t_s - spans[-1][1] < 5.0
-            start = spans.pop()[0] if joined else t_s
-            spans.append((start, t_s))
-    svg = bath_curve(times_s, temps_c, set_point, band_k, captures, spans)
+            spans.append((spans.pop()[0] if joined else t_s, t_s))
+    svg = bath_curve(times_s, temps_c, set_point, _band_k(rules), captures, spans)
     caption = "Bath temperature over the run's time; captures are marked"
     yield Figure(svg, caption, f"{len(run.bath)} readings, {len(captures)} captures", wide=True)
     temps = [t.head["bath_c"] for t in run.trials if t.head["bath_c"] is not None]
@@ -63,10 +66,10 @@ def bath_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
         entries["at the captures"] = spanned(temps, unit="°C")
     yield key_values("Bath", entries)
     if captured:
-        each = [*_capture_parts(run, *_farthest(run, captured))]
+        shown = _farthest(run, captured)
+        each = [*_capture_parts(run, *shown)]
         if isinstance(rules, Script):
-            window_s = rules.bath.window_s
-            each.append(_stability_table(run, set_point, window_s, *_farthest(run, captured)))
+            each.append(_stability_table(run, set_point, rules.bath.window_s, *shown))
         states = [str(trial.head["bath_state"]) for trial in captured]
         states_text = ", ".join(f"{states.count(one)} {one}" for one in dict.fromkeys(states))
         yield Paragraph(f"The bath at the {len(captured)} captures: {states_text}.")
@@ -123,8 +126,7 @@ def _capture_parts(run: RunRecord, shown: Sequence[TrialRecord], left_out: str) 
     )
     yield table("Temperatures at the captures", heads, rows, note)
     surfaces = (surface_at(run, trial) for trial in reversed(run.trials))
-    last = next((found for found in surfaces if found), None)
-    if last:
+    if last := next((found for found in surfaces if found), None):
         budget = [(c.name, c.u_k, c.source) for c in last.components]
         budget.append(("combined", last.u_k, "root of the sum of squares"))
         title = f"Uncertainty budget of the teats' surface, by {last.how} (last capture)"
@@ -137,11 +139,8 @@ def _farthest(run: RunRecord, taken: Sequence[TrialRecord]) -> tuple[Sequence[Tr
         return taken, ""
     off = [abs((trial.head["bath_c"] or 0.0) - run.facts["set_point_c"]) for trial in taken]
     chosen = sorted(sorted(range(len(taken)), key=lambda k: -off[k])[:MOST_ROWS])
-    note = (
-        f" The {MOST_ROWS} of {len(taken)} captures farthest from the set point; each trial has"
-        " its own."
-    )
-    return [taken[k] for k in chosen], note
+    note = f" The {MOST_ROWS} of {len(taken)} captures farthest from the set point; each trial has"
+    return [taken[k] for k in chosen], f"{note} its own."
 
 
 def _stability_table(
@@ -197,9 +196,8 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     if run.guardian:
         yield Paragraph(guardian_text(run.guardian), tone="warn")
     trip = facts.get("trip", {})
-    states = dict.fromkeys(
-        facts["interlocks asleep"], "asleep: the controller doesn't tell what it needs"
-    )
+    asleep = "asleep: the controller doesn't tell what it needs"
+    states = dict.fromkeys(facts["interlocks asleep"], asleep)
     if trip:
         states[trip["rule"]] = "TRIPPED"
     rows = [(r.name, r.trips, r.resets, states.get(r.name, "did not trip")) for r in RULES]
@@ -208,9 +206,10 @@ def _care_parts(run: RunRecord) -> Iterator[Part]:
     resting = sum(state == "did not trip" for *_, state in rows)
     yield Paragraph(f"{resting} of {len(rows)} interlocks were awake and did not trip.")
     listed = table("Interlocks", heads, rows, note)
-    yield listed if trip else Fold("Interlocks, when they trip and how they reset", (listed,))
     if trip:
-        yield _trip_table(trip)
+        yield from (listed, _trip_table(trip))
+    else:
+        yield Fold("Interlocks, when they trip and how they reset", (listed,))
 
 
 COMMS_LOSS = {
@@ -236,10 +235,8 @@ READINGS = {
 
 def _trip_table(trip: dict[str, Any]) -> Table:
     words = {True: "yes", False: "no"}
-    rows = [
-        [words[value] if isinstance(value, bool) else value for value in map(row.get, READINGS)]
-        for row in trip["values"]
-    ]
+    rows = (map(row.get, READINGS) for row in trip["values"])
+    shown = [[words[one] if isinstance(one, bool) else one for one in row] for row in rows]
     note = f"{trip['why']}. {'; '.join(trip['done'])}. {trip['then']}"
     caption = f"Readings that led to the trip: {trip['rule']}"
-    return table(caption, " | ".join(READINGS.values()), rows, note)
+    return table(caption, " | ".join(READINGS.values()), shown, note)

@@ -19,14 +19,14 @@ from detector.calibration import Record
 from detector.calibration.bundle import LENS, POSE
 from detector.calibration.cameras import SIDES, Calibrated, Coverage
 from detector.calibration.diagnosis import Finding, Remeasured
-from detector.geometry import Array, Motion
-from reports.figures import per_axis_errors, precision_by_distance, residual_field
+from detector.geometry import Array
+from reports.figures.errors import per_axis_errors
+from reports.figures.sensitivity import precision_by_distance, residual_field
 from reports.page import (
     Banner,
     Cell,
     Code,
     Figure,
-    KeyValues,
     Notes,
     Page,
     Paragraph,
@@ -84,25 +84,22 @@ def _page(
     of a `Banner`.
     """
     rows = [*scores]
+    wrong: list[Part] = []
     if findings is not None:
         names = ", ".join(finding.name for finding in findings)
         score = Score("not met" if names else "met", names or "none", "")
         rows.insert(0 if title == CHECK else 1, (FAULTS, "none", (score,)))
+        sound = "Nothing: no fault left a mark that is both significant and large enough to matter."
+        named = tuple(f"{finding.name}: {finding.sentence}" for finding in findings)
+        wrong = [Notes("What was found wrong", named) if named else Paragraph(sound, tone="good")]
     if missing is not None:
         score = Score("met", "enough", "")
         if missing:
             score = Score("inconclusive", f"{len(missing)} missing", "see below")
+            wrong.append(Notes("What the views don't show yet", missing))
         rows.append((SEEN, "every part, tilt and distance", (score,)))
     heads = ("Looked at", "Good enough is")
-    came_out: list[Part] = [Scoreboard("Is it good enough?", columns, tuple(rows), heads, HINTS)]
-    if findings:
-        named = tuple(f"{finding.name}: {finding.sentence}" for finding in findings)
-        came_out.append(Notes("What was found wrong", named))
-    elif findings is not None:
-        sound = "Nothing: no fault left a mark that is both significant and large enough to matter."
-        came_out.append(Paragraph(sound, tone="good"))
-    if missing:
-        came_out.append(Notes("What the views don't show yet", missing))
+    board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, HINTS)
     who = {"day": record.made, "by": record.by or "not told", "with": record.with_what}
     files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
     made = (
@@ -111,19 +108,19 @@ def _page(
         Code("The command that repeats it", command),
     )
     every: dict[str, tuple[str, Iterable[Part]]] = {
-        "findings": ("What came out", came_out),
+        "findings": ("What came out", (board, *wrong)),
         **({first: chapters[first]} if first else {}),
         **{anchor: chapter for anchor, chapter in chapters.items() if anchor != first},
         "provenance": ("Provenance", made),
     }
-    sections = (
+    sections = tuple(
         Section(anchor, head, tuple(parts), folded=anchor not in ("findings", first))
         for anchor, (head, parts) in every.items()
     )
-    day = f"{'checked' if title == CHECK else 'made'} {record.made}"
     failed = any(score and score.verdict == "not met" for *_, found in rows for score in found)
     banner = {"verdict": "not met" if failed else "no verdict", **banner}
-    return Page(title, day, Banner(kind="computed", **banner), tuple(sections), glossary=TERMS)
+    day = f"{'checked' if title == CHECK else 'made'} {record.made}"
+    return Page(title, day, Banner(kind="computed", **banner), sections, glossary=TERMS)
 
 
 def _held(mm: float) -> PageVerdict:
@@ -146,15 +143,11 @@ def _good(findings: Sequence[Finding], mm: float) -> tuple[PageVerdict, str]:
     """Verdict and the sentence's beginning."""
     if findings:
         return "not met", f"Not good enough: {', '.join(finding.name for finding in findings)}."
-    verdict = _held(mm)
-    said = {
-        "met": "Good enough.",
-        "inconclusive": (
-            f"Good enough for a coarse look only: it uses up {100 * mm / LIMIT_MM:.0f} % of the"
-            " error that a detector may make."
-        ),
-    }
-    return verdict, said.get(verdict, f"Not good enough: more than {LIMIT_MM:g} mm off.")
+    verdict, said = _held(mm), f"Not good enough: more than {LIMIT_MM:g} mm off."
+    if verdict == "inconclusive":
+        said = f"Good enough for a coarse look only: it uses up {100 * mm / LIMIT_MM:.0f} % of the"
+        said += " error that a detector may make."
+    return verdict, "Good enough." if verdict == "met" else said
 
 
 def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
@@ -165,20 +158,17 @@ def cameras_page(result: CamerasResult, record: Record, command: str) -> Page:
     good_mm = float(result.good_to_mm(np.array([at_mm]))[0])
     pairs, board = result.views.pairs(), result.views.board
     missing = still_missing(result.coverage)
+    halves = NOT_MEASURED
     confidence = (
         "Too few pairs of views for a split-half comparison (10 are needed): nothing was held out."
     )
-    if result.halves is not None:
-        apart = [result.halves.disagree_mm(pair.left_px, pair.right_px) for pair in pairs]
-        confidence = (
-            "Two calibrations, each from half of the views, place the board's points"
-            f" {_rms(np.concatenate(apart)):.2f} mm apart (rms)."
-        )
-    else:
-        apart = []
+    if (of := result.halves) is not None:
+        apart = np.concatenate([of.disagree_mm(pair.left_px, pair.right_px) for pair in pairs])
+        halves = f"{_rms(apart):.2f} mm apart"
+        confidence = "Two calibrations, each from half of the views, place the board's points"
+        confidence += f" {halves} (rms)."
     fits = {"left": result.joint, "right": result.joint}
     verdict, good = _good(result.findings, good_mm)
-    halves = f"{_rms(np.concatenate(apart)):.2f} mm apart" if apart else NOT_MEASURED
     scores = (
         _enough(POINT, good_mm, f"{good_mm:.2f} mm", f"at {at_mm / 1000:.2f} m, worst direction"),
         _figure_only(HALVES, halves),
@@ -255,17 +245,15 @@ def thermal_page(result: ThermalResult, record: Record, command: str) -> Page:
 
 def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
     """Of `calibrate thermal` with a table of point pairs."""
-    left, right = result.left, result.right
+    left, right = both = (result.left, result.right)
     heads, tables = ">pair | >misses by [px] ~.2f | counts", []
-    for side, mapped in (("left", left), ("right", right)):
+    for side, mapped in zip(("left", "right"), both, strict=True):
         counts = ["yes" if kept else Cell("no: outlier", "warn") for kept in mapped.inliers]
         rows = list(zip(count(1), mapped.missed_px, counts, strict=False))
         tables.append(table(f"Pairs, thermal to {side}", heads, rows))
-    counted = tuple(
-        Score("no verdict", f"{mapped.inliers.sum()} of {len(mapped.inliers)}", "")
-        for mapped in (left, right)
-    )
-    missed = tuple(Score("no verdict", f"{m.rms_px:.2f} px", "") for m in (left, right))
+    kept = [f"{mapped.inliers.sum()} of {len(mapped.inliers)}" for mapped in both]
+    counted = tuple(Score("no verdict", text, "") for text in kept)
+    missed = tuple(Score("no verdict", f"{m.rms_px:.2f} px", "") for m in both)
     return _page(
         "Homographies from point pairs",
         {"pairs": ("Point pairs", tables)},
@@ -293,9 +281,8 @@ def pairs_page(result: PairsResult, record: Record, command: str) -> Page:
 def world_page(result: WorldResult, record: Record, command: str) -> Page:
     """Of `calibrate world`."""
     fit, comparison = result.fit, result.fit.comparison
-    held_out = {
-        name: None if mm is None else f"{mm:.3f}" for name, mm in comparison.held_out_mm.items()
-    }
+    out_mm = comparison.held_out_mm
+    held_out = {name: None if mm is None else f"{mm:.3f}" for name, mm in out_mm.items()}
     models = table(
         "Fits of triangulated to touched points; rigid is used, the others are a diagnosis",
         "fit | >residual [mm rms] ~.3f | >held out [mm rms] | >singular values ~.4f",
@@ -318,20 +305,14 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
         _figure_only("Points miss the arm's by", f"{comparison.rigid.fre_mm:.3f} mm"),
         _figure_only("A point left out is missed by", left_out),
     )
-    svg = per_axis_errors(
-        ["touched points"],
-        [comparison.rigid.residuals_mm],
-        ENOUGH_MM,
-        point="one touched point",
-        bound="good enough",
-        name="residuals",
-    )
     alt = f"{len(fit.touched_mm)} points, {comparison.rigid.fre_mm:.3f} mm rms"
     caption = "Where the arm touched, less where the cameras see it, along the world's axes"
+    rigid_mm = comparison.rigid.residuals_mm
+    shown = _touched(rigid_mm, ENOUGH_MM, "good enough", "residuals", caption, alt)
     return _page(
         "Calibration of the world",
         {
-            "residuals": ("What touched points miss by", [Figure(svg, caption, alt, wide=True)]),
+            "residuals": ("What touched points miss by", [shown]),
             "fits": ("Fits", [models, residuals]),
             "volume": ("Over the working volume", [_target_table(volume, there)]),
         },
@@ -356,6 +337,15 @@ def world_page(result: WorldResult, record: Record, command: str) -> Page:
             else "Touch more points, spread wider and at two heights, and make this step anew."
         ),
     )
+
+
+def _touched(
+    missed_mm: Array, bound_mm: float, bound: str, name: str, caption: str, alt: str
+) -> Figure:
+    """What touched points (n, 3) are off by, along each axis."""
+    words = {"point": "one touched point", "bound": bound, "name": name}
+    svg = per_axis_errors(["touched points"], [missed_mm], bound_mm, **words)
+    return Figure(svg, caption, alt, wide=True)
 
 
 def check_page(
@@ -394,17 +384,10 @@ def check_points_page(
         [(n, *row) for n, row in enumerate(rows, 1)],
         "Expected: root of the summed variances of calibration, pixels and touch.",
     )
-    expected = float(np.sqrt(np.mean(again.expected_mm**2)))
-    svg = per_axis_errors(
-        ["touched points"],
-        [again.missed_mm],
-        expected,
-        point="one touched point",
-        bound="expected",
-        name="missed",
-    )
+    expected = _rms(again.expected_mm)
     caption = "Where the cameras see it, less where the arm touched, along the world's axes"
-    shown = Figure(svg, caption, f"{len(rows)} points, {rms:.2f} mm rms", wide=True)
+    alt = f"{len(rows)} points, {rms:.2f} mm rms"
+    shown = _touched(again.missed_mm, expected, "expected", "missed", caption, alt)
     return _check(
         {
             "points": ("What touched points miss by", [shown]),
@@ -453,33 +436,19 @@ def _check(
     record: Record,
     command: str,
     *,
-    tested: str,
-    confidence: str,
     cure: str,
-    scores: Sequence[Row],
-    first: str = "",
     undecided: bool = False,
+    **said: Any,
 ) -> Page:
-    named = "; ".join(finding.name for finding in findings)
-    held: tuple[PageVerdict, str, str] = ("met", HOLDS, "Nothing: go on measuring with it.")
+    """``said``: what else `_page` takes."""
+    verdict, sentence, then = "met", HOLDS, "Nothing: go on measuring with it."
     if undecided:
-        held = ("inconclusive", "Not decided.", NEXT_UNSEEN)
+        verdict, sentence, then = "inconclusive", "Not decided.", NEXT_UNSEEN
     if findings:
-        held = ("not met", f"It no longer holds: {named}.", cure)
-    return _page(
-        CHECK,
-        chapters,
-        record,
-        command,
-        scores=scores,
-        first=first,
-        findings=findings,
-        verdict=held[0],
-        tested=tested,
-        sentence=held[1],
-        confidence=confidence,
-        next_action=held[2],
-    )
+        named = "; ".join(finding.name for finding in findings)
+        verdict, sentence, then = "not met", f"It no longer holds: {named}.", cure
+    said = {"verdict": verdict, "sentence": sentence, "next_action": then, **said}
+    return _page(CHECK, chapters, record, command, findings=findings, **said)
 
 
 def _next(findings: Sequence[Finding], missing: Sequence[str], then: str) -> str:
@@ -490,9 +459,7 @@ def _next(findings: Sequence[Finding], missing: Sequence[str], then: str) -> str
 
 def still_missing(shown: Mapping[str, Coverage]) -> tuple[str, ...]:
     """What views of each camera still lack, as instructions."""
-    return tuple(
-        f"{camera}: {text}" for camera, coverage in shown.items() for text in coverage.missing
-    )
+    return tuple(f"{name}: {text}" for name, each in shown.items() for text in each.missing)
 
 
 def _parameters(result: CamerasResult) -> Iterator[Part]:
@@ -500,17 +467,13 @@ def _parameters(result: CamerasResult) -> Iterator[Part]:
     for camera in PAIR:
         yield _lens(result.joint, camera, result.alone[camera])
 
-    def six(motion: Motion) -> tuple[float, ...]:
-        return (*motion.om, *motion.T)
-
     joint, fixed = result.joint.fit, result.fixed.fit
-    others = six(fixed.rig.from_reference["right"])
+    motions = (result.pair.right_from_left, fixed.rig.from_reference["right"])
     rows = []
-    for name, value, other in zip(POSE, six(result.pair.right_from_left), others, strict=True):
+    for name, *both in zip(POSE, *((*motion.om, *motion.T) for motion in motions), strict=True):
         digits = 3 if name.startswith("T") else 5
-        sd = _sd(joint.sd("right", name), digits)
-        unit = UNITS[name[:-1]]
-        rows.append((name, unit, f"{value:.{digits}f}", sd, f"{other:.{digits}f}"))
+        value, other = (f"{number:.{digits}f}" for number in both)
+        rows.append((name, UNITS[name[:-1]], value, _sd(joint.sd("right", name), digits), other))
     note = (
         f"Corners miss by {joint.rms_px:.3f} px rms jointly, by {fixed.rms_px:.3f} px with the"
         " lenses as each camera alone has them."
@@ -522,16 +485,13 @@ def _parameters(result: CamerasResult) -> Iterator[Part]:
 def _lens(fit: Calibrated, camera: str, alone: Calibrated | None = None) -> Table:
     """One camera's lens; beside it what the camera alone gave, where that is known."""
 
-    def values(of: Calibrated) -> tuple[float, ...]:
-        lens = of.fit.rig.cameras[camera]
-        return (*lens.fc, *lens.cc, *lens.kc)
-
+    lenses = [of.fit.rig.cameras[camera] for of in (fit, alone) if of is not None]
     rows = []
-    for at, name in enumerate(LENS):
+    for name, *each in zip(LENS, *((*of.fc, *of.cc, *of.kc) for of in lenses), strict=True):
         digits = 5 if name[0] in "kp" else 3
+        value, *other = (f"{number:.{digits}f}" for number in each)
         sd = _sd(fit.fit.sd(camera, name), digits)
-        message = [f"{values(of)[at]:.{digits}f}" for of in (fit, alone) if of is not None]
-        rows.append((name, UNITS.get(name, ""), message[0], sd, *message[1:]))
+        rows.append((name, UNITS.get(name, ""), value, sd, *other))
     heads = f"parameter | unit | >value | >sd{'' if alone is None else ' | >alone'}"
     return table(f"Lens of the {camera} camera", heads, rows)
 
@@ -555,11 +515,9 @@ def _residuals(fits: Mapping[str, Calibrated], views: BoardViews) -> Iterator[Pa
         at, miss = (np.concatenate(arrays) for arrays in zip(*pairs, strict=True))
         (x, y), (dx, dy), size = at.T, miss.T, views.image_size[camera]
         svg = residual_field(x, y, dx, dy, size, name=f"residuals-{camera}")
-        message = (
-            f"{len(miss)} points, rms {np.sqrt(np.mean(np.sum(miss**2, axis=1))):.3f} px, mean"
-            f" {listed(miss.mean(axis=0), '+.3f')} px"
-        )
-        yield Figure(svg, f"Corners of the {camera} camera: seen less predicted", message)
+        rms, mean = np.sqrt(np.mean(np.sum(miss**2, axis=1))), listed(miss.mean(axis=0), "+.3f")
+        alt = f"{len(miss)} points, rms {rms:.3f} px, mean {mean} px"
+        yield Figure(svg, f"Corners of the {camera} camera: seen less predicted", alt)
 
 
 def _held_out(result: CamerasResult) -> Iterator[Part]:
@@ -573,16 +531,15 @@ def _held_out(result: CamerasResult) -> Iterator[Part]:
         return
     (scale, scale_sd), (bend, bend_sd), (row, row_sd) = again.scale, again.bend, again.epipolar
     pitch, rows_px = again.board.pitch_mm, again.epipolar_rms_px
-    entries = (
-        ("lengths against the print", f"{scale:.5f} ± {scale_sd:.5f} (1 sd)"),
-        ("distance of neighbours", f"{again.spacing_rms_mm:.3f} mm rms from {pitch:g} mm"),
-        ("flatness", f"{again.flatness_rms_mm:.3f} mm rms"),
-        ("bend of the board", f"{bend:+.3f} ± {bend_sd:.3f} mm, middle over rim"),
-        ("rows against each other", f"{row:+.3f} ± {row_sd:.3f} px, {rows_px:.3f} px rms"),
-    )
-    yield KeyValues(
-        "Each half of the views, measured with the calibration that the other half made", entries
-    )
+    entries = {
+        "lengths against the print": f"{scale:.5f} ± {scale_sd:.5f} (1 sd)",
+        "distance of neighbours": f"{again.spacing_rms_mm:.3f} mm rms from {pitch:g} mm",
+        "flatness": f"{again.flatness_rms_mm:.3f} mm rms",
+        "bend of the board": f"{bend:+.3f} ± {bend_sd:.3f} mm, middle over rim",
+        "rows against each other": f"{row:+.3f} ± {row_sd:.3f} px, {rows_px:.3f} px rms",
+    }
+    whose = "Each half of the views, measured with the calibration that the other half made"
+    yield key_values(whose, entries)
     if result.halves is not None:
         apart = _rms(np.array(list(result.halves.differences.values())))
         yield Paragraph(
@@ -626,18 +583,14 @@ def _worth(result: CamerasResult, seen_m: tuple[float, float]) -> Iterator[Part]
 def _coverage(shown: Mapping[str, Coverage]) -> Iterator[Part]:
     """Corners by part of the picture, tilts and distances."""
     for camera, coverage in shown.items():
-        tilts = ", ".join(
-            f"{count} {side.split(' edge')[0].removeprefix('its ')}"
-            for side, count in zip(SIDES, coverage.tilted, strict=True)
-        )
+        sides = [side.split(" edge")[0].removeprefix("its ") for side in SIDES]
+        tilts = ", ".join(f"{n} {side}" for side, n in zip(sides, coverage.tilted, strict=True))
         span = coverage.distances_mm
-        note = (
-            f"{coverage.views} views; distances"
-            f" {'unknown' if span is None else spanned(span, '.0f', 'mm')}; tilted towards the"
-            f" cameras by an edge: {tilts}."
-        )
+        far = "unknown" if span is None else spanned(span, ".0f", "mm")
+        note = f"{coverage.views} views; distances {far}; tilted towards the cameras by an edge:"
         heads = ">far left | >left | >right | >far right"
-        yield table(f"Corners by part of the {camera} picture", heads, coverage.corners, note)
+        caption = f"Corners by part of the {camera} picture"
+        yield table(caption, heads, coverage.corners, f"{note} {tilts}.")
 
 
 def _pictures(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
@@ -650,11 +603,9 @@ def _pictures(views: BoardViews, fit: Calibrated) -> Iterator[Part]:
             rows.append((camera, name, len(found.ids), found.edges_px, missed))
     heads = "camera | view | >points | >edges [px] ~.1f? | >misses by [px rms]"
     yield table("Views used", heads, rows, searchable=True)
-    if views.refused:
-        reasons = (f"{r.camera} {r.view}: {r.reason}" for r in views.refused)
-        yield Notes("Left out", tuple(reasons))
-    else:
-        yield Paragraph("No picture was left out.", tone="good")
+    reasons = tuple(f"{r.camera} {r.view}: {r.reason}" for r in views.refused)
+    none = Paragraph("No picture was left out.", tone="good")
+    yield Notes("Left out", reasons) if reasons else none
 
 
 def working_volume_mm(touched_mm: Array) -> Array:
@@ -667,8 +618,8 @@ def working_volume_mm(touched_mm: Array) -> Array:
 def _target_table(volume_mm: Array, errors_mm: Array) -> Table:
     """Expected target errors (27,) at `working_volume_mm`: rows y and z, columns x."""
     places = volume_mm.reshape(3, 9, 3)
-    by_x = (f" | >x = {place[0, 0]:.0f} mm [mm] ~.2f" for place in places)
-    heads = f">y [mm] ~.0f | >z [mm] ~.0f{''.join(by_x)}"
+    by_x = (f">x = {x:.0f} mm [mm] ~.2f" for x in places[:, 0, 0])
+    heads = (">y [mm] ~.0f | >z [mm] ~.0f", *by_x)
     rows = np.column_stack([places[0, :, 1:], errors_mm.reshape(3, 9).T])
     note = (
         f"The box of the touched places, {MARGIN_MM:.0f} mm larger on every side. Fitzpatrick, West"

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import shlex
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from math import ceil, floor
 from pathlib import Path
 
 from bench.campaign.chunk import FALSE_SD_MM, WRONG_MM, WRONG_SD, Bench, Scene
@@ -25,11 +26,11 @@ from bench.campaign.plan import Plan
 from bench.report.glossary import TERMS
 from bench.report.scenes import draw_again, scene_parts
 from bench.report.trials import look_at
-from bench.report.wording import NOT_MEASURED, key_values, table
+from bench.report.wording import NOT_MEASURED, key_values, p_text, table
 from bench.scoring.comparison import ALPHA
 from bench.scoring.rates import percent, plural
 from instruments.world.situations import SITUATIONS, member, spoken
-from reports.figures import error_spreads, failure_map, rate_intervals
+from reports.figures.situations import error_spreads, failure_map, rate_intervals
 from reports.page import (
     Banner,
     Cell,
@@ -48,6 +49,13 @@ from reports.render import write_report
 
 REPORT = "report"
 LOOKED_AT = 3  # drawn, and a typical one
+ABOUT = {
+    "rates": "each family's rate, interval, kinds of failures",
+    "worst": "by name, with the command that draws each",
+    "depends": "the parameters on which failures depend",
+    "sure": "NEES, 95 % regions, ends that are sure and wrong",
+    "made": "plan, program, detectors",
+}
 UNITS = ("mm", "deg", "rad", "k")
 
 
@@ -79,57 +87,32 @@ def campaign_page(
     if plan.perturbations:
         done = ", ".join(f"{one.name} {one.amount:g}" for one in plan.perturbations)
         asked["perturbations"] = done
-    aside: tuple[Section, ...] = ()
-    if numbers.aside:
-        rows = table(
-            "Scenes set aside: no detector's failure", "scene | why", tuple(numbers.aside.items())
-        )
-        aside = (Section("aside", "Scenes set aside", (rows,)),)
+    aside = table("Scenes set aside: no detector's failure", "scene | why", numbers.aside.items())
+    first: dict[str, tuple[str, Iterable[Part]]] = {
+        "families": ("What each detector shows", [_scoreboard(numbers, plan)]),
+        "aside": ("Scenes set aside", [aside] if numbers.aside else []),
+        "looks": ("Where to look first", [Looks(looks)] if looks else []),
+        "figures": ("Figures", _figures(numbers, plan) if numbers.rates else []),
+    }
     behind = (
-        Section(
-            "rates",
-            "Failures by family",
-            (_rates(numbers, plan),),
-            about="each family's rate, interval, kinds of failures",
-        ),
-        Section(
-            "worst",
-            "Worst scenes",
-            (_worst(numbers, folder, drawn),),
-            about="by name, with the command that draws each",
-        ),
-        Section(
-            "depends",
-            "Failures and parameters",
-            _depends(numbers),
-            about="the parameters on which failures depend",
-        ),
-        Section(
-            "sure",
-            "How sure they are",
-            (_sure(numbers),),
-            about="NEES, 95 % regions, ends that are sure and wrong",
-        ),
-        Section(
-            "made",
-            "Made with",
-            (key_values("Plan and program", {**asked, **made_by}),),
-            about="plan, program, detectors",
-        ),
+        ("rates", "Failures by family", _rates(numbers, plan)),
+        ("worst", "Worst scenes", _worst(numbers, folder, drawn)),
+        ("depends", "Failures and parameters", _depends(numbers)),
+        ("sure", "How sure they are", _sure(numbers)),
+        ("made", "Made with", key_values("Plan and program", {**asked, **made_by})),
     )
-    folded = (replace(section, folded=True) for section in behind)
-    strip = (Section("looks", "Where to look first", (Looks(looks),)),) if looks else ()
-    first = (
-        Section("families", "What each detector shows", (_scoreboard(numbers, plan),)),
-        *aside,
-        *strip,
-        *([Section("figures", "Figures", tuple(_figures(numbers, plan)))] if numbers.rates else []),
-    )
+    shown = ((anchor, title, tuple(each)) for anchor, (title, each) in first.items())
     return Page(
         plan.title or "Campaign",
         "Simulated scenes, scored without instruments",
         _banner(folder, plan, numbers),
-        (*first, *folded),
+        (
+            *(Section(*chapter) for chapter in shown if chapter[-1]),
+            *(
+                Section(anchor, title, (part,), folded=True, about=ABOUT[anchor])
+                for anchor, title, part in behind
+            ),
+        ),
         trials=parts,
         trials_in="worst" if parts else "",
         trials_note="Truth is drawn as the cameras see it by the calibration that detectors got.",
@@ -152,8 +135,8 @@ def _banner(folder: Path, plan: Plan, numbers: Numbers) -> Banner:
         lines.append(f"{line}.")
     if numbers.aside:
         lines.append(f"{plural(len(numbers.aside), 'scene')} set aside: the bench could not do it.")
-    families = len(numbers.families)
-    most = max((one.scenes for one in numbers.rates), default=0)
+    families = f"{len(numbers.families)} famil{'y' if len(numbers.families) == 1 else 'ies'}"
+    most = plural(max((one.scenes for one in numbers.rates), default=0), "simulated scene")
     then = "Run it: nothing has been scored."
     if numbers.rates:
         then = (
@@ -163,10 +146,7 @@ def _banner(folder: Path, plan: Plan, numbers: Numbers) -> Banner:
     return Banner(
         kind="emulated",
         verdict="no verdict",
-        tested=(
-            f"{', '.join(numbers.detectors)} on {families} famil{'y' if families == 1 else 'ies'}"
-            f" of up to {plural(most, 'simulated scene')}."
-        ),
+        tested=f"{', '.join(numbers.detectors)} on {families} of up to {most}.",
         sentence="\n".join(lines) or "Nothing was scored.",
         confidence=(
             "A campaign has no requirement. A scene is right when every visible teat end is found"
@@ -208,41 +188,31 @@ def _scoreboard(numbers: Numbers, plan: Plan) -> Scoreboard | Paragraph:
 def _score(one: FamilyRate, plan: Plan) -> Score:
     low, high = plan.interval(one.failures, one.scenes) or (0.0, 1.0)
     good = percent(1.0 - one.failures / one.scenes)
-    shown = f"at least {_below(1.0 - high)} %"
+    # in per cent: never more than it is, or never less
+    shown = f"at least {floor(1000.0 * (1.0 - high)) / 10:g} %"
     if one.failures == one.scenes:
-        shown = f"at most {_above(1.0 - low)} %"
-    words = [shown, _ends(one)]
-    words += [f"{one.false_teats} false"] if one.false_teats else []
-    words += [f"{one.no_answer} without an answer"] if one.no_answer else []
-    words += [f"{one.sure_wrong} sure and wrong"] if one.sure_wrong else []
-    return Score("no verdict", good, ", ".join(words))
-
-
-def _ends(one: FamilyRate) -> str:
-    if one.visible < 1000:
-        return f"{one.found} of {one.visible} ends"
-    return f"{percent(one.found / one.visible)} of ends"
-
-
-def _below(share: float) -> str:
-    """In per cent, never more than it is."""
-    return f"{int(1000.0 * share) / 10:g}"
-
-
-def _above(share: float) -> str:
-    return f"{-int(-1000.0 * share // 1) / 10:g}"
+        shown = f"at most {ceil(1000.0 * (1.0 - low)) / 10:g} %"
+    ends = f"{one.found} of {one.visible} ends"
+    if one.visible >= 1000:
+        ends = f"{percent(one.found / one.visible)} of ends"
+    others = {
+        "false": one.false_teats,
+        "without an answer": one.no_answer,
+        "sure and wrong": one.sure_wrong,
+    }
+    words = (f"{count} {what}" for what, count in others.items() if count)
+    return Score("no verdict", good, ", ".join([shown, ends, *words]))
 
 
 def _figures(numbers: Numbers, plan: Plan) -> Iterator[Figure]:
     names = [spoken(name) for name in numbers.families]
     by_name = {name: numbers.of(name) for name in numbers.detectors}
-    rates: dict[str, list[tuple[float, float, float] | None]] = {}
-    for name, of in by_name.items():
-        rates[name] = []
-        for family in numbers.families:
-            one = of.get(family)
-            span = plan.interval(one.failures, one.scenes) if one else None
-            rates[name].append((one.failures / one.scenes, *span) if one and span else None)
+
+    def rate(one: FamilyRate | None) -> tuple[float, float, float] | None:
+        span = plan.interval(one.failures, one.scenes) if one else None
+        return (one.failures / one.scenes, *span) if one and span else None
+
+    rates = {name: [rate(of.get(f)) for f in numbers.families] for name, of in by_name.items()}
     alt = "; ".join(
         f"{name}, {family}: {NOT_MEASURED if one is None else percent(one[0])}"
         for name, each in rates.items()
@@ -277,14 +247,8 @@ def _map_figure(one: Map, number: int, plan: Plan) -> Figure:
     first, second = one.parameters
     ranges = [_range(each, plan.first) for each in one.parameters]
     labels = (_label(first.name, ranges[0]), _label(second.name, ranges[1]))
-    whole = (0.0, 1.0)
-    svg = failure_map(
-        labels,
-        (ranges[0] or whole, ranges[1] or whole),
-        one.scenes,
-        one.failures,
-        name=f"failure-map-{number}",
-    )
+    x, y = (known or (0.0, 1.0) for known in ranges)
+    svg = failure_map(labels, (x, y), one.scenes, one.failures, name=f"failure-map-{number}")
     name = _spoken(second.name)
     chance = f" That of {name} may be chance." if second.p_value >= ALPHA else ""
     failed = sum(map(sum, one.failures))
@@ -348,26 +312,17 @@ def _rates(numbers: Numbers, plan: Plan) -> Part:
     rows = []
     for rate in numbers.rates:
         span = plan.interval(rate.failures, rate.scenes)
-        rows.append(
-            (
-                spoken(rate.family),
-                rate.detector,
-                rate.scenes,
-                rate.failures,
-                percent(rate.failures / rate.scenes) if rate.scenes else None,
-                span and f"{100 * span[0]:.2f} to {100 * span[1]:.2f} %",
-                *(rate.no_answer, rate.false, rate.missed, rate.error),
-                rate.spread_mm[2] if rate.spread_mm else None,
-                rate.spread_mm[4] if rate.spread_mm else None,
-            )
-        )
+        share = percent(rate.failures / rate.scenes) if rate.scenes else None
+        between = span and f"{100 * span[0]:.2f} to {100 * span[1]:.2f} %"
+        counts = (rate.no_answer, rate.false, rate.missed, rate.error)
+        mm = (rate.spread_mm[2], rate.spread_mm[4]) if rate.spread_mm else (None, None)
+        who = (spoken(rate.family), rate.detector, rate.scenes, rate.failures)
+        rows.append((*who, share, between, *counts, *mm))
     if not rows:
         return Paragraph("No scene was scored.", "warn")
-    how = (
-        "a confidence sequence, which holds at every look"
-        if plan.half_width
-        else "exact (Clopper and Pearson)"
-    )
+    how = "exact (Clopper and Pearson)"
+    if plan.half_width:
+        how = "a confidence sequence, which holds at every look"
     return table(
         "Failures by family and detector",
         "family | detector | >scenes | >failures | >rate | >95 % interval | >no answer | >false"
@@ -400,7 +355,7 @@ def _worst(numbers: Numbers, folder: Path, drawn: Mapping[str, str]) -> Part:
     )
 
 
-def _depends(numbers: Numbers) -> tuple[Part, ...]:
+def _depends(numbers: Numbers) -> Part:
     shown: dict[tuple[str, str], list[Parameter]] = defaultdict(list)
     for one in numbers.parameters:
         if len(shown[one.family, one.detector]) < 2:
@@ -411,28 +366,24 @@ def _depends(numbers: Numbers) -> tuple[Part, ...]:
             one.detector,
             _spoken(one.name),
             *(f"{percent(f / n)} of {n}" for f, n in one.quarters),
-            "< 0.001" if one.p_value < 0.001 else f"{one.p_value:.3f}",
+            p_text(one.p_value),
         )
         for each in shown.values()
         for one in each
     ]
     if not rows:
-        text = (
+        return Paragraph(
             f"No family has {FEWEST} failures and {FEWEST} successes of one detector, from which"
             " their parameters could be compared."
         )
-        return (Paragraph(text),)
-    return (
-        table(
-            "The two parameters of each family on which failures depend most",
-            "family | detector | parameter | >lowest quarter # of its range: scenes that failed"
-            " | >second | >third | >highest | >p"
-            " # how likely chance alone makes so uneven quarters",
-            rows,
-            f"From the first {MAPPED} members of each family. p: chi-square, adjusted after Holm"
-            " for all parameters of the family; below 0.05 it is taken as real.",
-            searchable=len(rows) > 10,
-        ),
+    return table(
+        "The two parameters of each family on which failures depend most",
+        "family | detector | parameter | >lowest quarter # of its range: scenes that failed"
+        " | >second | >third | >highest | >p # how likely chance alone makes so uneven quarters",
+        rows,
+        f"From the first {MAPPED} members of each family. p: chi-square, adjusted after Holm for"
+        " all parameters of the family; below 0.05 it is taken as real.",
+        searchable=len(rows) > 10,
     )
 
 

@@ -19,7 +19,7 @@ from bench.files import write_synced
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
 from bench.report.glossary import TERMS
-from bench.report.wording import NOT_MEASURED, key_values, listed, table
+from bench.report.wording import NOT_MEASURED, key_values, listed, p_text, table
 from bench.results.comparison import Comparison, Side, compare_folders, compare_sides
 from bench.results.error_rows import truth_gage
 from bench.scoring.comparison import (
@@ -36,7 +36,7 @@ from bench.scoring.errors import Floats, numbered
 from bench.scoring.rates import plural
 from bench.scoring.scene import SceneScore
 from instruments.world.situations import spoken
-from reports.figures import change_by_situation, change_scatter
+from reports.figures.errors import change_by_situation, change_scatter
 from reports.page import (
     Banner,
     Cell,
@@ -126,14 +126,11 @@ def verdict_text(comparison: Comparison) -> str:
 
 def notes(comparison: Comparison) -> Iterator[str]:
     """What has to be known before the figures are believed."""
-    n, gate = len(comparison.pairs), comparison.compared.gate
-    if comparison.same_frames == n:
-        yield f"{n} scenes, each in the very same frames."
-    else:
-        yield (
-            f"{n} scenes; {n - comparison.same_frames} of them in different frames of the same"
-            " pose, so their noise differs as well."
-        )
+    n, frames = len(comparison.pairs), ", each in the very same frames."
+    if others := n - comparison.same_frames:
+        frames = f"; {others} of them in different frames of the same pose, so their noise differs"
+        frames += " as well."
+    yield f"{n} scenes{frames}"
     if comparison.only_old or comparison.only_new:
         yield (
             f"Without a counterpart, and not compared: {comparison.only_old} trials of the old run,"
@@ -150,7 +147,8 @@ def notes(comparison: Comparison) -> Iterator[str]:
             a, b = ("not known" if fact is None else str(fact)[:40] for fact in facts)
             yield f"The runs also differ in {what}: {a} (old), {b} (new)."
     yield from _truth(comparison)
-    yield (f"Intervals: {100 * comparison.compared.confidence:g} %. Margin: {gate.margin_mm:g} mm.")
+    confidence, gate = comparison.compared.confidence, comparison.compared.gate
+    yield f"Intervals: {100 * confidence:g} %. Margin: {gate.margin_mm:g} mm."
 
 
 def _truth(comparison: Comparison) -> Iterator[str]:
@@ -175,16 +173,12 @@ def success_table(comparison: Comparison) -> Table:
     confidence, rows = comparison.compared.confidence, []
     for row in _rows(comparison):
         won, change = row.success, row.success.difference
-        span = won.interval(confidence)
-        points = (
-            None
-            if span is None or change is None
-            else f"{100 * change:+.1f} ({100 * span[0]:+.1f} to {100 * span[1]:+.1f})"
-        )
-        p = _p(won.p_value if row.success_holm is None else row.success_holm)
+        span, points = won.interval(confidence), None
+        if span is not None and change is not None:
+            points = f"{100 * change:+.1f} ({100 * span[0]:+.1f} to {100 * span[1]:+.1f})"
+        p = p_text(won.p_value if row.success_holm is None else row.success_holm)
         counts = (row.new.false - row.old.false, row.new.missed - row.old.missed)
-        name = spoken(row.situation) if row.situation else "all"
-        rows.append((name, row.poses, won.only_old, won.only_new, points, p, *counts))
+        rows.append((_name(row), row.poses, won.only_old, won.only_new, points, p, *counts))
     heads = (
         "situation | >poses",
         ">lost # poses that only the old one got right",
@@ -201,11 +195,10 @@ def distance_table(comparison: Comparison, *, wide: bool = False) -> Table:
     """Distances and axes: all, then each situation. ``wide`` adds the axes' intervals."""
     rows = []
     for row in _rows(comparison):
-        p = _p(row.radial.p_value if row.radial_holm is None else row.radial_holm)
+        p = p_text(row.radial.p_value if row.radial_holm is None else row.radial_holm)
         axes = row.axes if wide else [replace(axis, low=None, high=None) for axis in row.axes]
         change, *along = map(_difference, (row.radial, *axes))
-        name = spoken(row.situation) if row.situation else "all"
-        rows.append((name, row.teats, change, p, *along))
+        rows.append((_name(row), row.teats, change, p, *along))
     heads = (
         "situation | >teats # that both found",
         ">change [mm] # of the mean distance to the teat end, with its interval",
@@ -220,6 +213,10 @@ def _rows(comparison: Comparison) -> tuple[Row, ...]:
     return (found.pooled, *(found.situations if len(found.situations) > 1 else ()))
 
 
+def _name(row: Row) -> str:
+    return spoken(row.situation) if row.situation else "all"
+
+
 def _difference(difference: PairedDifference, form: str = ".3f") -> str:
     """``+0.12 (-0.03 to +0.27)``; without an interval where there is none."""
     if difference.mean is None:
@@ -230,49 +227,37 @@ def _difference(difference: PairedDifference, form: str = ".3f") -> str:
     return f"{difference.mean:+{form}} ({low} to {high})"
 
 
-def _p(value: float | None) -> str:
-    if value is None:
-        return ""
-    return "< 0.001" if value < 0.001 else f"{value:.3f}"
-
-
 def as_json(found: Sequence[Comparison]) -> list[dict[str, Any]]:
     """Plain numbers and text; every figure that is printed, unrounded."""
-    return [
-        {
-            "old": {"run": str(one.old.run.folder), "detector": one.old.detector},
-            "new": {"run": str(one.new.run.folder), "detector": one.new.detector},
-            "scenes": len(one.pairs),
-            "same_frames": one.same_frames,
-            "only_old": one.only_old,
-            "only_new": one.only_new,
-            "elsewhere": one.elsewhere,
-            "confidence": one.compared.confidence,
-            "gate": {
-                "verdict": GATE[one.compared.gate.verdict][0],
-                "reasons": list(worded(one, one.compared.gate.reasons)),
-                "margin_mm": one.compared.gate.margin_mm,
-                **_rate_margin(one),
-            },
-            "rows": [
-                _numbers(row, one.compared.confidence)
-                for row in (one.compared.pooled, *one.compared.situations)
-            ],
-        }
-        for one in found
-    ]
-
-
-def _rate_margin(one: Comparison) -> dict[str, float]:
-    margin = one.compared.gate.margin_rate
-    return {} if margin is None else {"margin_rate": margin}
+    whole = []
+    for one in found:
+        compared, gate = one.compared, one.compared.gate
+        rate = {} if gate.margin_rate is None else {"margin_rate": gate.margin_rate}
+        said = {"verdict": GATE[gate.verdict][0], "reasons": list(worded(one, gate.reasons))}
+        whole.append(
+            {
+                "old": {"run": str(one.old.run.folder), "detector": one.old.detector},
+                "new": {"run": str(one.new.run.folder), "detector": one.new.detector},
+                "scenes": len(one.pairs),
+                "same_frames": one.same_frames,
+                "only_old": one.only_old,
+                "only_new": one.only_new,
+                "elsewhere": one.elsewhere,
+                "confidence": compared.confidence,
+                "gate": {**said, "margin_mm": gate.margin_mm, **rate},
+                "rows": [
+                    _numbers(row, compared.confidence)
+                    for row in (compared.pooled, *compared.situations)
+                ],
+            }
+        )
+    return whole
 
 
 def _numbers(row: Row, confidence: float) -> dict[str, Any]:
-    success = row.success
-    note = {"difference": success.difference, "interval": success.interval(confidence)}
-    note["p_value"] = success.p_value
-    return {**asdict(row), "success": {**asdict(success), **note}}
+    won = row.success
+    note = {"difference": won.difference, "interval": won.interval(confidence)}
+    return {**asdict(row), "success": {**asdict(won), **note, "p_value": won.p_value}}
 
 
 def write_comparison(found: Sequence[Comparison], folder: Path) -> Path:
@@ -332,9 +317,7 @@ def worded(one: Comparison, value: Text) -> Text:
 
 def _of_scenes(value: Any) -> Any:
     if isinstance(value, str) and not isinstance(value, Enum):
-        return re.sub(
-            r"\b([Pp])ose(?=s?\b)", lambda found: "Scene" if found[1] == "P" else "scene", value
-        )
+        return re.sub(r"\bpose(?=s?\b)", "scene", re.sub(r"\bPose(?=s?\b)", "Scene", value))
     if isinstance(value, tuple | list):
         return type(value)(map(_of_scenes, value))
     if isinstance(value, Mapping):
@@ -377,12 +360,16 @@ def _called(one: Comparison) -> tuple[str, str]:
     old, new = one.old, one.new
     if old.detector != new.detector:
         return old.detector, new.detector
-    versions = [
-        side.run.facts["items"].get(side.detector, {}).get("version") for side in (old, new)
-    ]
-    if versions[0] != versions[1] and all(versions):
-        return f"{old.detector} {versions[0]}", f"{new.detector} {versions[1]}"
+    items = (side.run.facts["items"].get(side.detector, {}) for side in (old, new))
+    was, now = (item.get("version") for item in items)
+    if was != now and was and now:
+        return f"{old.detector} {was}", f"{new.detector} {now}"
     return "the old run", "the new run"
+
+
+def _short(one: Comparison) -> tuple[str, str]:
+    old, new = _called(one)
+    return old.removeprefix("the "), new.removeprefix("the ")
 
 
 def _matter(one: Comparison) -> str:
@@ -461,67 +448,53 @@ def _next(one: Comparison) -> str:
 
 def _scoreboard(one: Comparison) -> Scoreboard:
     """What the gate looks at, line by line: both sides, and what the new one may be worse by."""
-    old, new = (name.removeprefix("the ") for name in _called(one))
+    names = _short(one)
     row, margin = one.compared.pooled, one.compared.gate.margin_mm
     won, poses = row.success, row.poses
-    lost = sum(pair.old.success and not pair.new.success for pair in one.pairs)
+    allowed = one.compared.gate.margin_rate
+    rows: list[tuple[str, str, tuple[Score | None, ...]]] = []
+
+    def add(
+        name: str, limit: str, old: str | None, verdict: PageVerdict, new: str, shows: str = ""
+    ) -> None:
+        before = None if old is None else Score("no verdict", old, "")
+        rows.append((name, limit, (before, Score(verdict, new, shows))))
+
+    lost = any(pair.old.success and not pair.new.success for pair in one.pairs)
     span = won.interval(one.compared.confidence)
     change = "" if span is None else f" ({100 * span[0]:+.0f} to {100 * span[1]:+.0f} % points)"
-    allowed = one.compared.gate.margin_rate
     verdict: PageVerdict = "worse" if lost else "not worse"
     if allowed is not None and span is not None:
         verdict = "not worse" if -span[0] <= allowed else "inconclusive"
         verdict = "worse" if -(won.difference or 0.0) > allowed and won.p_value < ALPHA else verdict
-    rows: list[tuple[str, str, tuple[Score | None, ...]]] = [
-        (
-            RIGHT,
-            "none lost" if allowed is None else f"{100 * allowed:g} % points",
-            (
-                Score("no verdict", f"{won.both + won.only_old} of {poses}", ""),
-                Score(
-                    verdict,
-                    f"{won.both + won.only_new} of {poses}",
-                    f"{won.only_old or 'none'} lost, {won.only_new or 'none'} won{change}",
-                ),
-            ),
-        )
-    ]
+    limit = "none lost" if allowed is None else f"{100 * allowed:g} % points"
+    before, now = (f"{won.both + only} of {poses}" for only in (won.only_old, won.only_new))
+    shows = f"{won.only_old or 'none'} lost, {won.only_new or 'none'} won{change}"
+    add(RIGHT, limit, before, verdict, now, shows)
     for name, what in ((MISSED, "missed"), (FALSE, "false")):
-        before, now = getattr(row.old, what), getattr(row.new, what)
-        word = "more" if now > before else "fewer"
-        shows = f"{abs(now - before)} {word}" if now != before else "as many"
-        sign: PageVerdict = "worse" if now > before else "not worse"
-        score = Score(sign if allowed is None else "no verdict", str(now), shows)
-        limit = "none more" if allowed is None else ""
-        rows.append((name, limit, (Score("no verdict", str(before), ""), score)))
-    distances = [_mean_mm(errors, one) for errors in common_errors(one.pairs)[:2]]
-    before_mm, now_mm = (Score("no verdict", mm, "") for mm in distances)
-    verdict = _change_verdict(row.radial, margin)
+        few, many = getattr(row.old, what), getattr(row.new, what)
+        word = "more" if many > few else "fewer"
+        shows = f"{abs(many - few)} {word}" if many != few else "as many"
+        verdict = "no verdict" if allowed is not None else "worse" if many > few else "not worse"
+        add(name, "" if allowed is not None else "none more", str(few), verdict, str(many), shows)
+    before, now = (_mean_mm(errors, one) for errors in common_errors(one.pairs)[:2])
     shows = f"change {_difference(row.radial, '.2f')} mm" if row.radial.mean is not None else ""
     limit = f"{margin:g} mm farther"
-    rows.append((DISTANCE, limit, (before_mm, Score(verdict, now_mm.value, shows))))
+    add(DISTANCE, limit, before, _change_verdict(row.radial, margin), now, shows)
     along = [(axis.mean, name) for axis, name in zip(row.axes, "xyz", strict=True)]
-    grown = max(((mm, name) for mm, name in along if mm is not None), default=None)
-    if grown is not None:
-        score = Score("worse" if grown[0] > margin else "not worse", f"{grown[0]:+.2f} mm", "")
-        score = replace(score, shows=f"along {grown[1]}")
-        rows.append((ALONG, f"{margin:g} mm larger", (None, score)))
-    there = [r for r in one.compared.situations if r.radial.mean is not None]
+    if known := [(mm, name) for mm, name in along if mm is not None]:
+        mm, name = max(known)
+        verdict = "worse" if mm > margin else "not worse"
+        add(ALONG, f"{margin:g} mm larger", None, verdict, f"{mm:+.2f} mm", f"along {name}")
+    there = [(r.radial.mean, r) for r in one.compared.situations if r.radial.mean is not None]
     if len(there) > 1:
-        worst = max(there, key=lambda r: r.radial.mean or 0.0)
-        by, p = worst.radial.mean or 0.0, worst.radial_holm
-        sure: PageVerdict = "worse" if p is not None and p < ALPHA else "inconclusive"
-        score = Score(sure if by > margin else "not worse", f"{by:+.2f} mm", "")
-        note = ", which may be chance" if by > margin and sure == "inconclusive" else ""
-        score = replace(score, shows=f"{spoken(worst.situation or '')}{note}")
-        rows.append((WORST, limit, (None, score)))
-    return Scoreboard(
-        f"{old} and {new}",
-        (old, new),
-        tuple(rows),
-        ("Compared", "May be worse by"),
-        HINTS,
-    )
+        mm, worst = max(there, key=lambda pair: pair[0])
+        sure = worst.radial_holm is not None and worst.radial_holm < ALPHA
+        verdict = "not worse" if mm <= margin else "worse" if sure else "inconclusive"
+        note = ", which may be chance" if verdict == "inconclusive" else ""
+        add(WORST, limit, None, verdict, f"{mm:+.2f} mm", f"{spoken(worst.situation or '')}{note}")
+    heads = ("Compared", "May be worse by")
+    return Scoreboard(f"{names[0]} and {names[1]}", names, tuple(rows), heads, HINTS)
 
 
 def _change_verdict(change: PairedDifference, margin_mm: float) -> PageVerdict:
@@ -541,11 +514,9 @@ def _mean_mm(errors_mm: Floats, one: Comparison) -> str:
     return f"{means.mean():.2f} mm"
 
 
-def _by_situation(one: Comparison, number: int) -> Figure:
-    rows = _rows(one)
-    old, new = _called(one)
-    called = (old.removeprefix("the "), new.removeprefix("the "))
-    names = [spoken(row.situation) if row.situation else "all" for row in rows]
+def _by_situation(comparison: Comparison, number: int) -> Figure:
+    rows = _rows(comparison)
+    names = [*map(_name, rows)]
     right = [
         (
             row.success.both + row.success.only_old,
@@ -559,22 +530,17 @@ def _by_situation(one: Comparison, number: int) -> Figure:
         None if mean is None or low is None or high is None else (mean, low, high)
         for mean, low, high in spans
     ]
-    svg = change_by_situation(
-        names,
-        right,
-        change,
-        one.compared.gate.margin_mm,
-        called=called,
-        name=f"situations-{number}",
-    )
+    margin_mm, called = comparison.compared.gate.margin_mm, _short(comparison)
+    name = f"situations-{number}"
+    svg = change_by_situation(names, right, change, margin_mm, called=called, name=name)
     alt = "; ".join(
         f"{name}: {a} and {b} of {plural(n, 'pose')} right, distance {_difference(row.radial)}"
         for name, (a, b, n), row in zip(names, right, rows, strict=True)
     )
     caption = (
         "Left: share of poses that each got right. Right: how much farther the new one's points lie"
-        f" from the teat ends, with {100 * one.compared.confidence:g} % intervals; one that stays"
-        " left of the margin is not worse."
+        f" from the teat ends, with {100 * comparison.compared.confidence:g} % intervals; one that"
+        " stays left of the margin is not worse."
     )
     return Figure(svg, caption, alt, wide=True)
 
@@ -608,19 +574,16 @@ def _changed(comparison: Comparison) -> Table:
     def outcome(score: SceneScore) -> Cell:
         return Cell("success", "good") if score.success else Cell(why_failed(score), "bad")
 
-    changes = [
+    grown = [
         (pair.old.success == pair.new.success, growth(pair), pair) for pair in comparison.pairs
     ]
-    shown = sorted(
-        (change for change in changes if not change[0] or change[1]),
-        key=lambda change: (change[0], -abs(change[1] or 0.0)),
-    )
+    shown = [one for one in grown if not one[0] or one[1]]
+    shown.sort(key=lambda one: (one[0], -abs(one[1] or 0.0)))
     rows = []
-    for _, grown, pair in shown[:50]:
-        change = Cell(NOT_MEASURED if grown is None else f"{grown:+.3f}", sort=grown)
-        rows.append(
-            (pair.scene, spoken(pair.situation), outcome(pair.old), outcome(pair.new), change)
-        )
+    for _, mm, pair in shown[:50]:
+        change = Cell(NOT_MEASURED if mm is None else f"{mm:+.3f}", sort=mm)
+        both = (outcome(pair.old), outcome(pair.new))
+        rows.append((pair.scene, spoken(pair.situation), *both, change))
     return table(
         "Scenes that changed (at most 50, changed outcomes first)",
         "scene | situation | old | new | >change of the largest error [mm]",
@@ -680,8 +643,5 @@ def _figure(found: Comparison, number: int) -> Iterator[Part]:
         f"{len(both)} scenes that both found teats in: the largest error grew in"
         f" {sum(b > a for a, b, _ in both)}, shrank in {sum(b < a for a, b, _ in both)}"
     )
-    yield Figure(
-        svg,
-        f"Largest error of each scene, now against the baseline, {found.new.detector}. {alt}.",
-        alt,
-    )
+    caption = f"Largest error of each scene, now against the baseline, {found.new.detector}. {alt}."
+    yield Figure(svg, caption, alt)

@@ -48,7 +48,9 @@ from bench.script.model import ErrorRequirement, Rules, Script, SuccessRequireme
 from detector.calibration import Calibration
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from instruments.world.situations import spoken
-from reports import figures
+from reports.figures.course import found_bars, latency_strip
+from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
+from reports.figures.situations import error_strips, outcome_bars
 from reports.mail import write_single_file
 from reports.page import (
     Banner,
@@ -56,7 +58,6 @@ from reports.page import (
     Code,
     Figure,
     Fold,
-    KeyValues,
     Looks,
     Notes,
     Page,
@@ -119,7 +120,7 @@ def build_page(
     each = run.ending == "finished" and not run.damage and len(judgements) > 1
     if each:
         why, then = headlines(run, judgements)
-    facts, looks = run.facts, first_looks(run)
+    facts = run.facts
     poses, invalid = len({trial.pose for trial in run.counted}), len(run.trials) - len(run.counted)
     left_out = f"; {invalid} more have lost their truth (see Deviations)" if invalid else ""
     banner = Banner(
@@ -134,25 +135,19 @@ def build_page(
         next_action=then,
         each=tuple((j.detector, j.verdict.value) for j in judgements) if each else (),
     )
-    requirements: tuple[Part, ...] = (
-        tables.scoreboard(judgements),
-        Fold(
-            "Rules, counts, margins and reasons",
-            tuple(tables.requirements(j, rules) for j in judgements),
-        ),
-    )
-    if not judgements:
-        nothing = "Nothing was scored, so no requirement was decided."
-        requirements = (Paragraph(nothing, tone="warn"),)
-    behind = tuple(_pages(run, rules, calibration, looks, chapters))
+    nothing = "Nothing was scored, so no requirement was decided."
+    requirements: tuple[Part, ...] = (Paragraph(nothing, tone="warn"),)
+    if judgements:
+        reasons = tuple(tables.requirements(j, rules) for j in judgements)
+        folded = Fold("Rules, counts, margins and reasons", reasons)
+        requirements = (tables.scoreboard(judgements), folded)
+    sections = [Section("requirements", "Requirements", requirements)]
+    behind = tuple(_pages(run, rules, calibration, chapters))
     drawn = tuple(_figures(run, rules, calibration)) if run.trials and judgements else ()
     made = tuple(trials)
-    looked = looks_of(run, made, calibration)
-    sections = (
-        Section("requirements", "Requirements", requirements),
-        *([Section("looks", "Where to look first", (Looks(looked),))] if looked else []),
-        *([Section("figures", "Figures", drawn)] if looked else []),
-    )
+    if looked := looks_of(run, made, calibration):
+        sections.append(Section("looks", "Where to look first", (Looks(looked),)))
+        sections.append(Section("figures", "Figures", drawn))
     alarm = f"{NOT_AS_WRITTEN}: no figure below holds. {shortened(run.damage)}"
     return Page(
         title=str(facts["title"]),
@@ -170,18 +165,30 @@ def build_page(
 
 
 def _pages(
-    run: RunRecord,
-    rules: Rules,
-    calibration: Calibration,
-    looks: Part | None,
-    chapters: tuple[Section, ...],
+    run: RunRecord, rules: Rules, calibration: Calibration, chapters: tuple[Section, ...]
 ) -> Iterator[Section]:
     """What stands behind the first page, by name."""
-    limit_mm = rules.visible_within_mm
-    listed = (*([looks] if looks else []), trial_table(run))
+
+    def behind(anchor: str, title: str, about: str, *sections: Section) -> Section:
+        return Section(anchor, title, sections, folded=True, about=about)
+
+    limit_mm, looks = rules.visible_within_mm, first_looks(run)
+    listed: tuple[Part, ...] = (*([looks] if looks else []), trial_table(run))
     blamed = tuple(tables.attribution_parts(run, calibration))
     deviations = (*deviation_parts(run), *fault_parts(run))
-    accuracy = (
+    reference = (
+        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
+        *gage_parts(run, limit_mm),
+        *(*arm_parts(run), *record_parts(run)),
+    )
+    yield behind(
+        *("page-trials", "Trials", f"all {len(run.trials)}: filter, sort, frames"),
+        Section("trial-list", "All trials", listed),
+        Section("deviations", "Deviations and exclusions", deviations),
+        *([Section("blamed", "What went wrong where", blamed)] if blamed else []),
+    )
+    yield behind(
+        *("page-accuracy", "Accuracy", "errors, rates, poses, time"),
         Section("results", "Results by situation", tuple(_result_parts(run, rules))),
         *detectors_section(run),
         *chapters,
@@ -189,43 +196,20 @@ def _pages(
         Section("poses", "Poses", tuple(pose_parts(run, limit_mm, anchors_of(run)))),
         Section("latency", "Time", tuple(_latency_parts(run, rules))),
     )
-    reference = (
-        *(*truth_parts(run), *cameras_parts(run, rules, calibration)),
-        *gage_parts(run, limit_mm),
-        *(*arm_parts(run), *record_parts(run)),
+    yield behind(
+        *("page-truth", "Truth and uncertainty", "what is measured, how well"),
+        Section("reference", "Measurand and reference", reference),
     )
-    thesis = thesis_chapter(run, rules, calibration)
-    inner = {
-        "page-trials": (
-            "Trials",
-            f"all {len(run.trials)}: filter, sort, frames",
-            (
-                Section("trial-list", "All trials", listed),
-                Section("deviations", "Deviations and exclusions", deviations),
-                *([Section("blamed", "What went wrong where", blamed)] if blamed else []),
-            ),
-        ),
-        "page-accuracy": ("Accuracy", "errors, rates, poses, time", accuracy),
-        "page-truth": (
-            "Truth and uncertainty",
-            "what is measured, how well",
-            (Section("reference", "Measurand and reference", reference),),
-        ),
-        "page-bath": (
-            "Bath and interlocks",
-            "stability, safe states",
-            (Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),),
-        ),
-        "page-thesis": ("Thesis", "its figures beside ours", thesis),
-        "page-provenance": (
-            "Provenance",
-            "item, versions, files, command",
-            (Section("provenance", "Who, with what, when", tuple(provenance_parts(run))),),
-        ),
-    }
-    for anchor, (title, about, sections) in inner.items():
-        if sections:
-            yield Section(anchor, title, tuple(sections), folded=True, about=about)
+    yield behind(
+        *("page-bath", "Bath and interlocks", "stability, safe states"),
+        Section("environment", "Bath and environment", tuple(bath_parts(run, rules))),
+    )
+    if thesis := thesis_chapter(run, rules, calibration):
+        yield behind("page-thesis", "Thesis", "its figures beside ours", *thesis)
+    yield behind(
+        *("page-provenance", "Provenance", "item, versions, files, command"),
+        Section("provenance", "Who, with what, when", tuple(provenance_parts(run))),
+    )
 
 
 def anchors_of(run: RunRecord) -> dict[str, str]:
@@ -244,17 +228,13 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
     rate, confidence = claims[0]
     needed, sure = zero_failure_n(rate, confidence), f"{100 * confidence:g} % confidence"
     if not poses:
-        return (
-            f"No pose was tried; {needed} without a failure would show {100 * rate:g} % with"
-            f" {sure}."
-        )
+        without = f"{needed} without a failure would show {100 * rate:g} % with {sure}."
+        return f"No pose was tried; {without}"
     if not any(trial.truth for trial in run.counted):
         return f"{poses} poses have no truth: they show nothing of how well a detector finds teats."
     best = (1.0 - confidence) ** (1.0 / poses)
-    message = (
-        f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %, with"
-    )
-    message += f" {sure}."
+    message = f"{poses} poses were tried: at best they show a success rate of {100 * best:.1f} %,"
+    message += f" with {sure}."
     if poses < needed:
         message += f" To show {100 * rate:g} % takes {needed} poses without a failure."
     known = [row["u_mm"] for trial in run.counted for row in trial.truth if row["u_mm"] is not None]
@@ -266,66 +246,52 @@ def _confidence(run: RunRecord, rules: Rules, poses: int) -> str:
 def _result_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     published = published_counts(rules)
     names = tables.situations(run)
-    theirs = [published[name][0] if name in published else None for name in names]
+    theirs = [published.get(name, (None,))[0] for name in names]
+    called = [*map(spoken, names)]
     for detector in run.detectors:
         counts = [scored(run, detector, name).counts for name in names]
         found, visible = [c.matched for c in counts], [c.visible for c in counts]
-        called = [*map(spoken, names)]
         each = zip(called, found, visible, strict=True)
-        yield Figure(
-            figures.found_bars(called, found, visible, theirs, name=f"found-{id_of(detector)}"),
-            f"Teats found by {detector}, beside the thesis's own count",
-            "; ".join(f"{name}: {k} of {n}" for name, k, n in each) or "not measured",
-        )
+        alt = "; ".join(f"{name}: {k} of {n}" for name, k, n in each) or "not measured"
+        svg = found_bars(called, found, visible, theirs, name=f"found-{id_of(detector)}")
+        yield Figure(svg, f"Teats found by {detector}, beside the thesis's own count", alt)
         yield tables.rates(run, detector)
-        each_situation = [tables.found_by_situation(run, detector, published)]
+        listed = [tables.found_by_situation(run, detector, published)]
         if len(names) > 1:
-            each_situation.append(tables.rates_by_situation(run, detector))
-        yield Fold(f"Counts and rates of each situation, {detector}", tuple(each_situation))
+            listed.append(tables.rates_by_situation(run, detector))
+        yield Fold(f"Counts and rates of each situation, {detector}", tuple(listed))
 
 
 def _figures(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
     """The first page's figures: errors, outcomes, depth against lateral error, and the bath."""
-    limit_mm = rules.visible_within_mm
-    names = tables.situations(run)
+    limit_mm, names = rules.visible_within_mm, tables.situations(run)
     called = [*map(spoken, names)]
+    pools = {of: [scored(run, of, name) for name in names] for of in run.detectors}
     errors = {
-        detector: [np.linalg.norm(scored(run, detector, one).errors_mm, axis=1) for one in names]
-        for detector in run.detectors
+        detector: [np.linalg.norm(pool.errors_mm, axis=1) for pool in each]
+        for detector, each in pools.items()
     }
-    links = {
-        detector: [_links(run, detector, situation) for situation in names]
-        for detector in run.detectors
-    }
-    within = sum(int((one <= limit_mm).sum()) for each in errors.values() for one in each)
-    of = sum(len(one) for each in errors.values() for one in each)
+    links = {detector: [_links(run, detector, name) for name in names] for detector in pools}
+    every = np.concatenate([one for each in errors.values() for one in each])
     yield Figure(
-        figures.error_strips(called, errors, limit_mm, links=links),
+        error_strips(called, errors, limit_mm, links=links),
         "Error of each teat end found; each point opens its trial",
-        f"{within} of {of} teat ends within {limit_mm:g} mm",
+        f"{int((every <= limit_mm).sum())} of {len(every)} teat ends within {limit_mm:g} mm",
     )
-    counted = {
-        detector: [scored(run, detector, one).counts for one in names] for detector in run.detectors
-    }
     outcomes = {
-        detector: [(c.matched, c.missed, c.false) for c in each]
-        for detector, each in counted.items()
+        detector: [(pool.counts.matched, pool.counts.missed, pool.counts.false) for pool in each]
+        for detector, each in pools.items()
     }
-    yield Figure(
-        figures.outcome_bars(called, outcomes),
-        "Teats found · missed · false answers",
-        "; ".join(
-            f"{detector}: {' · '.join(str(sum(column)) for column in zip(*each, strict=True))}"
-            for detector, each in outcomes.items()
-        ),
-    )
+    sums = {name: map(sum, zip(*each, strict=True)) for name, each in outcomes.items()}
+    alt = "; ".join(f"{name}: {' · '.join(map(str, each))}" for name, each in sums.items())
+    yield Figure(outcome_bars(called, outcomes), "Teats found · missed · false answers", alt)
     camera_from_world = calibration.world_from_right.inverse().R
     for place, detector in enumerate(run.detectors):
         errors_mm = scored(run, detector).errors_mm
         camera = errors_mm @ camera_from_world.T
         lateral = np.copysign(np.hypot(camera[:, 0], camera[:, 1]), camera[:, 0])
         yield Figure(
-            figures.error_scatter(
+            error_scatter(
                 *(lateral, camera[:, 2], limit_mm),
                 accept_mm=_accepted_mm(run, rules, detector),
                 links=_links(run, detector),
@@ -356,20 +322,13 @@ def _accuracy_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> I
         pool, name = scored(run, detector), id_of(detector)
         radial = np.linalg.norm(pool.errors_mm, axis=1)
         accept_mm = _accepted_mm(run, rules, detector)
-        yield Figure(
-            figures.error_histogram(
-                radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{name}"
-            ),
-            f"Distance to the teat end, {detector}",
-            f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit",
-        )
+        svg = error_histogram(radial, limit_mm, accept_mm=accept_mm, name=f"histogram-{name}")
+        alt = f"{int((radial <= limit_mm).sum())} of {len(radial)} within the limit"
+        yield Figure(svg, f"Distance to the teat end, {detector}", alt)
         errors = [scored(run, detector, situation).errors_mm for situation in names]
-        yield Figure(
-            figures.per_axis_errors([*map(spoken, names)], errors, limit_mm, name=f"axes-{name}"),
-            f"Errors along the world's axes by situation, {detector}",
-            "strips of signed errors",
-            wide=True,
-        )
+        svg = per_axis_errors([*map(spoken, names)], errors, limit_mm, name=f"axes-{name}")
+        caption = f"Errors along the world's axes by situation, {detector}"
+        yield Figure(svg, caption, "strips of signed errors", wide=True)
         yield Fold(
             f"By axis, situation and teat in figures, and tolerance limits, {detector}",
             tuple(accuracy_tables(run, detector, limit_mm, camera_from_world)),
@@ -393,18 +352,14 @@ def _latency_parts(run: RunRecord, rules: Rules) -> Iterator[Part]:
     for detector in run.detectors:
         times = latency_of(run, detector)
         seconds = times.seconds
-        yield Figure(
-            figures.latency_strip(seconds, limits, name=f"latency-{id_of(detector)}"),
-            f"Detection time, {detector}",
-            f"{len(seconds)} detections",
-        )
+        svg = latency_strip(seconds, limits, name=f"latency-{id_of(detector)}")
+        yield Figure(svg, f"Detection time, {detector}", f"{len(seconds)} detections")
         if times.starved:
             yield Paragraph(f"{detector}: {times.starved}", tone="warn")
         quantiles = (times.median_s, times.p95_s, times.p99_s, max(seconds, default=None))
         first = (max(times.cold_s, default=None), times.start_up_s)
         over = [f"{sum(s > edge for s in seconds)} of {len(seconds)}" for edge in (1.0, 2.0)]
-        message = failures_text(times)
-        rows.append((detector, len(seconds), *quantiles, *first, *over, message))
+        rows.append((detector, len(seconds), *quantiles, *first, *over, failures_text(times)))
     heads = (
         "detector | >n | >median [s] ~.3f | >p95 [s] ~.3f | >p99 [s] ~.3f | >max [s] ~.3f"
         " | >first call (cold) [s] ~.3f | >start-up [s] ~.3f | above 1 s | above 2 s | no answer"
@@ -438,7 +393,7 @@ BESIDE = {
 
 def provenance_parts(run: RunRecord) -> Iterator[Part]:
     """Who was tested, with what, when, and by which data."""
-    facts = run.facts
+    facts, chain = run.facts, _chain(run)
     for name, item in facts["items"].items():
         yield key_values(f"Item under test: {name}", item)
     yield key_values(
@@ -451,7 +406,7 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
             **{name: facts.get(name) for name in ("seed", "rig", "script")},
             **{f"version, {name}": version for name, version in facts["versions"].items()},
             "bench's commit": facts.get("commit"),
-            **_chain(run),
+            **chain,
         },
     )
     for name, identity in facts.get("identities", {}).items():
@@ -468,23 +423,19 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
         " of frames and stages: each one's SHA-256 is in the record."
     )
     yield table("Files as used", "file | what | SHA-256", rows, note)
-    there = {
-        path: what
+    links = {
+        what: Cell(path.removeprefix("../"), href=path)
         for path, what in BESIDE.items()
         if not path.startswith("..") or (run.folder / path.removeprefix("../")).is_file()
     }
-    links = ((what, Cell(path.removeprefix("../"), href=path)) for path, what in there.items())
-    yield KeyValues("Raw data and exports", tuple(links))
+    yield key_values("Raw data and exports", links)
     yield Code("The command that repeats it", str(facts["command"]))
-    # all of them, or of many the first and the last
     message = []
     for event in run.events:
         time = "" if event["t_s"] is None else f"{event['t_s']:.0f} s: "
         message.append(f"{time}{event['kind']}: {event['text']}")
-    if len(message) > 2 * MOST_EVENTS:
-        message[MOST_EVENTS:-MOST_EVENTS] = [
-            f"… {len(message) - 2 * MOST_EVENTS} more, in run.sqlite …"
-        ]
+    if (more := len(message) - 2 * MOST_EVENTS) > 0:
+        message[MOST_EVENTS:-MOST_EVENTS] = [f"… {more} more, in run.sqlite …"]
     yield Notes("Events", tuple(message))
 
 
@@ -497,8 +448,7 @@ def fault_parts(run: RunRecord) -> Iterator[Part]:
         if said := [f"{name}: {who}" for name, who in cameras.items() if note in str(who)]:
             yield Notes(title, tuple(said))
     for fact, title in FAULTS.items():
-        counts = sorted((run.facts.get(fact) or {}).items())
-        if counts:
+        if counts := sorted((run.facts.get(fact) or {}).items()):
             yield Notes(title, tuple(f"{name}: {count} times" for name, count in counts))
 
 

@@ -24,7 +24,6 @@ from bench.scoring.rates import plural
 from bench.truth.touching import truth_row
 from detector.calibration import Calibration
 from instruments.world.situations import SITUATIONS, member
-from reports.frames import ImageView
 from reports.page import Banner, Page, TrialPart
 from reports.render import write_report
 
@@ -66,16 +65,13 @@ def draw_again(
 def scene_parts(run: RunRecord, stated: Calibration, folder: Path) -> Iterator[TrialPart]:
     """A part a scene for a page in ``folder``, which is in the campaign's or in its ``scenes``."""
     up = "../" if folder.parent == run.folder else f"../{run.folder.name}/"
-
-    def whole(image: ImageView) -> ImageView:
-        path = image.original.removeprefix("../")
-        return replace(image, original=f"{up}{path}")
-
-    for part in trial_parts(run, stated, folder):
-        trial = next(one for one in run.trials if one.id == part.heading)
+    for trial, part in zip(run.trials, trial_parts(run, stated, folder), strict=True):
         about = ("what it is", SITUATIONS[str(trial.head["situation"])][0])
         summary = (about, *(entry for entry in part.summary if entry[0] not in OF_A_RUN))
-        images = tuple(map(whole, part.images))
+        images = tuple(
+            replace(image, original=f"{up}{image.original.removeprefix('../')}")
+            for image in part.images
+        )
         yield replace(part, summary=summary, images=images)
 
 
@@ -148,22 +144,19 @@ def _page(
     parts: tuple[TrialPart, ...],
     outcomes: Sequence[tuple[str, str, str]],
 ) -> Page:
-    lines = [f"{scene}, {detector}: {outcome}." for scene, detector, outcome in outcomes]
     banner = Banner(
         kind="emulated",
         verdict="no verdict",
         tested=f"{', '.join(run.detectors)} on {plural(len(run.trials), 'scene')} of a campaign.",
-        sentence="\n".join(lines),
+        sentence="\n".join(f"{scene}, {name}: {outcome}." for scene, name, outcome in outcomes),
         confidence=(
             "Drawn again from family, member and seed; the same pixels as those that were scored."
         ),
         next_action="Switch layers off to see the frames; a click on one opens it whole.",
     )
+    perturbed = ", ".join(f"{one.name} {one.amount:g}" for one in plan.perturbations)
     made = {"seed": plan.seed, "limit": f"{plan.limit_mm:g} mm"}
-    if plan.perturbations:
-        made["perturbations"] = ", ".join(
-            f"{one.name} {one.amount:g}" for one in plan.perturbations
-        )
+    made |= {"perturbations": perturbed} if perturbed else {}
     made |= plan.made_by
     return Page(
         ", ".join(trial.id for trial in run.trials[:3]),

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from bench.campaign.limits import DISPARITY_PX
 from bench.campaign.quantities import Quantity
 from bench.campaign.sensitivity import Measured
 from bench.config import ConfigError
 from bench.report.wording import NOT_MEASURED
-from bench.scoring.errors import summarise_radial
+from bench.scoring.errors import Floats, summarise_radial
 from reports.figures.drawing import COLOURS
 from reports.figures.sensitivity import MOST_CURVES, Bound, Curve, sensitivity
 from reports.sanitize import csv_text
@@ -82,14 +84,10 @@ def numbers_page(quantities: Sequence[Quantity], rows: Sequence[Row], made_with:
 def figure_of(quantity: Quantity, points: Sequence[Measured]) -> str:
     """The SVG text: errors and shares of every detector over the quantity, beside the limit."""
     bounds = [(point.value, point.limit) for point in points if point.limit]
+    rows = [(value, limit.median_mm, limit.disparity_mm) for value, limit in bounds]
     shares = [(value, limit.share) for value, limit in bounds if limit.share is not None]
-    bound = Bound(
-        [value for value, _ in bounds],
-        [limit.median_mm for _, limit in bounds],
-        [limit.disparity_mm for _, limit in bounds],
-        DISPARITY_PX,
-        *zip(*shares, strict=True),
-    )
+    x, median_mm, disparity_mm = _columns(rows, 3)
+    bound = Bound(x, median_mm, disparity_mm, DISPARITY_PX, *_columns(shares, 2))
     return sensitivity(
         [_curve(name, points) for name in (points[0].tallies if points else ())],
         bound,
@@ -107,8 +105,11 @@ def _curve(name: str, points: Sequence[Measured]) -> Curve:
         if summary.median_mm is not None and summary.p95_mm is not None
     ]
     shares = [(point.value, len(mm) / point.visible) for point, mm in tallies if point.visible]
-    x, median_mm, p95_mm = zip(*found, strict=True) if found else ((), (), ())
-    return Curve(name, x, median_mm, p95_mm, *(zip(*shares, strict=True) if shares else ((), ())))
+    return Curve(name, *_columns(found, 3), *_columns(shares, 2))
+
+
+def _columns(rows: Sequence[tuple[float, ...]], count: int) -> Floats:
+    return np.array(rows, dtype=np.float64).reshape(-1, count).T
 
 
 def _rows(quantity: Quantity, points: Sequence[Measured]) -> Iterator[tuple[str, ...]]:
@@ -144,15 +145,9 @@ def _table(quantity: Quantity, rows: Sequence[Row]) -> str:
             line.append(f"{100 * float(share):.0f} %" if share else NOT_MEASURED)
         lines.append(line)
     head, *texts = (f"| {' | '.join(line)} |" for line in lines)
-    rule = "|" + "---|" * len(heads)
-    start = [
-        f"## {quantity.name}",
-        "",
-        quantity.about,
-        "",
-        f"![{quantity.label}]({quantity.name}.svg)",
-    ]
-    return "\n".join([*start, "", head, rule, *texts])
+    rule, figure = "|" + "---|" * len(heads), f"![{quantity.label}]({quantity.name}.svg)"
+    start = f"## {quantity.name}\n\n{quantity.about}\n\n{figure}\n"
+    return "\n".join([start, head, rule, *texts])
 
 
 def _pair(row: Row, first: str, second: str, digits: int) -> str:

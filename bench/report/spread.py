@@ -6,6 +6,7 @@ requirement.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -33,8 +34,17 @@ from bench.scoring.spread import (
     consistency,
     prediction_ellipsoid,
 )
-from reports import figures
-from reports.page import Cell, Figure, Fold, Notes, Paragraph, Part, Table
+from reports.figures.course import Slope, slope_intervals
+from reports.figures.errors import error_drift, teat_boxes
+from reports.figures.plane import (
+    MOST_GROUPS,
+    ErrorGroup,
+    TeatPlaces,
+    error_map,
+    error_maps,
+    error_regions,
+)
+from reports.page import Cell, Figure, Fold, Notes, Paragraph, Part
 
 POSE_SET = "pose set"
 MAP_FROM = 9  # places: fewer make no map
@@ -44,11 +54,8 @@ def pose_parts(run: RunRecord, limit_mm: float, anchors: Mapping[str, str]) -> I
     """How the poses were chosen, and what depends on the place. ``anchors``: links by trial."""
     chosen = run.facts.get(POSE_SET)
     if chosen:
-        yield Notes(
-            f"How the poses were chosen (order: {chosen['order']}; seed of the script:"
-            f" {chosen['seed']})",
-            tuple(chosen["chosen"]),
-        )
+        how = f"order: {chosen['order']}; seed of the script: {chosen['seed']}"
+        yield Notes(f"How the poses were chosen ({how})", tuple(chosen["chosen"]))
     else:
         yield Paragraph("The poses are those of the recording; how they were chosen isn't in it.")
     for detector in run.detectors:
@@ -64,26 +71,23 @@ def _map(rows: ErrorRows, detector: str, limit_mm: float, anchors: Mapping[str, 
             f"Error over the places, {detector}: {len(places)} places of a teat are no map;"
             f" {MAP_FROM} are the least."
         )
-    teats = []
-    for teat in rows.teat_names:
-        own = [place for place in places if place.teat == teat]
-        found = [place for place in own if place.worst_mm is not None]
-        missed = [place for place in own if place.found < place.repeats]
-        teats.append(
-            figures.TeatPlaces(
-                teat,
-                np.array([place.place_mm for place in found]).reshape(-1, 3),
-                np.array([place.worst_mm for place in found], dtype=np.float64),
-                np.array([place.place_mm for place in missed]).reshape(-1, 3),
-                tuple(anchors[str(place.worst_trial)] for place in found),
-                tuple(anchors[str(place.missed_trial)] for place in missed),
-            )
+    found = [place for place in places if place.worst_mm is not None]
+    missed = [place for place in places if place.found < place.repeats]
+    teats = [
+        TeatPlaces(
+            teat,
+            [place.place_mm for place in found if place.teat == teat],
+            [float(place.worst_mm or 0.0) for place in found if place.teat == teat],
+            [place.place_mm for place in missed if place.teat == teat],
+            tuple(anchors[str(place.worst_trial)] for place in found if place.teat == teat),
+            tuple(anchors[str(place.missed_trial)] for place in missed if place.teat == teat),
         )
-    within = [place.worst_mm <= limit_mm for place in places if place.worst_mm is not None]
+        for teat in rows.teat_names
+    ]
+    within = sum((place.worst_mm or 0.0) <= limit_mm for place in found)
     alt = (
-        f"{len(places)} places: {sum(within)} within {limit_mm:g} mm,"
-        f" {len(within) - sum(within)} beyond,"
-        f" {sum(place.found < place.repeats for place in places)} not found"
+        f"{len(places)} places: {within} within {limit_mm:g} mm, {len(found) - within} beyond,"
+        f" {len(missed)} not found"
     )
     caption = (
         f"Error over the plane, {detector}; the area of a disc is the error, and each mark opens"
@@ -96,9 +100,9 @@ def _map(rows: ErrorRows, detector: str, limit_mm: float, anchors: Mapping[str, 
         )
     name = f"map-{id_of(detector)}"
     if len(teats) == 1:
-        svg = figures.error_map(teats[0], limit_mm, name=name)
+        svg = error_map(teats[0], limit_mm, name=name)
     else:
-        svg = figures.error_maps(teats, limit_mm, name=name)
+        svg = error_maps(teats, limit_mm, name=name)
         caption += (
             " Each teat has a panel of its own, all on one scale; y points away from the cameras,"
             " z up."
@@ -147,7 +151,7 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
             unmeasured[line.quantity] = row  # one row for each
             continue
         effect, low, high = (value * line.span for value in (line.slope, line.low, line.high))
-        slopes.append(figures.Slope(name, response, effect, low, high, line.significant))
+        slopes.append(Slope(name, response, effect, low, high, line.significant))
         interval = f"{line.low * factor:+.3g} to {line.high * factor:+.3g}"
         p = line.p_value if line.p_holm is None else line.p_holm
         text = Cell("trend shown", "warn") if line.significant else Cell("no trend shown", "muted")
@@ -156,7 +160,7 @@ def trend_parts(rows: ErrorRows, detector: str) -> Iterator[Part]:
         measured.append((response, *sizes, *drawn))
     shown = [f"{slope.response} with {slope.against}" for slope in slopes if slope.shown]
     says = f"Trend shown: {', '.join(shown)}." if shown else "No trend is shown."
-    svg = figures.slope_intervals(slopes, name=f"trends-{id_of(detector)}")
+    svg = slope_intervals(slopes, name=f"trends-{id_of(detector)}")
     caption = f"What each trend makes of its quantity's whole range, {detector}. {says}"
     yield Figure(svg, caption, says, wide=True)
     heads = (
@@ -199,33 +203,27 @@ def spread_parts(
     distances = np.linalg.norm(rows.errors_mm, axis=1)
     names = sorted({str(row["teat"]) for trial in run.counted for row in trial.truth})
     of = np.array(rows.of_found(rows.teats), dtype=np.str_)
-    each = {name: distances[of == name] for name in names}
-    yield Figure(
-        figures.teat_boxes(names, list(each.values()), limit_mm, name=f"teats-{id_of(detector)}"),
-        f"Distance by teat, {detector}",
-        "; ".join(f"{name}: {len(errors)} found" for name, errors in each.items()) or "none",
-    )
+    each = [distances[of == name] for name in names]
+    alt = "; ".join(f"{name}: {len(mm)} found" for name, mm in zip(names, each, strict=True))
+    svg = teat_boxes(names, each, limit_mm, name=f"teats-{id_of(detector)}")
+    yield Figure(svg, f"Distance by teat, {detector}", alt or "none")
     minutes = rows.quantities["time_s"] / 60.0
     timed = np.isfinite(minutes)
     if timed.any():
-        trials = zip(rows.of_found(rows.trials), timed, strict=True)
-        links = [anchors[trial] for trial, known in trials if known]
-        at = (minutes[timed], distances[timed])
-        name = f"drift-{id_of(detector)}"
-        place = run.detectors.index(detector), len(run.detectors)
+        links = [anchors[trial] for trial in compress(rows.of_found(rows.trials), timed)]
         yield Figure(
-            figures.error_drift(*at, limit_mm, links=links, place=place, name=name),
+            error_drift(
+                *(minutes[timed], distances[timed], limit_mm),
+                links=links,
+                place=(run.detectors.index(detector), len(run.detectors)),
+                name=f"drift-{id_of(detector)}",
+            ),
             f"Drift: distance over the time of the run, {detector}; each point opens its trial",
             f"{int(timed.sum())} points",
         )
     teats = teat_errors(rows)
     yield _drawn(teats, limit_mm, anchors, camera_from_world, detector)
-    bodies = _ellipsoids(run, run_bias(rows), teats, detector)
-    yield (
-        Fold(f"Ellipsoids in figures, {detector}", (bodies,))
-        if isinstance(bodies, Table)
-        else bodies
-    )
+    yield _ellipsoids(run, run_bias(rows), teats, detector)
     yield from trend_parts(rows, detector)
 
 
@@ -238,7 +236,7 @@ def _drawn(
 ) -> Figure:
     """Each teat's pose means with its 95 % ellipsoid; too many teats are one group."""
     clouds = [(f"teat {one.teat}", one.means_mm, one.worst_trials) for one in teats]
-    if len(clouds) > figures.MOST_GROUPS:
+    if len(clouds) > MOST_GROUPS:
         together = np.concatenate([means for _, means, _ in clouds])
         worst = tuple(trial for _, _, trials in clouds for trial in trials)
         clouds = [(f"{len(clouds)} teats", together, worst)]
@@ -252,11 +250,10 @@ def _drawn(
             if (body := bodies[in_camera]) is not None
         ]
         flat = [frames[in_camera][:, axes] for _, in_camera, axes in VIEWS]
-        links = tuple(anchors[trial] for trial in trials)
         outlined = outlines if len(outlines) == len(VIEWS) else []
-        groups.append(figures.ErrorGroup(name, flat, outlined, links))
+        groups.append(ErrorGroup(name, flat, outlined, tuple(anchors[trial] for trial in trials)))
     views = [names for names, _, _ in VIEWS]
-    svg = figures.error_regions(groups, views, limit_mm, name=f"regions-{id_of(detector)}")
+    svg = error_regions(groups, views, limit_mm, name=f"regions-{id_of(detector)}")
     counts = "; ".join(
         f"{name}: {len(means)} poses{'' if len(means) >= LEAST_POSES else ', too few'}"
         for name, means, _ in clouds
@@ -287,21 +284,16 @@ def _ellipsoids(run: RunRecord, whole: Bias, teats: Sequence[TeatErrors], detect
         " | >longest axis along ~.2f # unit vector in the world frame"
         " | >is there a bias? # p of Hotelling's T²: below 0.05 the mean error isn't zero"
     )
-    lines = [
-        (who, *_ellipsoid(what, body, bias))
-        for who, bias in bodies.items()
-        for what, body in (
-            ("next pose's mean error, 95 %", bias.next_error),
-            ("bias, 95 % confidence", bias.bias),
-        )
-    ]
-    text = (
-        ""
-        if test.p_value is None
-        else f"Is there a bias? Hotelling's T² = {test.t_squared:.2f}, p = {test.p_value:.3g}. "
-    )
+    lines = []
+    for who, bias in bodies.items():
+        lines.append((who, *_ellipsoid("next pose's mean error, 95 %", bias.next_error, bias)))
+        lines.append((who, *_ellipsoid("bias, 95 % confidence", bias.bias, bias)))
+    text = ""
+    if test.p_value is not None:
+        text = f"Is there a bias? Hotelling's T² = {test.t_squared:.2f}, p = {test.p_value:.3g}. "
     note = text + _consistent(run, detector)
-    return table(f"Ellipsoids of the error, {detector}", heads, lines, note)
+    listed = table(f"Ellipsoids of the error, {detector}", heads, lines, note)
+    return Fold(f"Ellipsoids in figures, {detector}", (listed,))
 
 
 def _ellipsoid(what: str, body: Ellipsoid | None, bias: Bias) -> tuple[object, ...]:

@@ -57,25 +57,22 @@ SHOWS = {
 }
 
 
-def _shows(decision: Decision, usual: int) -> str:
-    """In words, with the number that it is from where that isn't the ``usual`` one."""
-    of = f", from {decision.n}" if decision.n not in (usual, 0) else ""
-    return f"{SHOWS[decision.verdict]}{of}"
-
-
 def scoreboard(judgements: Sequence[Judgement]) -> Scoreboard:
     """Each requirement and what each detector shows of it."""
     counts = [d.n for judgement in judgements for d in judgement.decisions]
     usual = max(sorted(set(counts)), key=counts.count, default=0)
     by_name = [{d.name: d for d in judgement.decisions} for judgement in judgements]
+
+    def score(d: Decision) -> Score:
+        of = f", from {d.n}" if d.n not in (usual, 0) else ""
+        return Score(d.verdict.value, measured(d), f"{SHOWS[d.verdict]}{of}")
+
     rows = []
     for name in dict.fromkeys(name for each in by_name for name in each):
         decisions = [each.get(name) for each in by_name]
         limits = dict.fromkeys(limit(d) for d in decisions if d)
-        scores = [
-            Score(d.verdict.value, measured(d), _shows(d, usual)) if d else None for d in decisions
-        ]
-        rows.append((name[0].upper() + name[1:], ", ".join(limits), tuple(scores)))
+        scores = tuple(score(d) if d else None for d in decisions)
+        rows.append((name[0].upper() + name[1:], ", ".join(limits), scores))
     names = tuple(judgement.detector for judgement in judgements)
     caption = f"What each detector shows, from {usual} where nothing else is said"
     return Scoreboard(caption, names, tuple(rows))
@@ -187,11 +184,8 @@ def score_table(run: RunRecord) -> str:
     if not any(trial.scores for trial in run.trials):
         return "There is no truth, so nothing was scored."
     names: list[str | None] = [*situations(run)]
-    rows = [
-        _row(run, situation, detector)
-        for situation in (names if len(names) == 1 else [*names, None])
-        for detector in run.detectors
-    ]
+    names += [None] * (len(names) > 1)
+    rows = [_row(run, name, detector) for name in names for detector in run.detectors]
     widths = [max(map(len, column)) for column in zip(HEAD, *rows, strict=True)]
     head, *lines = (f"| {' | '.join(map(str.ljust, row, widths))} |" for row in (HEAD, *rows))
     rule = "|" + "|".join("-" * (width + 2) for width in widths) + "|"
@@ -220,9 +214,8 @@ def _notes(run: RunRecord) -> Iterator[str]:
     for detector in run.detectors:
         times = latency_of(run, detector)
         cold = listed([1e3 * seconds for seconds in times.cold_s], ".0f") or NOT_MEASURED
-        start = ""
-        if times.start_up_s is not None:
-            start = f", start-up {1e3 * times.start_up_s:.0f} ms at most"
+        up_s = times.start_up_s
+        start = "" if up_s is None else f", start-up {1e3 * up_s:.0f} ms at most"
         yield f"{detector}: first call {cold} ms{start}. {times.starved}".strip()
     yield f"Errors are of found teats only. {LATENCY_RULE}"
 
@@ -237,11 +230,11 @@ NOTE = (
 
 def attribution_parts(run: RunRecord, calibration: Calibration | None = None) -> Iterator[Part]:
     """A table for each detector that was scored; and what isn't the detector's, one by one."""
+    heads = ("what", *(f">{cause.value}" for cause in Cause))
     for detector in run.detectors:
         found = attributed(run, detector, calibration)
         counts = counted(found)
         rows = [(what.value, *(counts[what, cause] for cause in Cause)) for what in What]
-        heads = ("what", *(f">{cause.value}" for cause in Cause))
         yield table(f"Whose it is, detector {detector}", heads, rows, NOTE)
         others = tuple(
             f"{one.trial}{f', teat {one.teat}' if one.teat else ''}: {one.what.value}:"

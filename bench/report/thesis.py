@@ -6,8 +6,9 @@ known pixel offset does to a known point.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Literal
 
@@ -51,7 +52,7 @@ from detector.calibration.thesis_rig import LEFT, RIGHT
 from detector.geometry import apply_homography
 from instruments.clock import wall_time
 from instruments.world.situations import spoken
-from reports.figures import error_histogram
+from reports.figures.errors import error_histogram
 from reports.page import (
     Banner,
     Figure,
@@ -86,12 +87,10 @@ NOTE = (
 Row = tuple[str, str, str, str, str, str]
 
 
-def figures_table(rows: Iterator[Row], note: str = "") -> Table:
+def figures_table(rows: Iterable[Row], note: str = "") -> Table:
     """What was printed, what its tables give, and what this run measured."""
-    heads = (
-        "figure | section | printed | by its tables | this run"
-        " | what is wrong in it, or to be known"
-    )
+    heads = "figure | section | printed | by its tables | this run"
+    heads += " | what is wrong in it, or to be known"
     return table("Figures of the thesis beside this run", heads, rows, note)
 
 
@@ -103,23 +102,17 @@ def thesis_chapter(run: RunRecord, rules: Rules, calibration: Calibration) -> tu
     kinds += ["plane"] if PLANE in situations(run) else []
     if not kinds or not any(trial.scores for trial in run.counted):
         return ()
-
-    def rows() -> Iterator[Row]:
-        if known:
-            yield from _situations(run, known)
-            if same_ends := _with_ends_of_table_5_1(rules):
-                errors = {
-                    d: np.concatenate([scored(run, d, name).errors_mm for name in same_ends])
-                    for d in run.detectors
-                }
-                yield from rows_of_test(figures, 1, errors)
-        if "plane" in kinds:
-            yield from _plane(run, figures)
-        yield from _asked(run, figures)
-        yield from _rig(run, figures, calibration)
-
+    rows = [*_situations(run, known)] if known else []
+    if known and (same_ends := _with_ends_of_table_5_1(rules)):
+        errors = {
+            d: np.concatenate([scored(run, d, name).errors_mm for name in same_ends])
+            for d in run.detectors
+        }
+        rows += rows_of_test(figures, 1, errors)
+    rows += _plane(run, figures) if "plane" in kinds else ()
+    rows += [*_asked(run, figures), *_rig(run, figures, calibration)]
     pictured = tuple(_pictured(run, known, calibration)) if known else ()
-    beside = figures_table(rows(), NOTE if known else "")
+    beside = figures_table(rows, NOTE if known else "")
     parts = (beside, *pictured, elsewhere_table(figures, *kinds))
     return (Section("published", "Beside the thesis", parts),)
 
@@ -151,20 +144,16 @@ def _situations(run: RunRecord, known: Sequence[Situation]) -> Iterator[Row]:
     """A row a situation, and one for all of them."""
 
     def ours(detector: str, of: Sequence[Situation]) -> str:
-        """``9 of 12, with 2 false; as many in 1 of 3``."""
-        pools = [(one, scored(run, detector, one.name)) for one in of]
-        counts = [pool.counts for _, pool in pools]
-        as_many = [
-            s.counts.matched * one.present >= one.found * s.counts.visible
-            for one, pool in pools
-            for s in pool.scores
-        ]
-        if not as_many:
+        """``9 of 12, 2 false; as many in 1 of 3``."""
+        each = [(one, s.counts) for one in of for s in scored(run, detector, one.name).scores]
+        if not each:
             return NOT_MEASURED
-        return (
-            f"{sum(c.matched for c in counts)} of {sum(c.visible for c in counts)},"
-            f" {sum(c.false for c in counts)} false; as many in {sum(as_many)} of {len(as_many)}"
+        found, visible, false = (
+            sum(getattr(counts, what) for _, counts in each)
+            for what in ("matched", "visible", "false")
         )
+        many = sum(of.matched * one.present >= one.found * of.visible for one, of in each)
+        return f"{found} of {visible}, {false} false; as many in {many} of {len(each)}"
 
     rows = [(spoken(one.name), one.section, [one], one.seen) for one in known]
     for name, section, of, seen in [*rows, (f"all {len(known)}", "5.2", known, "")]:
@@ -234,12 +223,9 @@ def _by_teat(seen: InPictures, known: Sequence[Situation]) -> Iterator[tuple[obj
 
 def _with_ends_of_table_5_1(rules: Rules) -> list[str]:
     """Situations whose every trial shows the ends of table 5.1 upright, in place."""
-    if not isinstance(rules, Script):
-        return []
-    layouts: dict[str, set[str]] = {}
-    for trial in rules.trials:
-        layouts.setdefault(trial.situation, set()).add(trial.layout)
-    return [situation for situation, of in layouts.items() if of == {LAYOUT}]
+    trials = rules.trials if isinstance(rules, Script) else ()
+    others = {trial.situation for trial in trials if trial.layout != LAYOUT}
+    return [s for s in dict.fromkeys(trial.situation for trial in trials) if s not in others]
 
 
 def rows_of_test(
@@ -254,12 +240,10 @@ def rows_of_test(
     same = (
         "In this run the same ends (table 5.1's) were found by a detector, in scenes that have"
         " them; n counts ends. "
-        if which == 1 and ours
-        else ""
     )
     for key, what in STATISTICS.items():
         sentence = _each({name: _figure(one, key) for name, one in stats.items()}) if stats else ""
-        wrong = same + test.wrong if key == "signed_mean" else ""
+        wrong = f"{same if which == 1 and ours else ''}{test.wrong}" if key == "signed_mean" else ""
         row = (printed.get(key, ""), _figure(theirs, key), sentence, wrong)
         yield f"test {which}: {what}", test.section, *row
 
@@ -275,16 +259,12 @@ def _figure(of: Statistics, key: str) -> str:
 def components_table(figures: Thesis) -> Table:
     """Both tests by teat: errors against table 5.1 from the tables, and as printed in 5.4."""
     first, second = errors_of_test_mm(figures, 1), errors_of_test_mm(figures, 2)
-    rows = []
-    for teat, (plain, off, printed) in enumerate(
-        zip(first, second, figures.test_2.errors_mm, strict=True), 1
-    ):
+    rows: list[tuple[object, ...]] = []
+    for plain, off, printed in zip(first, second, figures.test_2.errors_mm, strict=True):
         pairs = zip("xyz", off.tolist(), printed, strict=True)
-        wrong = ", ".join(
-            axis for axis, value, sentence in pairs if round(abs(value), 1) != sentence
-        )
+        wrong = ", ".join(axis for axis, mm, text in pairs if round(abs(mm), 1) != text)
         far = (np.linalg.norm(plain), np.linalg.norm(off))
-        rows.append((teat, plain, far[0], off, far[1], printed, wrong or "nothing"))
+        rows.append((len(rows) + 1, plain, far[0], off, far[1], printed, wrong or "nothing"))
     heads = (
         ">teat | >5.2 less 5.1: x, y, z [mm] ~+.1f | >distance [mm] ~.2f"
         " | >5.3 less 5.1: x, y, z [mm] ~+.1f | >distance [mm] ~.2f"
@@ -325,22 +305,17 @@ def places_of(run: RunRecord, detector: str) -> Places:
     cells = plane_cells(error_rows(run, detector, PLANE))
     at = np.array([(cell.x_mm, cell.y_mm) for cell in cells], dtype=np.float64).reshape(-1, 2)
     low, high = (at.min(axis=0), at.max(axis=0)) if len(at) else (np.zeros(2), np.zeros(2))
-    figures = [(cell.teats, cell.found, cell.mean_mm or 0.0, cell.max_mm or 0.0) for cell in cells]
-    return Places(
-        at - (low + high) / 2.0, high - low, *np.array(figures, dtype=np.float64).reshape(-1, 4).T
-    )
+    rows = [(cell.teats, cell.found, cell.mean_mm or 0.0, cell.max_mm or 0.0) for cell in cells]
+    columns = np.array(rows, dtype=np.float64).reshape(-1, 4).T
+    return Places(at - (low + high) / 2.0, high - low, *columns)
 
 
 def largest_region_mm(places: Places, within_mm: float) -> tuple[float, float] | None:
     """Width and depth of the largest centred region whose average error is within so much; None
     where none is.
     """
-    widths, depths = (np.arange(0.0, span + SLACK_MM, 2.0 * STEP_MM) for span in places.span_mm)
-    averages = {
-        (width, depth): places.average_mm(places.within(width, depth))
-        for width in widths.tolist()
-        for depth in depths.tolist()
-    }
+    sides = (np.arange(0.0, span + SLACK_MM, 2.0 * STEP_MM).tolist() for span in places.span_mm)
+    averages = {(w, d): places.average_mm(places.within(w, d)) for w, d in product(*sides)}
     good = [size for size, mm in averages.items() if mm is not None and mm <= within_mm]
     return max(good, key=lambda size: size[0] * size[1], default=None)
 
@@ -356,10 +331,9 @@ def _plane(run: RunRecord, figures: Thesis) -> Iterator[Row]:
         "largest error": f"more than {theirs.largest_mm:g} mm",
         "smallest error": f"less than {theirs.smallest_mm:g} mm",
         f"average in the middle {width:g} x {depth:g} mm": f"{theirs.within_mm:g} mm",
-        f"largest middle region with an average within {theirs.within_mm:g} mm": _area(
-            theirs.area_within_mm
-        ),
     }
+    within = f"largest middle region with an average within {theirs.within_mm:g} mm"
+    printed[within] = _area(theirs.area_within_mm)
 
     def ours(p: Places) -> tuple[str, ...]:
         best, found = largest_region_mm(p, theirs.within_mm), p.found > 0
@@ -375,13 +349,10 @@ def _plane(run: RunRecord, figures: Thesis) -> Iterator[Row]:
         )
 
     sentence = {detector: ours(places_of(run, detector)) for detector in run.detectors}
-    remark = (
-        "The thesis quotes these of the optical-only system that it set out to beat."
-        f" {theirs.wrong}"
-    )
+    remark = "The thesis quotes these of the optical-only system that it set out to beat."
     for at, (what, figure) in enumerate(printed.items()):
         measured = _each({name: texts[at] for name, texts in sentence.items()})
-        yield what, theirs.section, figure, "", measured, "" if at else remark
+        yield what, theirs.section, figure, "", measured, "" if at else f"{remark} {theirs.wrong}"
 
 
 def _area(sides: Sequence[float] | Floats) -> str:
@@ -397,17 +368,14 @@ def _asked(run: RunRecord, figures: Thesis) -> Iterator[Row]:
     yield "largest error of the detector", asked.section, printed, "", _each(far), asked.wrong_error
     rates = {name: f"{pool.success}, poses that succeeded" for name, pool in pools.items()}
     found, present = sum(one.found for one in of), sum(one.present for one in of)
-    printed = (
-        f"“100 % or near” asked; {found} of {present} teats found in section 5.2"
-        f" ({percent(found / present)})"
-    )
+    printed = f"“100 % or near” asked; {found} of {present} teats found in section 5.2"
+    printed += f" ({percent(found / present)})"
     yield "reliability", asked.section, printed, "", _each(rates), asked.wrong_reliability
-    times = {name: latency_of(run, name) for name in run.detectors}
-    longest = {name: max(t.seconds, default=None) for name, t in times.items()}
-    seconds = {
-        name: f"p95 {number(t.p95_s, 's', 3)}, longest {number(longest[name], 's', 3)}"
-        for name, t in times.items()
-    }
+    seconds = {}
+    for name in run.detectors:
+        times = latency_of(run, name)
+        longest = number(max(times.seconds, default=None), "s", 3)
+        seconds[name] = f"p95 {number(times.p95_s, 's', 3)}, longest {longest}"
     aim, most = asked.time_s
     printed = f"{aim:g} s, at most {most:g} s asked; none measured"
     yield "time of a detection", asked.section, printed, "", _each(seconds), asked.wrong_time
@@ -429,11 +397,10 @@ def _rig(run: RunRecord, figures: Thesis, calibration: Calibration) -> Iterator[
         spanned(depth, ".0f", "mm"),
         off.wrong,
     )
-    worth, one = (
-        calibration.depth_per_disparity_px_mm(ends) if len(ends) else ends,
-        figures.one_pixel,
-    )
-    pixel = f"{spanned(worth, '.1f', 'mm')} of depth (Z² / f B)" if len(ends) else NOT_MEASURED
+    one, pixel = figures.one_pixel, NOT_MEASURED
+    if len(ends):
+        worth = calibration.depth_per_disparity_px_mm(ends)
+        pixel = f"{spanned(worth, '.1f', 'mm')} of depth (Z² / f B)"
     yield "what one pixel is worth", one.section, f"{one.error_mm:g} mm", "", pixel, one.wrong
     world, arm, bath = figures.world, figures.arm, figures.bath
     yield (
@@ -445,9 +412,9 @@ def _rig(run: RunRecord, figures: Thesis, calibration: Calibration) -> Iterator[
         world.wrong,
     )
     known = [row["u_mm"] for t in run.counted for row in t.truth if row["u_mm"] is not None]
-    sentence = (
-        f"truth known to {max(known):.2f} mm along an axis (k = 1)" if known else NOT_MEASURED
-    )
+    sentence = NOT_MEASURED
+    if known:
+        sentence = f"truth known to {max(known):.2f} mm along an axis (k = 1)"
     printed = f"{arm.accuracy_mm[0]:g} mm, {arm.accuracy_mm[1]:g} mm"
     yield "accuracy of the arm", arm.section, printed, "", sentence, arm.wrong
     temps = [trial.head["bath_c"] for trial in run.trials if trial.head["bath_c"] is not None]
@@ -466,14 +433,12 @@ def _homographies(ends_mm: Floats, figures: Thesis, calibration: Calibration) ->
     # the printed matrices are of those cameras only
     if (calibration.left, calibration.right) == (LEFT, RIGHT):
         sets["the printed ones"] = (np.array(theirs.left), np.array(theirs.right))
-    sentence = {}
+    sentence = dict.fromkeys(sets, NOT_MEASURED)
     for name, matrices in sets.items():
         pairs = zip(matrices, (seen["left"], seen["right"]), strict=True)
         off = [apply_homography(H, thermal) - at for H, at in pairs if at is not None]
         px = np.linalg.norm(np.concatenate(off), axis=1)
-        px = px[np.isfinite(px)]
-        sentence[name] = NOT_MEASURED
-        if len(px):
+        if len(px := px[np.isfinite(px)]):
             sentence[name] = f"{px.mean():.1f} px on the mean, {px.max():.1f} px at most"
     return _each(sentence)
 
@@ -484,6 +449,11 @@ def _stretch(matrix: Floats) -> str:
 
 
 NOT_SAID = "not printed"
+METHOD = (
+    "Each known point is projected into both pictures, its pixels are put off, and the pair is"
+    " triangulated with the same calibration: what differs is the offset's doing alone. All"
+    " directions are tried, since the thesis doesn't state its own."
+)
 
 
 def offset_verdict(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Verdict:
@@ -514,7 +484,13 @@ def offset_page(loaded: LoadedOffsets, found: Sequence[Outcome], calibration_sha
         ),
     )
     results: tuple[Part, ...] = (_directions(found, limit), *_figures(found, limit))
-    method = tuple(_method(loaded, calibration_sha256))
+    inputs = {
+        "layout": loaded.layout.name,
+        "directions a picture": script.directions,
+        "calibration SHA-256": calibration_sha256,
+        "script": loaded.path.name,
+    }
+    method = (Paragraph(METHOD), table("Inputs", "what | value", list(inputs.items())))
     sections = (
         Section("requirements", "Requirements", (_requirements(loaded, found),)),
         Section("results", "What the offsets do", results),
@@ -547,8 +523,8 @@ def _directions(found: Sequence[Outcome], limit: float) -> Table:
     rows = []
     for one in found:
         far, who = one.distances_mm, (one.offset.teat, offset_text(one.offset))
-        above = f"{int((far > limit).sum())} of {len(far)}"
         figures = (far.min(), np.median(far), far.max(), *one.most_mm)
+        above = f"{int((far > limit).sum())} of {len(far)}"
         rows.append((*who, len(far), *figures, above))
     heads = (
         ">teat | offset | >directions | >least [mm] ~.2f | >median [mm] ~.2f | >most [mm] ~.2f"
@@ -561,12 +537,10 @@ def _directions(found: Sequence[Outcome], limit: float) -> Table:
 
 def _figures(found: Sequence[Outcome], limit: float) -> Iterator[Figure]:
     for at, one in enumerate(found, 1):
+        svg, off = error_histogram(one.distances_mm, limit, name=f"offset-{at}"), one.offset
+        caption = f"Teat {off.teat}, {offset_text(off)}: error over all directions"
         within = int((one.distances_mm <= limit).sum())
-        yield Figure(
-            error_histogram(one.distances_mm, limit, name=f"offset-{at}"),
-            f"Teat {one.offset.teat}, {offset_text(one.offset)}: error over all directions",
-            f"{within} of {len(one.distances_mm)} within",
-        )
+        yield Figure(svg, caption, f"{within} of {len(one.distances_mm)} within")
 
 
 def _published(loaded: LoadedOffsets, found: Sequence[Outcome]) -> Iterator[Part]:
@@ -614,21 +588,6 @@ def _beside(figures: Thesis, found: Sequence[Outcome]) -> Iterator[Row]:
             yield what, one.section, f"{one.error_mm:g} mm", "", sentence, one.wrong
 
 
-def _method(loaded: LoadedOffsets, calibration_sha256: str) -> Iterator[Part]:
-    yield Paragraph(
-        "Each known point is projected into both pictures, its pixels are put off, and the pair is"
-        " triangulated with the same calibration: what differs is the offset's doing alone. All"
-        " directions are tried, since the thesis doesn't state its own."
-    )
-    inputs = {
-        "layout": loaded.layout.name,
-        "directions a picture": loaded.script.directions,
-        "calibration SHA-256": calibration_sha256,
-        "script": loaded.path.name,
-    }
-    yield table("Inputs", "what | value", list(inputs.items()))
-
-
 def published_move_mm(offset: Offset) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None:
     """What the printed offset moved the printed point by, (3,) mm; None where not stated."""
     if offset.published_mm is None or offset.published_plain_mm is None:
@@ -663,11 +622,8 @@ def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
     """Run the script on the rig's calibration; return the run's folder. Raises ConfigError."""
     loaded = load_offsets(path)
     outcomes(loaded, rig.calibration)  # what can't be computed is told before there is a folder
-    files = {
-        SCRIPT: loaded.text,
-        "rig.toml": rig.text,
-        CALIBRATION: read_text(rig.calibration_path),
-    }
+    files = {SCRIPT: loaded.text, "rig.toml": rig.text}
+    files[CALIBRATION] = read_text(rig.calibration_path)
     if loaded.script.layout.endswith(".toml"):
         files[loaded.script.layout] = read_text(path.parent / loaded.script.layout)
     try:
@@ -706,8 +662,7 @@ def report_offsets(folder: Path) -> tuple[Path, LoadedOffsets, tuple[Outcome, ..
         "verdict": verdict,
         "limit_mm": loaded.script.limit_mm,
         "calibration_sha256": digest,
+        "offsets": rows,
     }
-    write_synced(
-        folder / REPORT / "run.json", json.dumps({**whole, "offsets": rows}, indent=1).encode()
-    )
+    write_synced(folder / REPORT / "run.json", json.dumps(whole, indent=1).encode())
     return path, loaded, found, verdict

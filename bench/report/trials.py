@@ -48,7 +48,7 @@ from reports.page import Cell, KeyValues, Look, Result, Table, Tone, TrialPart
 
 AT_ONCE = 4  # trials: decoding and encoding pictures lets others work
 MOST_WORST = 60
-MOST_LOOKS = 3  # and a typical one
+NTH = ("Worst", "Second worst", "Third worst")  # looked at, and a typical one
 CUT_WIDTH_PX, CUT_MARGIN_PX = 640, 22  # what is shown round the teats on the first page
 FIRST_LOOKS = 9
 
@@ -89,7 +89,7 @@ def looks_of(
     """The worst trials, each detector's in turn, and a typical one; views cut to the teats."""
     scored = [trial for trial in run.counted if trial.scores and trial.truth]
     names = [name for name in run.detectors if any(name in trial.scores for trial in scored)]
-    if not scored or not names:
+    if not names:
         return ()
 
     def fault(trial: TrialRecord, name: str) -> tuple[int, float]:
@@ -99,18 +99,12 @@ def looks_of(
         return score.counts.missed + score.counts.false, max(score.radial_mm, default=0.0)
 
     ranks = {name: sorted(scored, key=lambda t: fault(t, name), reverse=True) for name in names}
+    turns = [(names[k % len(names)], NTH[k // len(names)], 0) for k in range(max(3, len(names)))]
     chosen: dict[str, tuple[TrialRecord, str]] = {}
-    for turn in range(max(MOST_LOOKS, len(names))):
-        name = names[turn % len(names)]
-        free = [trial for trial in ranks[name] if trial.id not in chosen]
-        if free:
-            nth = ("Worst", "Second worst", "Third worst")[turn // len(names)]
-            chosen[free[0].id] = free[0], f"{nth} of {name}" if len(names) > 1 else nth
-    middle = ranks[names[0]][len(scored) // 2 :]
-    for trial in middle:
-        if trial.id not in chosen:
-            chosen[trial.id] = trial, f"Typical of {names[0]}" if len(names) > 1 else "Typical"
-            break
+    for name, nth, first in [*turns, (names[0], "Typical", len(scored) // 2)]:
+        free = [trial for trial in ranks[name][first:] if trial.id not in chosen]
+        for trial in free[:1]:
+            chosen[trial.id] = trial, f"{nth} of {name}" if len(names) > 1 else nth
     by_id = {part.id: part for part in parts}
     return tuple(
         look_at(trial, why, by_id[trial_id(trial)], calibration) for trial, why in chosen.values()
@@ -119,10 +113,9 @@ def looks_of(
 
 def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibration) -> Look:
     """Its views cut to the teats, with truth and answers drawn in."""
-    images = []
+    images, there = [], {image.src: image for image in part.images}
     for camera, truth_px in project_all(calibration, points_mm(trial.truth)).items():
-        src = f"{IMAGES}/{trial.id}-{camera}.jpg"
-        image = next((image for image in part.images if image.src == src), None)
+        image = there.get(f"{IMAGES}/{trial.id}-{camera}.jpg")
         if image is None:
             continue
         size = max(1.0, image.width / CUT_WIDTH_PX)
@@ -140,9 +133,8 @@ def look_at(trial: TrialRecord, why: str, part: TrialPart, calibration: Calibrat
             )
             if shapes:
                 drawn.append(Overlay("point", NAMES["point"], shapes, who))
-        alt = f"{image.alt}, at the teats"
-        cut = replace(image, label=camera, overlays=tuple(drawn), view_box=box, alt=alt)
-        images.append(cut)
+        alt, layers = f"{image.alt}, at the teats", tuple(drawn)
+        images.append(replace(image, label=camera, alt=alt, overlays=layers, view_box=box))
     images.sort(key=lambda image: "-left." not in image.src)
     heading = f"{part.situation}, trial {trial.head['number']}"
     return Look(part.id, heading, why, _results(trial, farthest=True), tuple(images))
@@ -181,35 +173,22 @@ def trial_table(run: RunRecord) -> Table:
                 found = f"{score.counts.matched} of {score.counts.visible}"
                 counts = (found, str(score.counts.missed), str(score.counts.false))
                 worst = max(score.radial_mm, default=None)
-            seconds = detection["wall_seconds"]
-            rows.append(
-                (
-                    Cell(trial.id, href=f"#{trial_id(trial)}"),
-                    spoken(trial.head["situation"]),
-                    str(detection["detector"]),
-                    *counts,
-                    # more digits make the page heavy, not the order right
-                    Cell(number(worst), sort=None if worst is None else round(worst, 4)),
-                    Cell(f"{seconds:.3f}", sort=round(seconds, 4)),
-                    Cell(*_status(trial, score)),
-                )
-            )
+            seconds, link = detection["wall_seconds"], Cell(trial.id, href=f"#{trial_id(trial)}")
+            # more digits make the page heavy, not the order right
+            far = Cell(number(worst), sort=None if worst is None else round(worst, 4))
+            time = Cell(f"{seconds:.3f}", sort=round(seconds, 4))
+            who = (link, spoken(trial.head["situation"]), str(detection["detector"]))
+            rows.append((*who, *counts, far, time, Cell(*_status(trial, score))))
     return table("All trials", heads, rows, searchable=True)
 
 
 def first_looks(run: RunRecord) -> KeyValues | None:
     """Links to the trials that are worth the first look; None where none failed."""
-    entries = tuple(
-        (trial.id, Cell(*_statuses(trial), href=f"#{trial_id(trial)}"))
-        for trial in worst_trials(run)[:FIRST_LOOKS]
-    )
-    return KeyValues("Look at these first", entries) if entries else None
-
-
-def _statuses(trial: TrialRecord) -> tuple[str, Tone]:
-    """What one says of the trial: its worst detector's status."""
-    statuses = [_status(trial, score) for score in trial.scores.values() or (None,)]
-    return next((status for status in statuses if status[1] == "bad"), statuses[0])
+    entries = []
+    for trial in worst_trials(run)[:FIRST_LOOKS]:
+        failed = next(score for score in trial.scores.values() if not score.success)
+        entries.append((trial.id, Cell(*_status(trial, failed), href=f"#{trial_id(trial)}")))
+    return KeyValues("Look at these first", tuple(entries)) if entries else None
 
 
 def _part(run: RunRecord, trial: TrialRecord, calibration: Calibration, folder: Path) -> TrialPart:
@@ -283,13 +262,12 @@ def _teats(trial: TrialRecord, detector: str) -> Table:
             answer, k = pairs[index]
             mm = score.radial_mm[k]
             answered = (xyz(found[answer]), *score.errors_mm[k], mm)
-            text = Cell("found", "good")
-            if mm > score.limit_mm:
-                text = Cell("found, beyond the limit", "warn")
+            beyond = Cell("found, beyond the limit", "warn")
+            text = beyond if mm > score.limit_mm else Cell("found", "good")
         rows.append((str(row["teat"]), xyz(row), row["u_mm"], *answered, text))
+    text = Cell("false", "bad") if score else Cell("not scored", "muted")
     for answer in score.match.false if score else range(len(found)):
-        text = Cell("false", "bad") if score else Cell("not scored", "muted")
-        rows.append(("", "", "", xyz(found[answer]), "", "", "", "", text))
+        rows.append((*[""] * 3, xyz(found[answer]), *[""] * 4, text))
     heads = (
         "teat | >truth x, y, z [mm] | >u [mm] ~.2f? | >found x, y, z [mm] | >dx [mm] ~+.2f"
         " | >dy [mm] ~+.2f | >dz [mm] ~+.2f | >distance [mm] ~.2f | is"
@@ -326,19 +304,12 @@ def pictures(
     for camera, image, points in frames_of(run, trial, calibration):
         mirrored = camera == "thermal" and calibration.thermal.mirrored
         label = f"{camera}, left and right exchanged back" if mirrored else camera
-        name = f"{IMAGES}/{trial.id}-{camera}.jpg"
+        name, (high, wide) = f"{IMAGES}/{trial.id}-{camera}.jpg", image.shape
         _write(image, folder / name, cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY)
-        height, width = image.shape
-        yield ImageView(
-            label=label,
-            src=name,
-            width=width,
-            height=height,
-            alt=f"{label} frame of trial {trial.id}",
-            overlays=overlays(trial, camera, points, calibration),
-            view_box=None if camera == "thermal" else round_teats(points, width, height),
-            original=f"../{paths[camera]}",
-        )
+        alt = f"{label} frame of trial {trial.id}"
+        layers = overlays(trial, camera, points, calibration)
+        box = None if camera == "thermal" else round_teats(points, wide, high)
+        yield ImageView(label, name, wide, high, alt, layers, box, f"../{paths[camera]}")
     for detection in trial.detections:
         # the detector's edge picture, where it has one, with the points that were taken from it
         path = paths.get(f"{detection['detector']}-edges")
@@ -347,11 +318,10 @@ def pictures(
             continue
         name = f"{IMAGES}/{trial.id}-{detection['detector']}-edges.png"
         _write(255 - edges, folder / name, cv2.IMWRITE_PNG_BILEVEL, 1)
-        height, width = edges.shape
         label = f"{detection['detector']}: edges in the thermal frame"
-        alt = f"{label}, trial {trial.id}"
+        alt, (high, wide) = f"{label}, trial {trial.id}", edges.shape
         layers = stage_overlays(detection, _places(trial)[str(detection["detector"])])
-        yield ImageView(label, name, width, height, alt, layers, original=f"../{path}")
+        yield ImageView(label, name, wide, high, alt, layers, original=f"../{path}")
 
 
 def frames_of(
@@ -386,16 +356,14 @@ def round_teats(
     view_height = int(min(height, view_width * 3 / 4))
     if min(view_width, view_height) < 1:  # a frame of a few pixels has no part
         return None
-    middle = (low + high) / 2
-    x = int(np.clip(middle[0] - view_width / 2, 0, width - view_width))
-    y = int(np.clip(middle[1] - view_height / 2, 0, height - view_height))
-    return x, y, view_width, view_height
+    room, size = np.array([width - view_width, height - view_height]), (view_width, view_height)
+    x, y = np.clip((low + high) / 2 - np.array(size) / 2, 0, room).astype(int).tolist()
+    return x, y, *size
 
 
 def grey(path: Path) -> NDArray[np.uint8] | None:
     """A frame as 8-bit grey or None."""
-    image = _read(path, cv2.IMREAD_GRAYSCALE)
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+    return _read(path, cv2.IMREAD_GRAYSCALE)
 
 
 def shown_depth(path: Path) -> NDArray[np.uint8] | None:
@@ -450,15 +418,16 @@ def overlays(
     for detection in trial.detections:
         trace, name = json.loads(detection["trace"]), str(detection["detector"])
         who = places[name]
-        for tone, shape in (
-            *_stages(trace, camera, name),
-            *_models(trace, camera, calibration, name),
-        ):
-            shapes.setdefault((tone, who), []).append(shape)
+        drawn = [*_stages(trace, camera, name), *_models(trace, camera, calibration, name)]
         for row in trial.found:
             if row["detector"] == name:
-                shapes.setdefault(("point", who), []).extend(_final(row, camera, who))
-                shapes.setdefault(("spread", who), []).extend(_spread(row, camera, calibration))
+                if at := row.get(f"{camera}_px"):
+                    x, y = json.loads(at)
+                    if np.isfinite([x, y]).all():
+                        drawn.append(("point", answer_mark(who, x, y, 6, f"{name}: end")))
+                drawn += [("spread", shape) for shape in _spread(row, camera, calibration)]
+        for tone, shape in drawn:
+            shapes.setdefault((tone, who), []).append(shape)
     return tuple(
         Overlay(tone, NAMES[tone], tuple(found), who)
         for (tone, who), found in shapes.items()
@@ -545,14 +514,6 @@ def _models(
             text = f"{detector}: rejected, {reason}" if reason else f"{detector}: fitted teat"
             tone: LayerTone = "other" if reason else "model"
             yield tone, Polyline(tuple((float(x), float(y)) for x, y in line), title=text)
-
-
-def _final(row: Row, camera: str, who: int) -> Iterator[Shape]:
-    at = row.get(f"{camera}_px")
-    if at:
-        x, y = json.loads(at)
-        if np.isfinite([x, y]).all():
-            yield answer_mark(who, x, y, 6, f"{row['detector']}: end")
 
 
 def _spread(row: Row, camera: str, calibration: Calibration) -> Iterator[Shape]:

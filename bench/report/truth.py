@@ -56,9 +56,8 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
         "of | figure | >off [px] ~+z.2f | >± [px] ~.2f | >poses"
         " | >a pixel is, in depth [mm] ~.1f | >as if a camera were turned by [°] ~.3f",
         [
-            (who, one.name, one.value, one.uncertainty, one.poses, one.mm, abs(one.value) * one.deg)
-            if one.name == DISPARITY
-            else (who, one.name, one.value, one.uncertainty, one.poses, "", "")
+            (who, one.name, one.value, one.uncertainty, one.poses)
+            + ((one.mm, abs(one.value) * one.deg) if one.name == DISPARITY else ("", ""))
             for who, one in found
         ],
         f"{check.told} of {check.ends} ends told in left and right{thermal}. Means over poses, with"
@@ -76,13 +75,11 @@ def arm_parts(run: RunRecord) -> Iterator[Part]:
     if "arm" not in run.facts.get("identities", {}):
         return
     yield _frame(run.facts.get(FRAME_FACT))
-    dated = run.facts.get(VERIFICATION_FACT)
-    if dated:
+    if dated := run.facts.get(VERIFICATION_FACT):
         yield from _verification(run, from_dict(dated))
     else:
-        yield Paragraph(
-            "The rig names no dated verification of the arm ('teatbench arm verify').", tone="warn"
-        )
+        missing = "The rig names no dated verification of the arm ('teatbench arm verify')."
+        yield Paragraph(missing, tone="warn")
     yield _arm_checks(run)
     yield from _stated(run)
 
@@ -133,11 +130,8 @@ def _verification(run: RunRecord, dated: Verification) -> Iterator[Part]:
 
 
 def _arm_checks(run: RunRecord) -> Part:
-    facts = {
-        when: run.facts[CHECK_FACT.format(when)]
-        for when in (BEFORE, AFTER)
-        if CHECK_FACT.format(when) in run.facts
-    }
+    names = {when: CHECK_FACT.format(when) for when in (BEFORE, AFTER)}
+    facts = {when: run.facts[name] for when, name in names.items() if name in run.facts}
     if not facts:
         return Paragraph(
             "The arm was not checked before and after the trials: the rig names no check point.",
@@ -156,11 +150,11 @@ def _stated(run: RunRecord) -> Iterator[Part]:
     """The arm's stated uncertainty, and each check of it; nothing of a run that kept none."""
     if (stated := run.facts.get(STATED_FACT)) is None:
         return
-    u_mm, checks = stated["u_mm"], arm_checks(run.facts)
+    u_mm, df, checks = stated["u_mm"], stated["df"], arm_checks(run.facts)
     entries = {
         "standard uncertainty of a position, along each axis": f"{u_mm:g} mm",
         "source": stated["source"] or "not named in the rig file ([arm] accuracy_source)",
-        "degrees of freedom": f"{stated['df']:g}" if stated["df"] else "not stated: taken as exact",
+        "degrees of freedom": f"{df:g}" if df else "not stated: taken as exact",
         "rounding, beside it": f"{stated['resolution_mm']:.3f} mm",
     }
     yield key_values("The arm's uncertainty, as the rig file states it", entries)
@@ -170,11 +164,10 @@ def _stated(run: RunRecord) -> Iterator[Part]:
     level = level_of_each(checks)
     rows = []
     for check in checks:
-        low, high = (u_mm * ratio for ratio in check.ratio_interval)
+        span = spanned([u_mm * ratio for ratio in check.ratio_interval])
         wrong = Cell("too small", "bad") if check.p_value < level else Cell("not refuted", "good")
-        shown = (u_mm * check.ratio, f"{low:.2f} to {high:.2f}")
         figures = (check.squares, check.limit(level), f"{check.p_value:.2g}")
-        rows.append((check.name, check.df, *shown, *figures, wrong))
+        rows.append((check.name, check.df, u_mm * check.ratio, span, *figures, wrong))
     heads = (
         "deviations | >degrees of freedom | >u shown [mm] ~.3f | >its 95 % interval [mm]"
         " | >chi-square ~.1f # sum of (deviation / stated u)²"
@@ -224,14 +217,12 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
             lines,
             f"Each trial has its own, per teat; {U_NOTE}.",
         )
-    known = [row["u_mm"] for row in ends if row["u_mm"] is not None]
-    if known:
+    if known := [row["u_mm"] for row in ends if row["u_mm"] is not None]:
         yield Paragraph(
             "Every decision's guard band is that of the largest uncertainty in the run: u ="
             f" {max(known):.3f} mm along an axis."
         )
-    registration = registration_from_facts(run.facts)
-    if registration is not None:
+    if (registration := registration_from_facts(run.facts)) is not None:
         yield from _registration(run, registration)
     if run.checks:
         heads = (
@@ -239,14 +230,16 @@ def truth_parts(run: RunRecord) -> Iterator[Part]:
             " | >apart [mm] ~.2f | >limit [mm] ~g | carry"
         )
         states = (Cell("lost", "bad"), Cell("held", "good"))
-        rows = []
-        for row in run.checks:
-            places = (xyz(row), xyz(row, "carried_"))
-            who = (row["number"], str(row["after_trial"]), str(row["teat"]))
-            rows.append((*who, *places, row["off_mm"], row["limit_mm"], states[bool(row["held"])]))
+        rows = [
+            (
+                *(row["number"], str(row["after_trial"]), str(row["teat"])),
+                *(xyz(row), xyz(row, "carried_")),
+                *(row["off_mm"], row["limit_mm"], states[bool(row["held"])]),
+            )
+            for row in run.checks
+        ]
         yield table("Check touches of the carried truth", heads, rows)
-    exact = [row for trial in run.counted for row in trial.truth if row["exact_mm"]]
-    if exact:
+    if exact := [row for row in ends if row["exact_mm"]]:
         yield Paragraph(_truth_error(exact), tone="info")
 
 
@@ -263,8 +256,7 @@ def deviation_parts(run: RunRecord) -> Iterator[Part]:
         text = tuple(f"{', '.join(trials)}: {reason}" for reason, trials in why.items())
         yield Notes("Trials whose truth was invalidated; they are in no count", text)
     state = resumed(run)
-    since = [*state.unconfirmed, *state.since]
-    if since:
+    if since := [*state.unconfirmed, *state.since]:
         yield Paragraph(
             f"{counted(len(since))} confirmed by no check touch after them, and count all the same:"
             f" {', '.join(since)}.",
@@ -301,8 +293,7 @@ def trial_truth(trial: TrialRecord) -> Table | None:
         ("teat | truth", *names, ">combined [mm] ~.3f"),
         [
             (
-                str(row["teat"]),
-                str(row["how"]),
+                *(str(row["teat"]), str(row["how"])),
                 *(f"{line['u_mm']:.3f}" for line in budget["components"]),
                 budget["u_mm"],
             )
@@ -313,21 +304,17 @@ def trial_truth(trial: TrialRecord) -> Table | None:
 
 
 def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
-    for fault in found.faults:
-        yield Paragraph(fault, tone="warn")
+    yield from (Paragraph(fault, tone="warn") for fault in found.faults)
     fits = found.comparison
     places = [json.loads(trial.head["stage_mm"]) for trial in run.trials if trial.head["stage_mm"]]
+    target_mm = [found.target_error_mm(place) for place in places]
+    expected = f"{found.expected_fre_mm:.2f} mm expected of touches as stated"
     entries = {
         "made": found.made.isoformat(timespec="seconds"),
         "stage": found.stage,
         "positions touched": f"{len(found.stations)}, teat {found.teat}",
-        "residual of the rigid fit (FRE)": (
-            f"{fits.rigid.fre_mm:.2f} mm rms; {found.expected_fre_mm:.2f} mm expected of touches as"
-            " stated"
-        ),
-        "target error (TRE) at the run's poses": spanned(
-            [found.target_error_mm(place) for place in places], unit="mm"
-        ),
+        "residual of the rigid fit (FRE)": f"{fits.rigid.fre_mm:.2f} mm rms; {expected}",
+        "target error (TRE) at the run's poses": spanned(target_mm, unit="mm"),
         "om, rad": listed(found.world_from_stage.om, ".6f"),
         "T, mm": listed(found.world_from_stage.T, ".3f"),
         "chance of these axes, if as stated": f"{found.p_value:.2g}",
@@ -340,42 +327,33 @@ def _registration(run: RunRecord, found: Registration) -> Iterator[Part]:
         "The rigid fit carries. Where affine is much better, held out too, the stage's axes or the"
         " arm are off.",
     )
-    stated = found.stated
+    stated, so = found.stated, ", which the carry's uncertainty is made of."
+    if found.doubted:
+        so = "; what was found here is added, since it casts doubt on that."
+    words = ("no", Cell("yes", "warn"))
     yield table(
         "The stage's axes",
         "axes | >off by [mm/m] ~+.2f | >u [mm/m] ~.2f | >off by / u ~+.1f"
         " | significant # beyond 2.58 u: touch noise explains it in one of 100 cases",
         [
-            (
-                d.name,
-                1e3 * d.value,
-                1e3 * d.u,
-                d.value / d.u,
-                Cell("yes", "warn") if d.significant else "no",
-            )
+            (d.name, 1e3 * d.value, 1e3 * d.u, d.value / d.u, words[bool(d.significant)])
             for d in found.diagnostics
         ],
         "Diagnostics, not corrections; squareness is in mrad. The rig file states u ="
         f" {1e3 * stated.scale_u:g} mm/m of scale and {1e3 * stated.squareness_u_rad:g} mrad of"
-        " squareness"
-        + (
-            "; what was found here is added, since it casts doubt on that."
-            if found.doubted
-            else ", which the carry's uncertainty is made of."
-        ),
+        f" squareness{so}",
     )
 
 
 def _truth_error(rows: Sequence[Mapping[str, Any]]) -> str:
     """What the truth was off by, known on an emulated rig only."""
     off_mm = points_mm(rows) - [json.loads(row["exact_mm"]) for row in rows]
-    regions = [
-        (off, covariance)
+    inside = [
+        off @ np.linalg.solve(covariance, off) <= CHI2_95
         for off, row in zip(off_mm, rows, strict=True)
         if (covariance := covariance_of(row)) is not None
     ]
-    inside = sum(off @ np.linalg.solve(covariance, off) <= CHI2_95 for off, covariance in regions)
-    held = f"; the stated 95 % regions hold {inside} of {len(regions)}" if regions else ""
+    held = f"; the stated 95 % regions hold {sum(inside)} of {len(inside)}" if inside else ""
     far = np.linalg.norm(off_mm, axis=1)
     return (
         f"Emulated rig: the scene's exact teat ends are kept aside. The truth is {far.mean():.2f}"

@@ -47,6 +47,11 @@ def listed(values: Iterable[float], form: str = ".2f") -> str:
     return ", ".join(f"{value:{form}}" for value in values)
 
 
+def p_text(p: float | None) -> str:
+    """A p-value to three digits; empty for None."""
+    return "" if p is None else "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
 def xyz(row: Mapping[str, Any], prefix: str = "") -> str:
     """The point of a record's row, mm."""
     return listed((row[f"{prefix}{axis}_mm"] for axis in "xyz"), ".1f")
@@ -88,15 +93,12 @@ def table(
     ``form`` is the numbers' format. A title that anybody gave, as a detector's name, comes as a
     `Column`: it may hold such signs.
     """
-    columns: list[Column] = []
-    forms: list[str] = []
+    made: list[tuple[Column, str]] = []
     for head in [heads] if isinstance(heads, str) else heads:
-        for text in [head] if isinstance(head, Column) else head.split(" | "):
-            column, form = (text, "") if isinstance(text, Column) else _column(text)
-            columns.append(column)
-            forms.append(form)
+        made += [(head, "")] if isinstance(head, Column) else map(_column, head.split(" | "))
+    columns, forms = zip(*made, strict=True)
     cells = (tuple(shown(*pair) for pair in zip(row, forms, strict=True)) for row in rows)
-    return Table(caption, tuple(columns), tuple(cells), note, searchable)
+    return Table(caption, columns, tuple(cells), note, searchable)
 
 
 def _column(text: str) -> tuple[Column, str]:
@@ -109,11 +111,11 @@ def _column(text: str) -> tuple[Column, str]:
 
 def key_values(title: str, entries: Mapping[str, object]) -> KeyValues:
     """A list of names and values as text."""
-
-    def message(value: object) -> str | Cell:
-        return value if isinstance(value, Cell) else NOT_MEASURED if value is None else str(value)
-
-    return KeyValues(title, tuple((name, message(value)) for name, value in entries.items()))
+    said = (
+        value if isinstance(value, Cell) else NOT_MEASURED if value is None else str(value)
+        for value in entries.values()
+    )
+    return KeyValues(title, tuple(zip(entries, said, strict=True)))
 
 
 def measured(decision: Decision) -> str:
@@ -124,12 +126,10 @@ def measured(decision: Decision) -> str:
         return text
     above = (decision.verdict is Verdict.NOT_MET) == (unit == "%")
     bound = value + decision.uncertainty if above else value - decision.uncertainty
-    message = (
-        percent_apart(bound / 100, decision.limit / 100)
-        if unit == "%"
-        else number(bound, unit, digits)
-    )
-    return f"{text} ({'at most' if above else 'at least'} {message})"
+    said = number(bound, unit, digits)
+    if unit == "%":
+        said = percent_apart(bound / 100, decision.limit / 100)
+    return f"{text} ({'at most' if above else 'at least'} {said})"
 
 
 def limit(decision: Decision) -> str:
@@ -151,7 +151,7 @@ def headline(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdi
         then = "Put back the run's folder from a copy; 'teatbench store check' lists all that is"
         return "no verdict", why, f"{then} damaged."
     if run.ending != "finished":
-        return "aborted", _why_ended(run), _after_ending(run)
+        return "aborted", _why_ended(run), AFTER_FAULT if run.ending == "faulted" else AFTER_END
     verdict, why, then = _finished(run, judgements)
     silent = [message for name in run.detectors for message in _silence(run, name)]
     if not silent:
@@ -184,16 +184,12 @@ def _silence(run: RunRecord, detector: str) -> Iterator[str]:
     silent = [row for row in rows if row["outcome"] != Outcome.ANSWERED.value]
     if not silent:
         return
-    reasons = [
-        row["reason"] for row in silent if row["outcome"] != Outcome.OFF.value and row["reason"]
-    ]
+    reasons = [row["reason"] for row in silent if row["outcome"] != Outcome.OFF.value]
+    why = next((f": {reason}" for reason in reversed(reasons) if reason), "")
     written = "\n".join(row["wall_stderr"] or "" for row in silent).splitlines()
-    words = [line.strip() for line in written if line.strip()]
-    last = f' Its last words: "{words[-1][:LONGEST_WORDS]}".' if words else ""
-    yield (
-        f"{detector} did not answer on {len(silent)} of {len(rows)} frame"
-        f" sets{': ' if reasons else ''}{''.join(reasons[-1:])}.{last}"
-    )
+    words = next((line.strip() for line in reversed(written) if line.strip()), "")
+    last = f' Its last words: "{words[:LONGEST_WORDS]}".' if words else ""
+    yield f"{detector} did not answer on {len(silent)} of {len(rows)} frame sets{why}.{last}"
 
 
 def _finished(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[PageVerdict, str, str]:
@@ -250,16 +246,14 @@ def guardian_text(record: Mapping[str, Any]) -> str:
     )
 
 
-def _after_ending(run: RunRecord) -> str:
-    if run.ending == "faulted":
-        return (
-            "See the events below, remove the cause, check the instruments with 'teatbench check',"
-            " then go on with 'teatbench resume'."
-        )
-    return (
-        "Look whether the bath is in standby, then go on with 'teatbench resume'; what is below is"
-        " unfinished."
-    )
+AFTER_FAULT = (
+    "See the events below, remove the cause, check the instruments with 'teatbench check', then go"
+    " on with 'teatbench resume'."
+)
+AFTER_END = (
+    "Look whether the bath is in standby, then go on with 'teatbench resume'; what is below is"
+    " unfinished."
+)
 
 
 def _next_action(verdict: Verdict, named: Sequence[str], of_bench: frozenset[str]) -> str:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,6 +26,7 @@ from reports.figures.drawing import (
     marks,
     not_measured,
     plain,
+    row_names,
     telling,
     together,
 )
@@ -82,13 +82,9 @@ def bath_curve(
         (drawn,) = close.plot(captures / 60, np.full(captures.size, 1.0), **ticks)
         drawn.set(transform=close.get_xaxis_transform(), clip_on=False)
         close.set_xlabel("time (min)")
-        entries: list[LegendEntry] = [
-            ("bath", "ours", "-"),
-            (f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--"),
-            ("stable", "span", "patch"),
-            (f"capture ({taken})", "ink", "v"),
-        ]
-        legend(figure, entries)
+        held: LegendEntry = (f"set point {setpoint_c:g} °C ± {band_k:g} K", "good", "--")
+        capture: LegendEntry = (f"capture ({taken})", "ink", "v")
+        legend(figure, [("bath", "ours", "-"), held, ("stable", "span", "patch"), capture])
 
     return draw(name, inches, plot)
 
@@ -103,9 +99,6 @@ def bath_sparkline(
 ) -> str:
     """Bath temperature (n,) over time (n,) as a line on its band, ± band_k."""
     times, temps = together("bath_sparkline", times_s=times_s, temps_c=temps_c)
-    inches = (HALF_INCHES, 1.6)
-    if not times.size:
-        return not_measured(name, inches, "the bath gave no reading")
     shown = envelope(temps)
 
     def plot(figure: Figure) -> None:
@@ -119,7 +112,7 @@ def bath_sparkline(
         axes.set(xlabel="time (min)", ylabel=f"{setpoint_c:g} °C")
         axes.grid(visible=False)
 
-    return draw(name, inches, plot)
+    return draw(name, (HALF_INCHES, 1.6), plot)
 
 
 def latency_strip(
@@ -173,12 +166,10 @@ def found_bars(
             _share_bar(axes, row - 0.2, ours, of, "ours")
             if theirs is not None:
                 _share_bar(axes, row + 0.2, theirs, _THESIS_PRESENT, "theirs")
+        row_names(axes, situations)
         axes.set(xlim=(0, 1.28), ylim=(len(situations) - 0.45, -0.55))
         axes.set(xlabel="share of visible teats found", xticks=[0, 0.25, 0.5, 0.75, 1])
-        axes.set_yticks(range(len(situations)), [plain(text) for text in situations])
         axes.xaxis.set_major_formatter(PercentFormatter(1))
-        axes.tick_params(axis="y", length=0)
-        axes.grid(visible=False, axis="y")
         legend(figure, [("this run", "ours", "patch"), ("thesis, section 5.2", "theirs", "patch")])
 
     return draw(name, inches, plot)
@@ -206,10 +197,7 @@ class Slope:
 def slope_intervals(slopes: Sequence[Slope], *, name: str = "slope-intervals") -> str:
     """A panel a response, a row a question, with intervals. Raises ValueError if not finite."""
     for one in slopes:
-        if not all(map(isfinite, (one.value, one.low, one.high))):
-            raise ValueError(
-                f"slope_intervals: {one.against} is not finite; leave out what was not measured"
-            )
+        finite("slope_intervals", one.against, [one.value, one.low, one.high])
     rows = list(dict.fromkeys(slope.against for slope in slopes))
     panels = list(dict.fromkeys(slope.response for slope in slopes))
     if not rows:
@@ -225,13 +213,9 @@ def slope_intervals(slopes: Sequence[Slope], *, name: str = "slope-intervals") -
                 axes.plot([slope.low, slope.high], [y, y], color=COLOURS[role], linewidth=1.4)
                 form: Marker = "D" if slope.shown else "o"
                 marks(axes, [slope.value], [y], role, 4.5, form, line="-")
-            axes.set(xlim=(-reach, reach), ylim=(len(rows) - 0.5, -0.5))
-            axes.set(xlabel=f"{plain(panel)} (mm)")
-            axes.set_yticks(np.arange(len(rows)), [plain(row) for row in rows])
-            axes.tick_params(axis="y", length=0)
-            axes.grid(visible=False, axis="y")
-        legend(
-            figure, [("no trend shown, 95 % interval", "ours", "o"), ("trend shown", "limit", "D")]
-        )
+            axes.set(xlim=(-reach, reach), xlabel=f"{plain(panel)} (mm)")
+            row_names(axes, rows)
+        unshown: LegendEntry = ("no trend shown, 95 % interval", "ours", "o")
+        legend(figure, [unshown, ("trend shown", "limit", "D")])
 
     return draw(name, (WIDE_INCHES, 0.9 + 0.28 * max(len(rows), 3)), plot)

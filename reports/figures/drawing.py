@@ -70,6 +70,7 @@ COLOURS = {
     "paper": "#fdfdfe",
 }
 HALF_INCHES, WIDE_INCHES = 4.7, 9.4
+NO_PAIR = "no teat end was paired with a truth"
 Marker = Literal["o", "s", "^", "D", "v", "P", "X"]
 # of several detectors: each has a colour and a mark, as over the frames (reports.frames)
 _DETECTOR_ROLES = ("ours", "theirs", "accept", "ink")
@@ -193,6 +194,22 @@ def legend(figure: Figure, entries: Sequence[LegendEntry]) -> None:
         if columns == 1 or made.get_window_extent().width <= figure.bbox.width:
             return
         made.remove()
+
+
+def limits(limit_mm: float, accept_mm: float | None = None) -> list[LegendEntry]:
+    """What a legend says of the limit and, where one is drawn, of the acceptance limit."""
+    entries: list[LegendEntry] = [(f"limit {limit_mm:g} mm", "limit", "-")]
+    if accept_mm is not None:
+        entries.append((f"accepted to {accept_mm:.3f} mm", "accept", "--"))
+    return entries
+
+
+def row_names(axes: Axes, names: Sequence[str], most: int = 30) -> None:
+    """A row each, the first above."""
+    axes.set_yticks(range(len(names)), [plain(text, most) for text in names])
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0)
 
 
 def detector_look(place: int, of: int) -> tuple[str, Marker]:

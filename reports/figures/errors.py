@@ -18,6 +18,7 @@ from reports.figures.drawing import (
     HALF_INCHES,
     MOST_POINTS,
     MOST_STEPS,
+    NO_PAIR,
     WIDE_INCHES,
     Floats,
     LegendEntry,
@@ -29,18 +30,19 @@ from reports.figures.drawing import (
     draw,
     finite,
     legend,
+    limits,
     linked,
     marks,
     not_measured,
     one_each,
     plain,
+    row_names,
     telling,
     together,
 )
 
 _SQUARE = (HALF_INCHES, 4.2)
 _FLAT = (HALF_INCHES, 3.6)
-_NOTHING = "no teat end was paired with a truth"
 _SIDES = ("theirs", "ours")  # of the old and the new one
 _FORMS: tuple[Marker, Marker] = ("o", "D")
 _MOST_BEYOND = 60  # points beyond the whiskers of a box
@@ -64,10 +66,8 @@ def change_scatter(
         drawn = telling(np.abs(new - old))
         for grown, role in ((new > old, "limit"), (new <= old, "good")):
             linked(axes, old, new, drawn[grown[drawn]], role=role, alpha=0.75)
-        legend(
-            figure,
-            [("grew", "limit", "o"), ("not grown", "good", "o"), ("no change", "muted", "-")],
-        )
+        grew: list[LegendEntry] = [("grew", "limit", "o"), ("not grown", "good", "o")]
+        legend(figure, [*grew, ("no change", "muted", "-")])
 
     return draw(name, _SQUARE, plot)
 
@@ -84,11 +84,8 @@ def change_by_situation(
     """Of each situation the poses right (old, new, of) as shares, and beside it the change of the
     mean distance (mean, low, high) with the margin; None where no teat was found by both.
     """
-    rows = len(situations)
     known = finite("change_by_situation", "change_mm", [c for c in change_mm if c is not None])
-    inches = (WIDE_INCHES, 1.1 + 0.28 * max(rows, 2))
-    if not rows:
-        return not_measured(name, inches, "no pose was compared")
+    inches = (WIDE_INCHES, 1.1 + 0.28 * max(len(situations), 2))
 
     def plot(figure: Figure) -> None:
         poses, distance = figure.subplots(1, 2, sharey=True)
@@ -97,9 +94,8 @@ def change_by_situation(
             poses.plot(shares, [y] * len(shares), color=COLOURS["grid"], linewidth=3)
             for share, role, form, size in zip(shares, _SIDES, _FORMS, (6.5, 4.5), strict=False):
                 marks(poses, [share], [y], role, size, form)
-        poses.set(xlim=(-0.03, 1.03), ylim=(rows - 0.5, -0.5), xlabel="poses right")
+        poses.set(xlim=(-0.03, 1.03), xlabel="poses right")
         poses.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
-        poses.set_yticks(range(rows), [plain(situation) for situation in situations])
         distance.axvline(0, color=COLOURS["muted"], linewidth=0.8)
         distance.axvline(margin_mm, color=COLOURS["limit"], linewidth=1, linestyle="--")
         for y, change in enumerate(change_mm):
@@ -115,8 +111,7 @@ def change_by_situation(
         reach = 1.1 * max([4 * margin_mm, 1e-3, *np.abs(known).ravel()])
         distance.set(xlim=(-reach, reach), xlabel="change of the mean distance (mm); left: nearer")
         for axes in (poses, distance):
-            axes.tick_params(axis="y", length=0)
-            axes.grid(visible=False, axis="y")
+            row_names(axes, situations)
         sides: list[LegendEntry] = [
             (plain(who, 40), role, form)
             for who, role, form in zip(called, _SIDES, _FORMS, strict=True)
@@ -145,7 +140,7 @@ def error_scatter(
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
     one_each("error_scatter", links, across.size)
     if not across.size:
-        return not_measured(name, _SQUARE, _NOTHING)
+        return not_measured(name, _SQUARE, NO_PAIR)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot(aspect="equal")
@@ -157,7 +152,7 @@ def error_scatter(
         drawn = telling(np.hypot(across, along))
         role, form = detector_look(*place)
         linked(axes, across, along, drawn, links, role=role, marker=form, alpha=0.7)
-        legend(figure, _limits(limit_mm, accept_mm))
+        legend(figure, limits(limit_mm, accept_mm))
         if len(drawn) < across.size:
             left_out = count_text(len(drawn), across.size)
             axes.set_title(left_out, loc="left", color=COLOURS["muted"])
@@ -175,7 +170,7 @@ def error_histogram(
     """Radial errors (n,) in bins of at most a tenth of the limit, cumulative share, limit."""
     errors = finite("error_histogram", "errors_mm", errors_mm)
     if not errors.size:
-        return not_measured(name, _SQUARE, _NOTHING)
+        return not_measured(name, _SQUARE, NO_PAIR)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -195,7 +190,7 @@ def error_histogram(
         share.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
         if accept_mm is not None:
             share.axvline(accept_mm, color=COLOURS["accept"], linestyle="--", linewidth=1)
-        legend(figure, [("cumulative", "ink", "-"), *_limits(limit_mm, accept_mm)])
+        legend(figure, [("cumulative", "ink", "-"), *limits(limit_mm, accept_mm)])
 
     return draw(name, _SQUARE, plot)
 
@@ -212,10 +207,10 @@ def per_axis_errors(
     """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis. `point`
     and `bound` are what the legend calls a point and the limit.
     """
-    arrays = _arrays("per_axis_errors", "situation", situations, errors_mm, (-1, 3))
+    arrays = _arrays("per_axis_errors", situations, errors_mm, (-1, 3))
     inches = (WIDE_INCHES, 0.9 + 0.3 * max(len(situations), 3))
     if not any(array.size for array in arrays):
-        return not_measured(name, inches, _NOTHING)
+        return not_measured(name, inches, NO_PAIR)
 
     def plot(figure: Figure) -> None:
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
@@ -227,48 +222,24 @@ def per_axis_errors(
                 panel.axvline(side, color=COLOURS["limit"], linewidth=1)
             for row, array in enumerate(arrays):
                 _strip(panel, row, array[:, axis], each)
-            panel.set(xlim=(-reach, reach), ylim=(len(situations) - 0.5, -0.5))
-            panel.set(xlabel=f"{'xyz'[axis]} error (mm)")
-            panel.grid(visible=False, axis="y")
-            panel.tick_params(axis="y", length=0)
+            panel.set(xlim=(-reach, reach), xlabel=f"{'xyz'[axis]} error (mm)")
+            row_names(panel, situations)
         every = all(len(array) <= each for array in arrays)
         points = f"teat ends, at most {each} drawn, the worst among them"
-        legend(
-            figure,
-            [
-                (point if every else points, "ours", "o"),
-                ("mean", "ink", "-"),
-                (f"{bound} ± {limit_mm:.3g} mm", "limit", "-"),
-            ],
-        )
-        panels[0].set_yticks(range(len(situations)), [plain(text) for text in situations])
+        shown: LegendEntry = (point if every else points, "ours", "o")
+        limit: LegendEntry = (f"{bound} ± {limit_mm:.3g} mm", "limit", "-")
+        legend(figure, [shown, ("mean", "ink", "-"), limit])
 
     return draw(name, inches, plot)
 
 
 def _arrays(
-    function: str,
-    what: str,
-    names: Sequence[str],
-    errors_mm: Sequence[ArrayLike],
-    shape: tuple[int, ...],
+    function: str, names: Sequence[str], errors_mm: Sequence[ArrayLike], shape: tuple[int, ...]
 ) -> list[Floats]:
     """One array of that shape a name. Raises ValueError where it isn't so."""
     if len(names) != len(errors_mm):
-        raise ValueError(
-            f"{function}: {len(names)} {what}s for {len(errors_mm)} arrays; give one array a {what}"
-        )
-    return [
-        finite(function, f"errors_mm[{k}]", errors).reshape(shape)
-        for k, errors in enumerate(errors_mm)
-    ]
-
-
-def _limits(limit_mm: float, accept_mm: float | None) -> list[LegendEntry]:
-    limit: LegendEntry = (f"limit {limit_mm:g} mm", "limit", "-")
-    if accept_mm is None:
-        return [limit]
-    return [limit, (f"accepted to {accept_mm:.3f} mm", "accept", "--")]
+        raise ValueError(f"{function}: {len(names)} names for {len(errors_mm)} arrays")
+    return [finite(function, str(k), one).reshape(shape) for k, one in enumerate(errors_mm)]
 
 
 def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
@@ -291,9 +262,9 @@ def teat_boxes(
     name: str = "teat-boxes",
 ) -> str:
     """Radial errors of each teat (n_k,) as box plots (whiskers 1.5 quartile ranges)."""
-    arrays = _arrays("teat_boxes", "teat", teats, errors_mm, (-1,))
+    arrays = _arrays("teat_boxes", teats, errors_mm, (-1,))
     if not any(array.size for array in arrays):
-        return not_measured(name, _FLAT, _NOTHING)
+        return not_measured(name, _FLAT, NO_PAIR)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -322,7 +293,7 @@ def teat_boxes(
         axes.set_xticks(range(len(teats)), counted)
         axes.grid(visible=False, axis="x")
         boxed: list[LegendEntry] = [("middle half", "span", "patch"), ("median", "ink", "-")]
-        legend(figure, [*boxed, *_limits(limit_mm, None)])
+        legend(figure, [*boxed, *limits(limit_mm)])
 
     return draw(name, _FLAT, plot)
 
@@ -342,7 +313,7 @@ def error_drift(
     time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
     one_each("error_drift", links, time.size)
     if not time.size:
-        return not_measured(name, _FLAT, _NOTHING)
+        return not_measured(name, _FLAT, NO_PAIR)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -359,6 +330,6 @@ def error_drift(
         axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
         axes.set(ylim=(0, 1.1 * max(limit_mm, float(errors.max()))))
         axes.set(xlabel="time of the capture (min)", ylabel="distance (mm)")
-        legend(figure, [*entries, *_limits(limit_mm, None)])
+        legend(figure, [*entries, *limits(limit_mm)])
 
     return draw(name, _FLAT, plot)

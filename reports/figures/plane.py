@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from reports.figures.drawing import (
     COLOURS,
     MOST_POINTS,
+    NO_PAIR,
     WIDE_INCHES,
     Floats,
     LegendEntry,
@@ -26,6 +27,7 @@ from reports.figures.drawing import (
     draw,
     finite,
     legend,
+    limits,
     linked,
     not_measured,
     one_each,
@@ -256,7 +258,7 @@ def error_regions(
     clouds = [group.checked(len(views)) for group in groups]
     counts = [len(points[0]) for points, _ in clouds]
     if not sum(counts):
-        return not_measured(name, _REGIONS, "no teat end was paired with a truth")
+        return not_measured(name, _REGIONS, NO_PAIR)
     ends = np.concatenate([part.ravel() for points, _ in clouds for part in points])
     lines = [part.ravel() for _, outlines in clouds for part in outlines]
     farthest = max(limit_mm, float(np.abs(ends).max()))
@@ -284,7 +286,7 @@ def error_regions(
         for k, (group, n) in enumerate(zip(groups, counts, strict=True)):
             few = "" if group.outlines_mm else " (too few)"
             entries.append((f"{plain(group.name, 14)}, n = {n}{few}", _ROLES[k], _MARKERS[k]))
-        legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])
+        legend(figure, [*entries, *limits(limit_mm)])
         shown = sum(map(len, drawn))
         if shown < sum(counts):
             figure.supxlabel(count_text(shown, sum(counts)), fontsize=8.5, color=COLOURS["muted"])

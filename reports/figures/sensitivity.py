@@ -143,8 +143,6 @@ def residual_field(
     """Corners (n,) in the picture's frame, each with its residual, enlarged."""
     x, y, dx, dy = together("residual_field", x_px=x_px, y_px=y_px, dx_px=dx_px, dy_px=dy_px)
     inches = (HALF_INCHES, HALF_INCHES * image_size[1] / image_size[0] + 0.5)
-    if not x.size:
-        return not_measured(name, inches, "no corner was found")
     every = max(1, -(-len(x) // _MOST_ARROWS))
     rms = float(np.sqrt(np.mean(dx**2 + dy**2)))
     factor = 0.03 * image_size[0] / max(rms, 1e-9)
@@ -170,9 +168,6 @@ def precision_by_distance(
 ) -> str:
     """Precision (n,) mm over distance (n,) m; the board's distances are shaded."""
     depth, good = together("precision_by_distance", depth_m=depth_m, good_to_mm=good_to_mm)
-    inches = (WIDE_INCHES, 2.8)
-    if not depth.size:
-        return not_measured(name, inches, "no distance was asked for")
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
@@ -182,4 +177,4 @@ def precision_by_distance(
         good_to: LegendEntry = ("expanded uncertainty, k = 2, worst direction", "ours", "-")
         legend(figure, [good_to, ("the board was here", "span", "patch")])
 
-    return draw(name, inches, plot)
+    return draw(name, (WIDE_INCHES, 2.8), plot)

@@ -1,37 +1,52 @@
-"""Detectors beside each other, situation by situation: each teat end's error, and what was found,
-missed and false.
+"""Detectors beside each other, a row a situation or family: each teat end's error; what was found,
+missed and false; failure rates with their intervals; the spread of errors. And where in two
+parameters failures lie.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike, NDArray
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter, NullLocator
+from numpy.typing import ArrayLike
 
 from reports.figures.drawing import (
     COLOURS,
     HALF_INCHES,
     MOST_POINTS,
+    NO_PAIR,
     LegendEntry,
+    Marker,
     detector_look,
     draw,
     finite,
     legend,
+    limits,
     linked,
     marks,
     not_measured,
     one_each,
     plain,
+    row_names,
     telling,
 )
 
-OUTCOMES = ("good", "muted", "limit")  # colours of found, missed, false
-_WIDTH = 0.8  # of the rows of a situation
-Floats = NDArray[np.float64]
+T = TypeVar("T")
 Counts = tuple[int, int, int]  # found, missed, false
+Rate = tuple[float, float, float]  # a share and its interval
+Spread = Sequence[float]  # quantiles: 5, 25, 50, 75, 95 %
+OUTCOMES = {"found": "good", "missed": "muted", "false": "limit"}  # and their colours
+_WIDTH = 0.8  # of a row, shared by its detectors
+_NARROW = 0.62  # of a row of intervals
+_LONGEST = 24  # letters of a row's name
+_RATES = (0.0, 0.001, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 1.0)
+_ERRORS_MM = (0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+_DARKEST = 0.5  # of a cell, so that its numbers are read in both colour schemes
 
 
 def error_strips(
@@ -50,42 +65,31 @@ def error_strips(
         detector: [finite("error_strips", f"{detector}[{k}]", one) for k, one in enumerate(each)]
         for detector, each in errors_mm.items()
     }
+    _one_a_row("error_strips", situations, arrays)
     for detector, each in arrays.items():
-        if len(each) != len(situations):
-            raise ValueError(
-                f"error_strips: {len(situations)} situations, {len(each)} arrays of {detector};"
-                " give one array a situation"
-            )
         for k, one in enumerate(each):
             one_each("error_strips", links[detector][k] if links else None, one.size)
     inches = _inches(situations, len(arrays))
     largest = [float(one.max()) for each in arrays.values() for one in each if one.size]
     if not largest:
-        return not_measured(name, inches, "no teat end was paired with a truth")
+        return not_measured(name, inches, NO_PAIR)
     most = max(20, MOST_POINTS // (len(arrays) * len(situations)))
+    step = _WIDTH / len(arrays)
+    opened = [of for detector in arrays for of in links[detector]] if links else []
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        for place, (detector, each) in enumerate(arrays.items()):
-            role, form = detector_look(place, len(arrays))
-            step = _WIDTH / len(arrays)
-            for k, one in enumerate(each):
-                y = k + (place - (len(arrays) - 1) / 2) * step
-                if not one.size:
-                    axes.text(0, y, " none found", va="center", color=COLOURS["muted"], fontsize=7)
-                    continue
-                rows: Floats = y + step * 0.13 * (np.arange(one.size) % 5 - 2).astype(np.float64)
-                of = links[detector][k] if links else None
-                drawn = telling(one, most)
-                linked(axes, one, rows, drawn, of, role=role, size=11, alpha=0.7, marker=form)
+        for at, (y, one, (role, form)) in enumerate(_each(arrays, _WIDTH)):
+            if not one.size:
+                _muted(axes, 0, y, " none found")
+                continue
+            rows = y + step * 0.13 * (np.arange(one.size) % 5 - 2).astype(np.float64)
+            of, drawn = opened[at] if opened else None, telling(one, most)
+            linked(axes, one, rows, drawn, of, role=role, size=11, alpha=0.7, marker=form)
         axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.4)
         axes.set(xlim=(0, 1.06 * max(limit_mm, *largest)), xlabel="distance to the teat end (mm)")
-        family_rows(axes, situations)
-        entries: list[LegendEntry] = [
-            (plain(detector, 20), *detector_look(place, len(arrays)))
-            for place, detector in enumerate(arrays)
-        ]
-        legend(figure, [*entries, (f"limit {limit_mm:g} mm", "limit", "-")])
+        row_names(axes, situations, _LONGEST)
+        legend(figure, [*_key(arrays), *limits(limit_mm)])
 
     return draw(name, inches, plot)
 
@@ -97,43 +101,188 @@ def outcome_bars(
     name: str = "outcome-bars",
 ) -> str:
     """Teats found and missed, and false answers, in each situation by detector; with counts."""
-    for detector, each in counts.items():
-        if len(each) != len(situations):
-            raise ValueError(
-                f"outcome_bars: {len(situations)} situations, {len(each)} counts of {detector};"
-                " give one a situation"
-            )
-    inches = _inches(situations, len(counts))
+    _one_a_row("outcome_bars", situations, counts)
+    inches, several = _inches(situations, len(counts)), len(counts) > 1
     most = max((sum(one) for each in counts.values() for one in each), default=0)
     if not most:
         return not_measured(name, inches, "no teat was to be found")
-    step = _WIDTH / len(counts)
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        for place, each in enumerate(counts.values()):
-            for k, one in enumerate(each):
-                y = k + (place - (len(counts) - 1) / 2) * step
-                left = np.cumsum((0, *one))
-                colours = [COLOURS[role] for role in OUTCOMES]
-                axes.barh(y, one, left=left[:-1], height=step * 0.78, color=colours)
-                if len(counts) > 1:
-                    role, form = detector_look(place, len(counts))
-                    marks(axes, -0.03 * most, y, role, 4, form, clip_on=False)
-                text = " · ".join(map(str, one))
-                axes.text(left[-1] + 0.02 * most, y, text, va="center", fontsize=7.5)
+        height, colours = _WIDTH / len(counts) * 0.78, [COLOURS[role] for role in OUTCOMES.values()]
+        for y, one, (role, form) in _each(counts, _WIDTH):
+            left = np.cumsum((0, *one))
+            axes.barh(y, one, left=left[:-1], height=height, color=colours)
+            if several:
+                marks(axes, -0.03 * most, y, role, 4, form, clip_on=False)
+            text = " · ".join(map(str, one))
+            axes.text(left[-1] + 0.02 * most, y, text, va="center", fontsize=7.5)
         axes.set(xlim=(-0.06 * most, 1.3 * most), xlabel="teats, and answers where there is none")
-        family_rows(axes, situations)
-        entries: list[LegendEntry] = [
-            *(("found", "good", "patch"), ("missed", "muted", "patch")),
-            ("false", "limit", "patch"),
-        ]
-        if len(counts) > 1:
-            for place, detector in enumerate(counts):
-                entries.append((plain(detector, 20), *detector_look(place, len(counts))))
-        legend(figure, entries)
+        row_names(axes, situations, _LONGEST)
+        entries: list[LegendEntry] = [(what, role, "patch") for what, role in OUTCOMES.items()]
+        legend(figure, [*entries, *(_key(counts) if several else ())])
 
     return draw(name, inches, plot)
+
+
+def rate_intervals(
+    families: Sequence[str],
+    rates: Mapping[str, Sequence[Rate | None]],
+    *,
+    name: str = "rate-intervals",
+) -> str:
+    """Each family's failure rate (rate, low, high) by detector, 0 to 1; None where no scene was
+    scored. The scale grows with the square root, so that small rates have room.
+    """
+    _one_a_row("rate_intervals", families, rates)
+    known = [rate for each in rates.values() for rate in each if rate]
+    if not known:
+        return not_measured(name, _low_inches(families, rates), "no scene was scored")
+    reach = min(1.0, 1.15 * max(high for _, _, high in known))
+    ticks: list[float] = []  # those that stand clear of each other
+    for tick in _RATES:
+        if tick <= reach and (not ticks or tick**0.5 - ticks[-1] ** 0.5 > 0.09 * reach**0.5):
+            ticks.append(tick)
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        root = lambda values: np.sign(values) * np.sqrt(np.abs(values))  # noqa: E731
+        axes.set_xscale("function", functions=(root, np.square))
+        axes.set(xlim=(-0.0008 * reach, reach), xlabel="scenes that failed, with 95 % interval")
+        _ticks(axes, ticks, lambda value: f"{100 * value:g} %")
+        for y, rate, (role, form) in _each(rates, _NARROW):
+            if rate is None:
+                _muted(axes, 0.0, y, " not measured")
+                continue
+            axes.plot(rate[1:], [y, y], color=COLOURS[role], linewidth=1.6)
+            marks(axes, rate[:1], [y], role, 5, form, clip_on=False)
+        row_names(axes, families, _LONGEST)
+        legend(figure, _key(rates))
+
+    return draw(name, _low_inches(families, rates), plot)
+
+
+def error_spreads(
+    families: Sequence[str],
+    spreads: Mapping[str, Sequence[Spread | None]],
+    limit_mm: float,
+    *,
+    name: str = "error-spreads",
+) -> str:
+    """Errors in mm of each family by detector: 90 % of them as a thin line, half as a thick one,
+    the median marked, and the limit; None where nothing was found.
+    """
+    _one_a_row("error_spreads", families, spreads)
+    for detector, each in spreads.items():
+        finite("error_spreads", detector, [one for one in each if one])
+    known = [value for each in spreads.values() for one in each if one for value in one]
+    if not known:
+        return not_measured(name, _low_inches(families, spreads), NO_PAIR)
+    low, high = 0.8 * max(0.01, min(known)), 1.3 * max(limit_mm, *known)
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        axes.set(xscale="log", xlim=(low, high), xlabel="largest error of a scene (mm)")
+        _ticks(axes, [tick for tick in _ERRORS_MM if low <= tick <= high], "{:g}".format)
+        axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.2)
+        for y, one, (role, form) in _each(spreads, _NARROW):
+            if one is None:
+                _muted(axes, low, y, " none found")
+                continue
+            axes.plot([one[0], one[4]], [y, y], color=COLOURS[role], linewidth=1)
+            axes.plot([one[1], one[3]], [y, y], color=COLOURS[role], linewidth=3.2)
+            marks(axes, [one[2]], [y], "ink", 4, form)
+        row_names(axes, families, _LONGEST)
+        legend(figure, [*_key(spreads), *limits(limit_mm)])
+
+    return draw(name, _low_inches(families, spreads), plot)
+
+
+def failure_map(
+    labels: tuple[str, str],
+    ranges: tuple[tuple[float, float], tuple[float, float]],
+    scenes: ArrayLike,
+    failures: ArrayLike,
+    *,
+    name: str = "failure-map",
+) -> str:
+    """Scenes and failures (rows, columns) counted in cells of two parameters: the first of
+    ``labels`` and ``ranges`` goes along the columns. The redder a cell, the more of it failed,
+    beside the worst.
+    """
+    all_of, failed = (
+        np.atleast_2d(finite("failure_map", what, values)).astype(np.intp)
+        for what, values in (("scenes", scenes), ("failures", failures))
+    )
+    if all_of.shape != failed.shape or (failed > all_of).any() or (failed < 0).any():
+        raise ValueError(
+            f"failure_map: {failed.shape} counts of failures for {all_of.shape} of scenes; give one"
+            " a cell, none larger than its scenes"
+        )
+    inches = (HALF_INCHES, 3.9)
+    if not all_of.sum():
+        return not_measured(name, inches, "no scene was scored")
+    x, y = (
+        np.linspace(*ends, count + 1).tolist()
+        for ends, count in zip(ranges, reversed(all_of.shape), strict=True)
+    )
+    most = max(1e-9, float((failed / np.maximum(all_of, 1)).max()))
+
+    def plot(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        cell: dict[str, Any] = {"facecolor": COLOURS["limit"], "edgecolor": "none", "linewidth": 0}
+        for (row, column), n in np.ndenumerate(all_of):
+            share = float(failed[row, column] / n) if n else 0.0
+            left, low, wide, high = (
+                x[column],
+                y[row],
+                x[column + 1] - x[column],
+                y[row + 1] - y[row],
+            )
+            look = {**cell, "alpha": _DARKEST * share / most}
+            axes.add_patch(Rectangle((left, low), wide, high, **look))
+            text = f"{100 * share:.0f} %\n{failed[row, column]} of {n}" if n else "–"
+            middle, ink = (left + wide / 2, low + high / 2), COLOURS["ink" if n else "muted"]
+            axes.text(*middle, text, ha="center", va="center", fontsize=7, color=ink)
+        axes.set(xlim=ranges[0], ylim=ranges[1], xlabel=plain(labels[0]), ylabel=plain(labels[1]))
+        axes.set_xticks(x, [f"{value:.3g}" for value in x])
+        axes.set_yticks(y, [f"{value:.3g}" for value in y])
+        axes.grid(visible=False)
+
+    return draw(name, inches, plot)
+
+
+def _one_a_row(
+    function: str, rows: Sequence[str], by_detector: Mapping[str, Sequence[object]]
+) -> None:
+    for detector, each in by_detector.items():
+        if len(each) != len(rows):
+            raise ValueError(f"{function}: {len(rows)} rows, {len(each)} values of {detector}")
+
+
+def _each(
+    by_detector: Mapping[str, Sequence[T]], width: float
+) -> Iterator[tuple[float, T, tuple[str, Marker]]]:
+    """Height in the drawing, value, and the detector's colour and mark, detector by detector."""
+    of = len(by_detector)
+    for place, each in enumerate(by_detector.values()):
+        for row, one in enumerate(each):
+            yield row + (place - (of - 1) / 2) * (width / of), one, detector_look(place, of)
+
+
+def _key(detectors: Mapping[str, object]) -> list[LegendEntry]:
+    of = len(detectors)
+    return [(plain(name, 20), *detector_look(k, of)) for k, name in enumerate(detectors)]
+
+
+def _muted(axes: Axes, x: float, y: float, text: str) -> None:
+    axes.text(x, y, text, va="center", color=COLOURS["muted"], fontsize=7)
+
+
+def _ticks(axes: Axes, ticks: Sequence[float], text: Callable[[float], str]) -> None:
+    axes.set_xticks(ticks)
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: text(value)))
 
 
 def _inches(situations: Sequence[str], detectors: int) -> tuple[float, float]:
@@ -141,9 +290,6 @@ def _inches(situations: Sequence[str], detectors: int) -> tuple[float, float]:
     return HALF_INCHES, min(1.1 + each * max(len(situations), 3), 6.0)
 
 
-def family_rows(axes: Axes, situations: Sequence[str]) -> None:
-    """A row each, the first above."""
-    axes.set_yticks(range(len(situations)), [plain(text, 24) for text in situations])
-    axes.set_ylim(len(situations) - 0.5, -0.5)
-    axes.grid(visible=False, axis="y")
-    axes.tick_params(axis="y", length=0)
+def _low_inches(families: Sequence[str], detectors: Mapping[str, object]) -> tuple[float, float]:
+    each = 0.25 + 0.06 * len(detectors)
+    return HALF_INCHES, min(1.0 + each * max(len(families), 3), 6.0)

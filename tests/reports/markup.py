@@ -1,6 +1,6 @@
 """Reads a page back with the standard library's parser: what the structure tests ask about."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html.parser import HTMLParser
 
 VOID = {"meta", "img", "input", "br", "hr", "link"}
@@ -15,12 +15,17 @@ class Element:
     text: str = ""
 
 
-@dataclass(slots=True)
-class Document:
+class Document(HTMLParser):
     """Every element in order, and the tags that were closed in the wrong place."""
 
-    elements: list[Element] = field(default_factory=list)
-    misplaced: list[str] = field(default_factory=list)
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.elements: list[Element] = []
+        self.misplaced: list[str] = []
+        self._open: list[Element] = []
+        self.feed(html)
+        self.close()
+        self.misplaced += [f"{element.tag} never closed" for element in self._open]
 
     def all(self, *tags: str) -> list[Element]:
         return [element for element in self.elements if element.tag in tags]
@@ -29,45 +34,27 @@ class Document:
         return next(element for element in self.elements if element.attributes.get("id") == name)
 
     def values(self, attribute: str) -> list[str]:
-        return [
-            element.attributes[attribute]
-            for element in self.elements
-            if attribute in element.attributes
-        ]
-
-
-def read(html: str) -> Document:
-    """The document of a page's text."""
-    reader = _Reader()
-    reader.feed(html)
-    reader.close()
-    reader.document.misplaced += [f"{element.tag} never closed" for element in reader.open]
-    return reader.document
-
-
-class _Reader(HTMLParser):
-    def __init__(self) -> None:
-        super().__init__()
-        self.document = Document()
-        self.open: list[Element] = []
+        every = (element.attributes for element in self.elements)
+        return [attributes[attribute] for attributes in every if attribute in attributes]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        element = Element(tag, {key: value or "" for key, value in attrs})
-        self.document.elements.append(element)
+        self.handle_startendtag(tag, attrs)
         if tag not in VOID:
-            self.open.append(element)
+            self._open.append(self.elements[-1])
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.document.elements.append(Element(tag, {key: value or "" for key, value in attrs}))
+        self.elements.append(Element(tag, {key: value or "" for key, value in attrs}))
 
     def handle_endtag(self, tag: str) -> None:
-        if not self.open or self.open[-1].tag != tag:
-            self.document.misplaced.append(
-                f"</{tag}> inside {[element.tag for element in self.open[-3:]]}"
-            )
-            return
-        self.open.pop()
+        if self._open and self._open[-1].tag == tag:
+            self._open.pop()
+        else:
+            inside = [element.tag for element in self._open[-3:]]
+            self.misplaced.append(f"</{tag}> inside {inside}")
 
     def handle_data(self, data: str) -> None:
-        for element in self.open:
+        for element in self._open:
             element.text += data
+
+
+read = Document

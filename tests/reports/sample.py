@@ -3,13 +3,15 @@ requirements, every kind of part.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from reports import figures
+from reports.figures.course import bath_curve, found_bars, latency_strip
+from reports.figures.errors import error_histogram, error_scatter, per_axis_errors
 from reports.frames import Circle, Cross, ImageView, Label, Overlay, Polyline, Rect
 from reports.page import (
     Banner,
@@ -26,6 +28,7 @@ from reports.page import (
     Result,
     Section,
     Table,
+    Tone,
     TrialPart,
     Verdict,
 )
@@ -71,18 +74,18 @@ def outcomes(repeats: int) -> list[Outcome]:
     ]
 
 
-def write_frames(folder: Path, anchor: str) -> None:
-    """Three pictures of four pale teats on a dark ground, 640 x 480, as PNG in
-    `folder/frames/<anchor>/`.
-    """
-    (folder / "frames" / anchor).mkdir(parents=True)
+@cache
+def frames() -> dict[str, bytes]:
+    """A PNG a camera, 640 x 480: four pale teats on a dark ground."""
+    files = {}
     for number, camera in enumerate(("left", "right", "thermal")):
         picture = np.full((SIZE[1], SIZE[0]), 40 + 15 * number, np.uint8)
         for x, y in ENDS_PX:
             middle, pale = (int(x) + 4 * number, int(y) - 60), 190 - 30 * number
             cv2.ellipse(picture, (middle, (44, 124), 0), pale, -1, cv2.LINE_AA)
         encoded = cv2.imencode(".png", cv2.GaussianBlur(picture, (0, 0), 1.5))[1]
-        (folder / "frames" / anchor / f"{camera}.png").write_bytes(encoded.tobytes())
+        files[f"{camera}.png"] = encoded.tobytes()
+    return files
 
 
 def frame_views(anchor: str) -> tuple[ImageView, ...]:
@@ -91,23 +94,21 @@ def frame_views(anchor: str) -> tuple[ImageView, ...]:
     final = tuple(Cross(x + 2, y - 1, 9, turned=True) for x, y in ENDS_PX)
     searched = tuple(Rect(x - 20.5, y - 20.5, 41, 41) for x, y in ENDS_PX)
     warm = tuple(Cross(x - 6, y + 5, 8) for x, y in ENDS_PX)
-    truth = Overlay("truth", "truth", rings)
-    hot = Overlay("nomination", "thermal nomination", warm)
+    numbers = tuple(Label(x + 14, y + 14, str(k)) for k, (x, y) in ends)
+    both = (Overlay("truth", "truth", rings), Overlay("nomination", "thermal nomination", warm))
     optical = (
-        truth,
-        hot,
+        *both,
         Overlay("region", "region searched", searched),
         Overlay("point", "final point", final),
-        Overlay("other", "numbers", tuple(Label(x + 14, y + 14, str(k)) for k, (x, y) in ends)),
+        Overlay("other", "numbers", numbers),
     )
     line = Overlay("model", "lower edge", (Polyline(ENDS_PX, title="lower edge"),))
-    part = (140, 100, 400, 240)
-    paths = [f"frames/{anchor}/{camera}.png" for camera in ("left", "right", "thermal")]
-    warm_label = "Thermal camera, un-mirrored"
+    left, right, thermal = (f"frames/{anchor}/{file}" for file in frames())
+    warm_label, part = "Thermal camera, un-mirrored", (140, 100, 400, 240)
     return (
-        ImageView("Left camera", paths[0], *SIZE, "Four teats from the left", optical, part),
-        ImageView("Right camera", paths[1], *SIZE, "Four teats from the right", optical, part),
-        ImageView(warm_label, paths[2], *SIZE, "Four warm teats", (truth, hot, line)),
+        ImageView("Left camera", left, *SIZE, "Four teats from the left", optical, part),
+        ImageView("Right camera", right, *SIZE, "Four teats from the right", optical, part),
+        ImageView(warm_label, thermal, *SIZE, "Four warm teats", (*both, line)),
     )
 
 
@@ -124,20 +125,18 @@ def trial_part(outcome: Outcome) -> TrialPart:
     for k, (error, r) in enumerate(zip(outcome.errors_mm, radial, strict=True), 1):
         axes = (f"{value:+.2f}".replace("-", "−") for value in error)
         rows.append((f"teat {k}", *axes, Cell(f"{r:.2f}", "bad" if r > 5 else "plain")))
-    missed = 4 - len(rows)
+    found = len(rows)
     refused = "The detector refused: no vertical line ends in the thermal image."
     measured = ((axis, "mm") for axis in ("x error", "y error", "z error", "radial"))
+    tone: Tone = "bad" if not found else "warn" if found < 4 else "good"
     return TrialPart(
         id=outcome.anchor,
         heading=f"Trial {outcome.number}",
         situation=outcome.situation,
-        results=(
-            Result(f"{len(rows)} of 4 found", "bad" if not rows else "warn" if missed else "good"),
-        ),
+        results=(Result(f"{found} of 4 found", tone),),
         summary=(
-            ("Found, missed, false", f"{len(rows)}, {missed}, 0"),
+            ("Found, missed, false", f"{found}, {4 - found}, 0"),
             ("Time", f"{outcome.seconds:.3f} s"),
-            ("Bath", "33.01 °C"),
         ),
         images=frame_views(outcome.anchor),
         tables=(Table("Errors of the teats found", columns(("teat", ""), *measured), tuple(rows)),),
@@ -148,19 +147,10 @@ def trial_part(outcome: Outcome) -> TrialPart:
 def trial_table(runs: list[Outcome]) -> Table:
     rows = []
     for run in runs:
-        found = len(run.errors_mm)
-        worst = Cell("not measured", "muted")
-        if found:
-            worst = Cell(f"{np.linalg.norm(run.errors_mm, axis=1).max():.2f}")
-        rows.append(
-            (
-                Cell(run.anchor, href=f"#{run.anchor}"),
-                run.situation,
-                Cell(f"{found} of 4", "good" if found == 4 else "warn", sort=found),
-                worst,
-                f"{run.seconds:.3f}",
-            )
-        )
+        link, far = Cell(run.anchor, href=f"#{run.anchor}"), np.linalg.norm(run.errors_mm, axis=1)
+        found = Cell(f"{len(far)} of 4", "good" if len(far) == 4 else "warn", sort=len(far))
+        worst = Cell(f"{far.max():.2f}") if len(far) else Cell("not measured", "muted")
+        rows.append((link, run.situation, found, worst, f"{run.seconds:.3f}"))
     measured = columns(("Trial", ""), ("Found", ""), ("Worst error", "mm"), ("Time", "s"))
     heads = (measured[0], Column("Situation"), *measured[1:])
     note = "Click a column's title to sort."
@@ -171,12 +161,10 @@ def requirements() -> Requirements:
     source = "thesis, section 1.4.3"
     radial = "Largest of n poses at most 4.611 mm (limit less the guard band, u = 0.23 mm)"
     rate = "Success rate of at least 95 % shown with 95 % confidence (Clopper-Pearson)"
-    gate = "No detection beyond the gate of 25 mm"
     few, many = "3.92 mm (at most 4.31 mm)", "50.0 % (at most 70.8 %)"
     rows: list[tuple[str, str, int, str, str, str, Verdict, str]] = [
         ("Radial error below 5 mm", radial, 15, few, "5 mm", "+0.69 mm", "inconclusive", source),
         ("Every visible teat found", rate, 18, many, "95 %", "−45.0 %", "not met", source),
-        ("No false teat", gate, 18, "0", "0", "0", "met", ""),
         ("Detection in 1 s", "p95 of the times", 18, "0.71 s", "1 s", "+0.29 s", "met", ""),
     ]
     return Requirements(
@@ -193,9 +181,9 @@ def accuracy_section(runs: list[Outcome]) -> Section:
         for name in SITUATIONS
     ]
     links = [f"#{run.anchor}" for run in runs for _ in run.errors_mm]
-    scatter = figures.error_scatter(errors[:, 0], errors[:, 1], 5.0, accept_mm=4.611, links=links)
-    histogram = figures.error_histogram(np.linalg.norm(errors, axis=1), 5.0, accept_mm=4.611)
-    strips = figures.per_axis_errors(SITUATIONS, by_situation, 5.0)
+    scatter = error_scatter(errors[:, 0], errors[:, 1], 5.0, accept_mm=4.611, links=links)
+    histogram = error_histogram(np.linalg.norm(errors, axis=1), 5.0, accept_mm=4.611)
+    strips = per_axis_errors(SITUATIONS, by_situation, 5.0)
     parts = (
         Figure(scatter, "Teats found; a click opens the trial.", "Lateral and depth errors"),
         Figure(histogram, "Radial errors and their share.", "Histogram of the radial errors"),
@@ -208,8 +196,8 @@ def rates_section(runs: list[Outcome]) -> Section:
     of = {name: [run for run in runs if run.situation == name] for name in SITUATIONS}
     found = [sum(len(run.errors_mm) for run in mine) for mine in of.values()]
     present = [4 * len(mine) for mine in of.values()]
-    bars = figures.found_bars(SITUATIONS, found, present, THESIS_FOUND)
-    strip = figures.latency_strip([run.seconds for run in runs], [1.0, 2.0])
+    bars = found_bars(SITUATIONS, found, present, THESIS_FOUND)
+    strip = latency_strip([run.seconds for run in runs], [1.0, 2.0])
     rows = tuple(
         (name, f"{f} of {p}", str(t))
         for name, f, p, t in zip(SITUATIONS, found, present, THESIS_FOUND, strict=True)
@@ -227,18 +215,12 @@ def bath_section() -> Section:
     times = np.arange(0.0, 3600.0, 10.0)
     temps = 33.0 - 13.0 * np.exp(-times / 350.0) + 0.02 * np.sin(times / 70.0)
     captures = np.arange(2400.0, 3500.0, 60.0)
-    svg = figures.bath_curve(times, temps, 33.0, 0.1, captures, [(2300.0, 3600.0)])
-    alt = "Bath reaches 33 °C and stays there"
-    return Section("bath", "Bath", (Figure(svg, "Bath, captures marked.", alt, wide=True),))
+    svg = bath_curve(times, temps, 33.0, 0.1, captures, [(2300.0, 3600.0)])
+    return Section("bath", "Bath", (Figure(svg, "Bath, captures marked.", "33 °C", wide=True),))
 
 
 def provenance_section() -> Section:
-    entries = (
-        ("Detector", "thesis 1.0"),
-        ("Calibration", Cell("sha256:5f1d0a77c9e2", mono=True)),
-        ("Arm", "MicroScribe G2X, serial 40317, emulated"),
-        ("Seed", "20260101"),
-    )
+    entries = (("Seed", "20260101"), ("Calibration", Cell("sha256:5f1d0a77c9e2", mono=True)))
     files = (
         ("Trials as CSV", Cell("trials.csv", href="trials.csv")),
         ("Run as JSON", Cell("run.json", href="run.json")),
@@ -257,9 +239,17 @@ def provenance_section() -> Section:
 
 def sample_page(folder: Path, repeats: int = 1) -> Page:
     """The page; its images are written into `folder`."""
+    page = _page(repeats)
+    for trial in page.trials:
+        (folder / "frames" / trial.id).mkdir(parents=True)
+        for name, data in frames().items():
+            (folder / "frames" / trial.id / name).write_bytes(data)
+    return page
+
+
+@cache
+def _page(repeats: int) -> Page:
     runs = outcomes(repeats)
-    for run in runs:
-        write_frames(folder, run.anchor)
     banner = Banner(
         "emulated",
         "not met",

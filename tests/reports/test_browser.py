@@ -1,7 +1,8 @@
-"""The page in a real browser, from disk, offline: nothing is asked of a network, everything shows,
-keys and switches work, and axe-core finds nothing.
+"""The page, and that over many runs, in a real browser, from disk, offline: everything shows, keys
+and switches work, and axe-core finds nothing.
 """
 
+import dataclasses
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,8 +11,8 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from reports.render import write_report
-from tests.axe import violations
-from tests.chromium import Scheme, Seen, window
+from reports.runs import Result, Run, Runs, write_runs
+from tests.chromium import Scheme, Seen, violations, window
 from tests.reports.sample import sample_page
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]  # a browser starts for some seconds
@@ -23,16 +24,6 @@ def seen(browser: Browser, report: Path) -> Iterator[Seen]:
     with window(browser) as fresh:
         fresh.open(report)
         yield fresh
-
-
-def test_opens_from_disk_without_a_word_to_the_network(seen: Seen) -> None:
-    expect(seen.page.locator(".kind")).to_have_text("EMULATED INSTRUMENTS")
-    expect(seen.page.locator(".word-text")).to_have_text("not met")
-    widths = seen.image_widths()
-    assert len(widths) == 18
-    assert set(widths.values()) == {640}
-    assert seen.network_requests() == []
-    assert seen.complaints == []
 
 
 def test_the_policy_stops_what_would_call_out(seen: Seen) -> None:
@@ -176,16 +167,14 @@ def test_prints_in_light_colours_without_the_controls(seen: Seen) -> None:
 
 
 def test_a_frame_is_enlarged_and_back(seen: Seen) -> None:
-    frame = seen.page.locator("#trial-001 .frame").first
-    small = frame.locator("img").evaluate("image => image.getBoundingClientRect().width")
+    frame, width = seen.page.locator("#trial-001 .frame").first, "e => e.clientWidth"
+    small = frame.locator("img").evaluate(width)
     button = frame.get_by_role("button", name="Enlarge Left camera")
     button.click()
-    large = frame.locator("img").evaluate("image => image.getBoundingClientRect().width")
-    assert large > 2.5 * small
+    assert frame.locator("img").evaluate(width) > 2.5 * small
     expect(button).to_have_attribute("aria-pressed", "true")
     button.click()
-    back = frame.locator("img").evaluate("image => image.getBoundingClientRect().width")
-    assert back == pytest.approx(small)
+    assert frame.locator("img").evaluate(width) == pytest.approx(small)
 
 
 @pytest.fixture(scope="module")
@@ -223,3 +212,39 @@ def test_axe_would_have_seen_a_fault(browser: Browser, folders: dict[str, Path])
         page = seen.open(folders["trial"])
         page.evaluate("() => document.querySelector('.pane img').removeAttribute('alt')")
         assert [rule for rule, _ in violations(page)] == ["image-alt"]
+
+
+NAME = '<img src=x onerror="document.title=1">'
+FOUND = (
+    Result(NAME, "1", "met", 4, 4, 0, 0.5, 1.0),
+    Result("a", "", "aborted", 0, 0, 0, None, None),
+)
+RUN = Run(
+    folder=Path("20261122-101500-demo"),
+    started="2026-11-22T10:15:00+00:00",
+    title=NAME,
+    script="demo",
+    kind="emulated",
+    ending="aborted",
+    trials=3,
+    planned=60,
+    results=FOUND,
+    damage=(),
+    report="20261122-101500-demo/report/index.html",
+    note="Aborted: 3 of 60 trials.",
+    thumbnails=(("left, trial 001", "/9j/4AAQ"),),
+)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_page_over_runs_takes_hostile_names_and_axe_is_content(
+    browser: Browser, tmp_path: Path, width: int, scheme: Scheme
+) -> None:
+    runs = (RUN, dataclasses.replace(RUN, report="", note=""))
+    path = write_runs(Runs(tmp_path, runs, (("old", "why"),)), "2 runs.")
+    with window(browser, width=width, scheme=scheme) as seen:
+        page = seen.open(path)
+        assert violations(page) == []
+        assert page.title() == "Runs"
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

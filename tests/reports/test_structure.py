@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from reports import figures
+from reports.figures.course import bath_curve
+from reports.figures.errors import error_histogram
 from reports.page import VERDICTS, Banner, Figure, KeyValues, Page, Paragraph, Part, Section
 from reports.render import render, write_report
 from reports.trust import PageError
@@ -30,15 +31,19 @@ def sample(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, Path]:
 
 
 @pytest.fixture(scope="module")
-def document(sample: tuple[Page, Path]) -> Document:
-    return read(render(sample[0]))
+def html(sample: tuple[Page, Path]) -> str:
+    return render(sample[0])
 
 
-def test_every_element_is_closed_where_it_was_opened(document: Document) -> None:
+@pytest.fixture(scope="module")
+def document(html: str) -> Document:
+    return read(html)
+
+
+def test_elements_close_where_they_opened_and_headings_descend_level_by_level(
+    document: Document,
+) -> None:
     assert document.misplaced == []
-
-
-def test_headings_descend_one_level_at_a_time(document: Document) -> None:
     levels = [int(element.tag[1]) for element in document.all("h1", "h2", "h3", "h4")]
     assert levels[0] == 1
     assert levels.count(1) == 1
@@ -53,13 +58,9 @@ def test_chapters_stand_in_the_page_s_order_and_in_the_contents(document: Docume
         assert title in contents
 
 
-def test_trials_have_their_anchors(document: Document) -> None:
-    assert [element.attributes["id"] for element in document.all("article")] == [
-        f"trial-{number:03}" for number in range(1, 7)
-    ]
-
-
 def test_ids_are_unique_and_every_fragment_leads_to_one(document: Document) -> None:
+    trials = [element.attributes["id"] for element in document.all("article")]
+    assert trials == [f"trial-{number:03}" for number in range(1, 7)]
     ids = document.values("id")
     assert sorted(ids) == sorted(set(ids))
     fragments = {value[1:] for value in document.values("href") if value.startswith("#")}
@@ -67,11 +68,10 @@ def test_ids_are_unique_and_every_fragment_leads_to_one(document: Document) -> N
     assert fragments - set(ids) == set()
 
 
-def test_nothing_points_to_a_network(sample: tuple[Page, Path]) -> None:
-    html = render(sample[0])
+def test_nothing_points_to_a_network(html: str, document: Document) -> None:
     addresses = set(re.findall(r'[\w:-]*="?[^"\s]*https?://[^"\s]*', html))
     assert addresses <= {'xmlns="http://www.w3.org/2000/svg'}
-    document, names = read(html), ("href", "src", "srcset", "action", "data")
+    names = ("href", "src", "srcset", "action", "data")
     references = [value for name in names for value in document.values(name)]
     assert [value for value in references if ":" in value or value.startswith("/")] == []
 
@@ -102,9 +102,8 @@ def test_overlays_are_drawn_on_pixel_centres(document: Document) -> None:
     assert (truth[0]["cx"], truth[0]["cy"]) == ("190", "250")
 
 
-def test_policy_allows_exactly_this_style_and_script(sample: tuple[Page, Path]) -> None:
-    html = render(sample[0])
-    metas = [meta.attributes for meta in read(html).all("meta")]
+def test_policy_allows_exactly_this_style_and_script(html: str, document: Document) -> None:
+    metas = [meta.attributes for meta in document.all("meta")]
     policy = next(meta for meta in metas if "http-equiv" in meta)["content"]
     assert policy.startswith("default-src 'none'; ")
     assert "unsafe" not in policy
@@ -113,7 +112,7 @@ def test_policy_allows_exactly_this_style_and_script(sample: tuple[Page, Path]) 
         digest = base64.b64encode(hashlib.sha256(texts[0].encode()).digest()).decode()
         assert len(texts) == 1
         assert f"{tag}-src 'sha256-{digest}'" in policy
-    assert read(html).values("style") == []
+    assert document.values("style") == []
 
 
 def test_first_screen_says_what_whether_how_sure_and_what_next(
@@ -135,10 +134,10 @@ def test_verdict_words_are_written_out(word: str) -> None:
 
 
 def test_two_renderings_and_two_processes_give_the_same_bytes(
-    sample: tuple[Page, Path], tmp_path: Path
+    sample: tuple[Page, Path], html: str, tmp_path: Path
 ) -> None:
     here = write_report(sample[0], sample[1]).read_bytes()
-    assert render(sample[0]).encode() == here
+    assert html.encode() == here
     code = (
         "import sys; from pathlib import Path; from tests.reports.sample import sample_page; from"
         " reports.render import write_report\nfolder = Path(sys.argv[1]);"
@@ -171,56 +170,60 @@ def test_the_page_can_be_described_without_matplotlib_or_jinja() -> None:
 BANNER = Banner("real", "met", "", "", "", "")
 
 
-def half(name: str) -> Figure:
-    return Figure(figures.error_histogram([1.0, 2.0], 5.0, name=name), name, name)
+def page_of(*parts: Part) -> Document:
+    return read(render(Page("p", "", BANNER, (Section("s", "s", parts),))))
 
 
-def wide(name: str) -> Figure:
-    return dataclasses.replace(half(name), wide=True)
+def classes(*parts: Part) -> str:
+    """What the page's figures are, in order: half, lone (wide and alone), or wide."""
+    found = (figure.attributes["class"] for figure in page_of(*parts).all("figure"))
+    names = (name.removeprefix("part drawn").removeprefix(" wide ") for name in found)
+    return " ".join(name.strip() or "half" for name in names)
 
 
-def classes(*parts: Part) -> list[str]:
-    """What the page's figures are, in order: half, alone over the page, or wide."""
-    found = read(render(Page("p", "", BANNER, (Section("s", "s", parts),)))).all("figure")
-    names = (figure.attributes["class"].removeprefix("part drawn") for figure in found)
-    return [name.strip() or "half" for name in names]
+HALF = '<svg viewBox="0 0 338.4 302.4"/>'
 
 
-TEXT = Paragraph("text")
-ALONE = "wide lone"
-
-
-def test_two_halves_share_a_row_and_a_third_has_one_of_its_own() -> None:
-    assert classes(half("a"), half("b")) == ["half", "half"]
-    assert classes(half("a"), half("b"), half("c")) == ["half", "half", ALONE]
-    assert classes(half("a"), half("b"), half("c"), half("d")) == ["half"] * 4
-
-
-def test_a_half_beside_nothing_gets_the_row() -> None:
-    assert classes(half("a")) == [ALONE]
-    parts = (half("a"), TEXT, half("b"), half("c"), TEXT, half("d"))
-    assert classes(*parts) == [ALONE, "half", "half", ALONE]
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        ("half half", "half half"),
+        ("half half half", "half half lone"),
+        ("half half half half", "half half half half"),
+        ("half", "lone"),
+        ("half text half half text half", "lone half half lone"),
+        ("half wide half", "lone lone lone"),
+    ],
+)
+def test_two_halves_share_a_row_and_one_beside_nothing_has_its_own(
+    parts: str, expected: str
+) -> None:
+    known = {"half": Figure(HALF, "c", "a"), "wide": Figure(HALF, "c", "a", wide=True)}
+    assert classes(*(known.get(word, Paragraph("text")) for word in parts.split())) == expected
 
 
 def test_a_drawing_made_for_half_a_page_is_not_blown_up() -> None:
-    assert classes(half("a"), wide("b"), half("c")) == [ALONE, ALONE, ALONE]
-    bath = figures.bath_curve([0.0, 1.0], [33.0, 33.0], 33.0, 0.1, [], [])
-    assert classes(Figure(bath, "bath", "bath", wide=True)) == ["wide"]
+    bath = bath_curve([0.0, 1.0], [33.0, 33.0], 33.0, 0.1, [], [])
+    half = error_histogram([1.0, 2.0], 5.0)
+    assert (
+        classes(Figure(bath, "b", "b", wide=True), Figure(half, "h", "h", wide=True)) == "wide lone"
+    )
 
 
 @pytest.mark.parametrize(("value", "expected"), [("short", "entry"), ("x" * 61, "entry long")])
 def test_a_long_value_has_a_line_of_its_own(value: str, expected: str) -> None:
-    page = Page("p", "", BANNER, (Section("s", "s", (KeyValues("k", (("name", value),)),)),))
-    assert expected in [div.attributes.get("class") for div in read(render(page)).all("div")]
+    page = page_of(KeyValues("k", (("name", value),)))
+    assert expected in [div.attributes.get("class") for div in page.all("div")]
 
 
-def test_the_first_screen_leads_to_the_worst_three(tmp_path: Path) -> None:
+def test_the_first_screen_leads_to_the_worst_three(sample: tuple[Page, Path], html: str) -> None:
     worst = ("trial-005", "trial-002", "trial-006", "trial-001")
-    page = dataclasses.replace(sample_page(tmp_path), worst=worst)
-    spans = read(render(page)).all("span")
+    page = dataclasses.replace(sample[0], sections=(), worst=worst)
+    shown = render(page)
+    spans = read(shown).all("span")
     looks = [span.text for span in spans if span.attributes.get("class") == "looks"]
     assert looks == ["Look first at Trial 5, Trial 2, Trial 6."]
-    assert '<a href="#trial-005">Trial 5</a>, <a href="#trial-002">' in render(page)
+    assert '<a href="#trial-005">Trial 5</a>, <a href="#trial-002">' in shown
+    assert "Look first at" not in html
     aborted = dataclasses.replace(page, banner=dataclasses.replace(page.banner, verdict="aborted"))
     assert "Look first at" not in render(aborted)
-    assert "Look first at" not in render(dataclasses.replace(page, worst=()))

@@ -12,13 +12,14 @@ import zlib
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser
 
 from reports.mail import write_single_file
 from reports.page import Page
 from reports.pdf import BROWSER, find_browser, print_pdf, travelling
 from reports.render import write_report
 from reports.trust import PageError
-from tests.chromium import browser_page, chromium
+from tests.chromium import chromium, window
 from tests.reports.markup import read
 from tests.reports.sample import sample_page
 
@@ -50,8 +51,7 @@ def test_everything_is_in_the_one_file(made: Made, tmp_path: Path) -> None:
     document = read(alone.read_text(encoding="utf-8"))
     assert articles(alone) == [f"trial-{number:03}" for number in range(1, 7)]
     assert all(src.startswith("data:image/png;base64,") for src in document.values("src"))
-    links = [link.attributes["href"] for link in document.all("a")]
-    assert all(link.startswith("#") for link in links)
+    assert all(link.attributes["href"].startswith("#") for link in document.all("a"))
     assert "trials.csv" in document.by_id("provenance").text
 
 
@@ -84,9 +84,9 @@ def test_only_jpeg_and_png_travel(made: Made, tmp_path: Path) -> None:
 
 
 @pytest.mark.browser
-def test_it_opens_anywhere_with_its_pictures(made: Made, tmp_path: Path) -> None:
+def test_it_opens_anywhere_with_its_pictures(browser: Browser, made: Made, tmp_path: Path) -> None:
     alone = write_single_file(*made, tmp_path / "alone.html")
-    with browser_page() as seen:
+    with window(browser) as seen:
         page = seen.open(alone, "trial-003")
         assert set(seen.image_widths().values()) == {640}
         assert page.locator("#trial-003 .pane").count() == 3
@@ -107,14 +107,9 @@ def strings(pdf: bytes, key: bytes) -> list[str]:
     digits.
     """
     found = re.findall(rb"/" + key + rb" (?:\(((?:[^()\\]|\\.)*)\)|<([0-9A-F]+)>)", pdf)
-    return [
-        (
-            bytes.fromhex(coded.decode()).decode("utf-16")
-            if coded
-            else re.sub(rb"\\(.)", rb"\1", plain).decode()
-        )
-        for plain, coded in found
-    ]
+    coded = (bytes.fromhex(digits.decode()).decode("utf-16") for _, digits in found)
+    plain = (re.sub(rb"\\(.)", rb"\1", text).decode() for text, _ in found)
+    return [one or other for one, other in zip(coded, plain, strict=True)]
 
 
 @pytest.mark.browser
@@ -149,10 +144,12 @@ def test_its_links_lead_from_where_it_stands(printed: bytes) -> None:
 
 
 @pytest.mark.browser
-def test_nothing_is_cut_off_on_paper_and_a_trial_stays_whole(tmp_path: Path) -> None:
+def test_nothing_is_cut_off_on_paper_and_a_trial_stays_whole(
+    browser: Browser, tmp_path: Path
+) -> None:
     """At the width that A4 leaves between its margins, 184 mm, in CSS pixels."""
     wide_px = round(184 / 25.4 * 96)
-    with browser_page(width=wide_px, scheme="dark") as seen:
+    with window(browser, width=wide_px, scheme="dark") as seen:
         page = seen.open(write_report(sample_page(tmp_path), tmp_path))
         page.emulate_media(media="print")
         sticking_out = page.evaluate(

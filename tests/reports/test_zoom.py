@@ -42,10 +42,6 @@ def view(page: Page, number: int = 0, trial: str = "trial-001") -> View:
     return [float(value) for value in box.split()]
 
 
-def middle(shown: View) -> tuple[float, float]:
-    return shown[0] + shown[2] / 2, shown[1] + shown[3] / 2
-
-
 def box(page: Page, number: int = 0) -> FloatRect:
     found = pane(page, number).bounding_box()
     assert found is not None
@@ -72,6 +68,10 @@ def changed(page: Page, before: View, number: int = 0) -> View:
 def press(page: Page, *keys: str) -> None:
     for key in keys:
         page.keyboard.press(key)
+
+
+def views(page: Page) -> list[View]:
+    return [view(page, number) for number in range(3)]
 
 
 def test_the_wheel_zooms_a_clicked_frame_where_the_pointer_is(seen: Seen) -> None:
@@ -176,7 +176,7 @@ def test_the_frames_of_a_trial_go_together_to_the_same_teat(seen: Seen) -> None:
     page = seen.page
     page.mouse.dblclick(*on_screen(page, TEAT_2))
     page.mouse.dblclick(*on_screen(page, TEAT_2))
-    left, right, thermal = (view(page, number) for number in range(3))
+    left, right, thermal = views(page)
     assert left[2] == pytest.approx(64)
     assert right == pytest.approx(left, abs=0.5)
     assert thermal[2] == pytest.approx(640 / 6.25)
@@ -192,15 +192,15 @@ def test_switching_overlays_keeps_the_view_and_z_begins_anew(seen: Seen) -> None
     page = seen.page
     pane(page).focus()
     page.keyboard.press("+")
-    zoomed = [view(page, number) for number in range(3)]
+    zoomed = views(page)
     page.get_by_label("truth").uncheck()
     press(page, "o", "o")
     expect(pane(page, 1).locator(".layer-truth")).to_be_hidden()
-    assert [view(page, number) for number in range(3)] == zoomed
+    assert views(page) == zoomed
     page.keyboard.press("z")
-    assert [view(page, number) for number in range(3)] == [WHOLE] * 3
+    assert views(page) == [WHOLE] * 3
     page.keyboard.press("z")
-    assert [view(page, number) for number in range(3)] == [PART, PART, WHOLE]
+    assert views(page) == [PART, PART, WHOLE]
 
 
 def test_strokes_and_letters_keep_their_size_and_pixels_become_squares(seen: Seen) -> None:
@@ -248,7 +248,7 @@ def test_buttons_do_the_same_and_are_large_enough_for_a_finger(seen: Seen) -> No
     back = page.locator("#trial-001").get_by_role("button", name=name)
     expect(back).to_have_text("1.5×")
     back.click()
-    assert [view(page, number) for number in range(3)] == [PART, PART, WHOLE]
+    assert views(page) == [PART, PART, WHOLE]
     expect(back).to_be_hidden()
     sizes = page.locator("#trial-001 .tools > :not([hidden])").evaluate_all(
         "found => found.map((e) => e.getBoundingClientRect()).map((b) => [b.width, b.height])"
@@ -267,15 +267,14 @@ def test_what_a_mark_is_shows_on_hovering(seen: Seen) -> None:
     assert "teat 2" in text
 
 
-def test_without_a_script_the_picture_leads_to_the_original(browser: Browser, report: Path) -> None:
-    with window(browser, javascript=False) as seen:
-        page = seen.open(report, "trial-001")
-        assert page.locator(".tools, .pane[tabindex]").count() == 0
-        pane(page).locator("a").click()
-        page.wait_for_url("**/frames/trial-001/left.png")
-
-
-def test_with_one_a_link_beside_it_does(seen: Seen) -> None:
+def test_the_original_is_a_link_beside_the_picture_or_without_a_script_the_picture(
+    browser: Browser, report: Path, seen: Seen
+) -> None:
     link = seen.page.locator("#trial-001").get_by_role("link", name="Original of Left camera")
     expect(link).to_have_attribute("href", "frames/trial-001/left.png")
     assert seen.page.locator(".pane a").count() == 0
+    with window(browser, javascript=False) as bare:
+        page = bare.open(report, "trial-001")
+        assert page.locator(".tools, .pane[tabindex]").count() == 0
+        pane(page).locator("a").click()
+        page.wait_for_url("**/frames/trial-001/left.png")

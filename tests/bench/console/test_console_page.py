@@ -13,10 +13,9 @@ from playwright.sync_api import Page, expect
 
 from bench.record.reader import read_run
 from instruments.operators.mailbox import read_prompt
-from tests.axe import violations
 from tests.bench.console import served
 from tests.bench.operated_runs import SCRIPT, texts
-from tests.chromium import browser_page
+from tests.chromium import browser_page, violations
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 HOSTILE = "<img src=x onerror=document.title='pwned'> & </script>"

@@ -33,8 +33,8 @@ def trial(trace: dict[str, Any], covariance: list[list[float]] | None = None) ->
     return TrialRecord({"number": 1, "id": "001"}, (), (), (truth,), (detection,), (found,), {})
 
 
-def layer(found: tuple[Overlay, ...], tone: str) -> Overlay:
-    return next(one for one in found if one.tone == tone)
+def shapes(found: tuple[Overlay, ...], tone: str) -> tuple[Any, ...]:
+    return next(one.shapes for one in found if one.tone == tone)
 
 
 def test_a_covariance_is_the_ellipse_that_samples_fill(calibration: Calibration) -> None:
@@ -45,7 +45,7 @@ def test_a_covariance_is_the_ellipse_that_samples_fill(calibration: Calibration)
         seen = project_all(calibration, drawn)[camera]
         assert seen is not None
         found = overlays(trial({}, covariance.tolist()), camera, None, calibration)
-        (ellipse,) = layer(found, "spread").shapes
+        (ellipse,) = shapes(found, "spread")
         assert isinstance(ellipse, Ellipse)
         turn = np.radians(ellipse.turn_deg)
         axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
@@ -72,7 +72,7 @@ def test_any_detector_shows_its_stages_by_their_pixels(calibration: Calibration)
     found = overlays(trial(trace), "left", None, calibration)
     assert [one.tone for one in found if len(one.shapes) == 1] == ["nomination", "point", "other"]
     assert len(found) == 3
-    assert layer(found, "other").shapes[0].title == "d: my stage"  # type: ignore[union-attr]
+    assert shapes(found, "other")[0].title == "d: my stage"
     assert {one.name for one in found} <= set(NAMES.values())
 
 
@@ -93,7 +93,7 @@ def test_regions_lie_round_their_nominations(calibration: Calibration) -> None:
         "nominations": {"left_px": [[100.0, 50.0]]},
         "regions": {"left": {"shape": [1, 41, 21]}},
     }
-    (region,) = layer(overlays(trial(trace), "left", None, calibration), "region").shapes
+    (region,) = shapes(overlays(trial(trace), "left", None, calibration), "region")
     assert isinstance(region, Rect)
     assert (region.x_px, region.y_px, region.width_px, region.height_px) == (89.5, 29.5, 21, 41)
 
@@ -108,19 +108,17 @@ def test_a_fitted_teat_s_outline_goes_over_its_end(calibration: Calibration) -> 
     at = project_all(calibration, END[None])
     for camera in ("left", "right", "thermal"):
         found = overlays(trial(trace), camera, None, calibration)
-        (model,) = layer(found, "model").shapes
+        (model,) = shapes(found, "model")
         assert isinstance(model, Polyline)
         top = min(model.points_px, key=lambda point: point[1])
         assert np.allclose(top, at[camera][0], atol=3.0)  # type: ignore[index]
-        assert layer(found, "other").shapes[-1].title == "d: rejected, its place is too unsure"  # type: ignore[union-attr]
+        assert shapes(found, "other")[-1].title == "d: rejected, its place is too unsure"
 
 
 def test_truth_is_named_and_hidden_ends_are_reported(calibration: Calibration) -> None:
     one = trial({})
     hidden = TrialRecord(one.head, (), (), ({**one.truth[0], "visible": 0},), (), (), {})
-    ring, name = layer(
-        overlays(hidden, "left", np.array([[5.0, 6.0]]), calibration), "truth"
-    ).shapes
-    assert ring.title == "truth 1 (hidden)"  # type: ignore[union-attr]
-    assert name.text == "1"  # type: ignore[union-attr]
+    found = overlays(hidden, "left", np.array([[5.0, 6.0]]), calibration)
+    ring, name = shapes(found, "truth")
+    assert (ring.title, name.text) == ("truth 1 (hidden)", "1")
     assert overlays(hidden, "left", np.array([[np.nan, 6.0]]), calibration) == ()

@@ -9,19 +9,20 @@ import hashlib
 import re
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Browser, expect
 
 from bench.cli.main import main
 from bench.config import read_calibration
-from bench.record.reader import RunRecord, read_run
+from bench.record.reader import read_run
 from bench.report.page import build_page, stored_rules
 from bench.results.verdicts import judge
+from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from reports.render import render
-from tests.axe import violations
-from tests.chromium import Scheme, browser_page, chromium
+from tests.chromium import Scheme, chromium, launched, violations, window
 from tests.conftest import NO_FIGURE
 from tests.reports.markup import Document, read
 
@@ -55,14 +56,24 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
+def offsets(tmp_path: Path) -> Path:
+    """A run of a script of offsets: its report is made in no time."""
+    assert main(["run", "thesis-test-2", "--out", str(tmp_path)]) == 1
+    (run,) = tmp_path.iterdir()
+    return run
+
+
+@pytest.fixture(scope="module")
+def browser(folder: Path) -> Iterator[Browser]:
+    """A browser for all tests of the file, begun when the run is over."""
+    with launched() as running:
+        yield running
+
+
+@pytest.fixture
 def copy(folder: Path, tmp_path: Path) -> Path:
     """The run, for tests that write another report."""
     return Path(shutil.copytree(folder, tmp_path / folder.name))
-
-
-def page_of(run: RunRecord, pictures: Path) -> str:
-    rules, calibration = stored_rules(run.folder), read_calibration(run.folder / "calibration.toml")
-    return render(build_page(run, rules, judge(run, rules), calibration, pictures))
 
 
 # by chapter; the numbers are those of the points
@@ -157,18 +168,13 @@ def test_frames_are_jpeg_of_quality_80_and_link_their_originals(
     assert f"../frames/{trial}/left.png" in document.values("href")
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_faults_of_cameras_are_reported(folder: Path, tmp_path: Path) -> None:
+def test_hostile_notes_come_out_as_text_and_faults_are_reported(
+    folder: Path, tmp_path: Path
+) -> None:
     run = read_run(folder)
-    faults = {"camera faults": {"left: frozen": 3}, "retries": {"bath": 2}}
-    marked = dataclasses.replace(run, facts={**run.facts, **faults})
-    said = read(page_of(marked, tmp_path)).by_id("deviations").text
-    assert "left: frozen: 3 times" in said
-    assert "bath: 2 times" in said
-
-
-def test_hostile_notes_come_out_as_text(folder: Path, tmp_path: Path) -> None:
-    run = read_run(folder)
+    cameras = {note: f"opencv:0 (V4L2); {note}: exposure = 3" for note in (AUTOMATIC, UNSEEN_SIZE)}
+    facts = {"identities": {**run.facts["identities"], "cameras": {**cameras, "right": "opencv:1"}}}
+    facts |= {"camera faults": {"left: frozen": 3}, "retries": {"bath": 2}}
     trials = []
     for trial in run.trials:
         invalid = HOSTILE if trial.head["number"] == 2 else None
@@ -178,26 +184,31 @@ def test_hostile_notes_come_out_as_text(folder: Path, tmp_path: Path) -> None:
         trials.append(dataclasses.replace(trial, head=head, detections=rows))
     hostile = dataclasses.replace(
         run,
+        facts={**run.facts, **facts},
         trials=tuple(trials),
         events=({"t_s": 1.0, "kind": HOSTILE, "text": HOSTILE},),
         skipped=({"trial": HOSTILE, "reason": HOSTILE, "number": 1},),
     )
-    html = page_of(hostile, tmp_path)
+    rules, calibration = stored_rules(folder), read_calibration(folder / "calibration.toml")
+    html = render(build_page(hostile, rules, judge(hostile, rules), calibration, tmp_path))
     document = read(html)
     assert document.misplaced == []
     assert "<img src=x" not in html
     assert len(document.all("script")) == 1
     assert f"Note: {HOSTILE}" in document.by_id("trial-001").text
-
-
-def files_of(report: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in report.iterdir() if path.is_file()}
+    said = document.by_id("deviations").text
+    noted = [f"{name}: {who}" for name, who in cameras.items()]
+    titles = ["cameras adjust themselves (auto = true)", "picture size may change unnoticed (try)"]
+    counted = ["left: frozen: 3 times", "bath: 2 times"]
+    assert [words for words in (*noted, *titles, *counted) if words not in said] == []
+    assert "right: opencv:1" not in said
 
 
 def test_the_same_run_gives_the_same_bytes(folder: Path) -> None:
-    before = files_of(folder / "report")
+    files = [path for path in (folder / "report").iterdir() if path.is_file()]
+    before = {path: path.read_bytes() for path in files}
     assert main(["report", str(folder)]) in DECIDED
-    assert files_of(folder / "report") == before
+    assert {path: path.read_bytes() for path in files} == before
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -214,18 +225,27 @@ def test_a_baseline_and_a_single_file(copy: Path) -> None:
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_pdf_needs_a_browser_that_prints(
-    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    offsets: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with monkeypatch.context() as without:
         without.setattr("reports.pdf.find_browser", lambda: None)
-        assert main(["report", str(copy), "--pdf"]) == 2
+        assert main(["report", str(offsets), "--pdf"]) == 2
     assert "no Chromium, Chrome or Edge was found" in capsys.readouterr().err
     monkeypatch.setenv("TEATBENCH_BROWSER", sys.executable)
-    assert main(["report", str(copy)]) in DECIDED, "costs the PDF only"
+    assert main(["report", str(offsets)]) == 1, "costs the PDF only"
     note = capsys.readouterr()
     assert "Report: " in note.out
     assert re.search(r"no PDF: .*report\.pdf: .* ended with code 2 and printed nothing", note.err)
-    assert main(["report", str(copy), "--pdf"]) == 2
+    assert main(["report", str(offsets), "--pdf"]) == 2
+
+
+@pytest.mark.browser
+@pytest.mark.usefixtures("undrawn")
+def test_a_script_of_offsets_is_printed_too(offsets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not (offsets / "report" / "report.pdf").exists()
+    monkeypatch.setenv("TEATBENCH_BROWSER", chromium())
+    assert main(["report", str(offsets), "--pdf"]) == 1
+    assert (offsets / "report" / "report.pdf").read_bytes().startswith(b"%PDF-")
 
 
 @pytest.mark.browser
@@ -250,22 +270,11 @@ def test_a_pdf_is_printed_where_a_browser_is(
 
 
 @pytest.mark.browser
-def test_a_script_of_offsets_is_printed_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_the_first_page_is_three_screens_and_its_words_are_few(
+    browser: Browser, folder: Path
 ) -> None:
-    assert main(["run", "thesis-test-2", "--out", str(tmp_path)]) == 1
-    (run,) = tmp_path.iterdir()
-    assert not (run / "report" / "report.pdf").exists()
-    monkeypatch.setenv("TEATBENCH_BROWSER", chromium())
-    assert main(["report", str(run), "--pdf"]) == 1
-    assert (run / "report" / "report.pdf").read_bytes().startswith(b"%PDF-")
-    capsys.readouterr()
-
-
-@pytest.mark.browser
-def test_the_first_page_is_three_screens_and_its_words_are_few(folder: Path) -> None:
     """With what is folded closed; pictures of four trials, three views each, and the figures."""
-    with browser_page(width=1440, height=900) as seen:
+    with window(browser, width=1440, height=900) as seen:
         page = seen.open(folder / "report" / "index.html")
         assert page.evaluate("document.documentElement.scrollHeight") <= 3 * 900
         page.evaluate("document.querySelectorAll('svg').forEach((drawn) => drawn.remove())")
@@ -286,9 +295,9 @@ def test_the_first_page_is_three_screens_and_its_words_are_few(folder: Path) -> 
 @pytest.mark.browser
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
 def test_the_first_screen_says_what_and_why_and_what_next(
-    folder: Path, width: int, height: int
+    browser: Browser, folder: Path, width: int, height: int
 ) -> None:
-    with browser_page(width=width, height=height) as seen:
+    with window(browser, width=width, height=height) as seen:
         page = seen.open(folder / "report" / "index.html")
         top = page.locator("#verdict").inner_text().lower()
         assert "emulated instruments" in page.locator("body").inner_text().lower()
@@ -307,11 +316,13 @@ def test_the_first_screen_says_what_and_why_and_what_next(
 
 @pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_browser_shows_all_of_it_without_a_network(folder: Path, scheme: Scheme) -> None:
+def test_a_browser_shows_all_of_it_without_a_network(
+    browser: Browser, folder: Path, scheme: Scheme
+) -> None:
     """Every picture, a trial by its link with its frames, nothing beside a telephone's screen, and
     nothing that axe-core finds.
     """
-    with browser_page(width=390, height=800, scheme=scheme) as seen:
+    with window(browser, width=390, height=800, scheme=scheme) as seen:
         page = seen.open(folder / "report" / "index.html", "trial-004")
         widths = seen.image_widths()
         assert len(widths) == 6 * 4  # by address: those of the first page are trials' too

@@ -76,10 +76,8 @@ def answered(run: RunRecord) -> RunRecord:
 def test_each_teat_counts_its_poses_once(two_teats: RunRecord) -> None:
     rows = error_rows(two_teats, "fused")
     first, second = teat_errors(rows)
-    assert [(one.teat, one.means_mm.shape) for one in (first, second)] == [
-        ("1", (12, 3)),
-        ("2", (4, 3)),
-    ]
+    assert (first.teat, first.means_mm.shape) == ("1", (12, 3))
+    assert (second.teat, second.means_mm.shape) == ("2", (4, 3))
     assert first.means_mm.mean(axis=0) == pytest.approx(BIAS[0], abs=0.5)
     assert first.bias.next_error is not None
     assert second.bias.next_error is None
@@ -102,20 +100,16 @@ def test_ellipsoids_are_drawn_teat_by_teat_and_say_on_how_many_poses(two_teats: 
     alt = "Errors with 95 % ellipsoids by teat. teat 1: 12 poses; teat 2: 4 poses, too few."
     assert drawn.alt == alt
     rows = table(parts, "Ellipsoids of the error")
-    assert [(row[0], row[2]) for row in rows[::2]] == [
-        ("all teats", "12"),
-        ("teat 1", "12"),
-        ("teat 2", "4"),
-    ]
+    poses = {row[0]: row[2] for row in rows[::2]}
+    assert poses == {"all teats": "12", "teat 1": "12", "teat 2": "4"}
     assert rows[2][3].split(", ")[1].startswith(("2.", "3."))  # the first teat's bias along y
     assert rows[4][4] == "not measured"
 
 
 @pytest.mark.slow
-def test_too_many_teats_are_one_cloud(two_teats: RunRecord) -> None:
+def test_too_many_teats_are_one_cloud(tmp_path: Path) -> None:
     ends = ENDS[0] + 40.0 * np.arange(7)[:, None]
-    many = [trial(k, f"p{k}", 1, ends, ends + 0.1) for k in range(1, 7)]
-    parts = spread(record(two_teats.folder, many))
+    parts = spread(record(tmp_path, [trial(k, f"p{k}", 1, ends, ends + 0.1) for k in range(1, 7)]))
     drawn = message(parts, Figure, "Errors with their 95 % ellipsoids")
     assert drawn.alt == "Errors with 95 % ellipsoids by teat. 7 teats: 42 poses."
 
@@ -139,12 +133,10 @@ def test_the_map_has_a_panel_a_teat_and_counts_the_missed(two_teats: RunRecord) 
     assert text.endswith("6 places of a teat are no map; 9 are the least.")
 
 
-def tilted(poses: int, slope: float, tilts: float = 15.0) -> ErrorRows:
-    """One teat at that many poses, a repeat each; z is off by so
-    much a degree, all else is noise.
-    """
+def tilted(poses: int, slope: float) -> ErrorRows:
+    """One teat at that many poses, a repeat each; z is off by so much a degree, all else is noise."""
     rng = np.random.default_rng(3)
-    tilt = np.linspace(0.0, tilts, poses, dtype=np.float64)
+    tilt = np.linspace(0.0, 15.0, poses, dtype=np.float64)
     errors = rng.normal(0, 0.1, (poses, 3)) + np.outer(tilt, [0.0, 0.0, slope])
     names = tuple(f"p{k}" for k in range(poses))
     return ErrorRows(
@@ -178,15 +170,12 @@ def test_a_trend_with_tilt_is_shown_with_its_slope_and_interval() -> None:
     assert "z error with tilt of the teat" in drawn.caption
 
 
-def test_no_trend_shown_says_what_may_still_hide() -> None:
+def test_no_trend_few_poses_and_unknown_tilts_say_what_they_are() -> None:
     parts = list(trend_parts(tilted(8, 0.0), "fused"))
     part = message(parts, Table, "Trends of the error")
     assert "“No trend shown” doesn't say that there is none" in part.note
     assert "could be up to" in part.note
     assert message(parts, Figure, "What each trend makes").caption.endswith("No trend is shown.")
-
-
-def test_trends_of_few_poses_and_unknown_tilts_are_not_measured() -> None:
     (few,) = trend_parts(tilted(4, 0.2), "fused")
     assert isinstance(few, Paragraph)
     assert "teats were found in 4 poses, and 5 are the least" in few.text
@@ -223,8 +212,8 @@ def test_a_truth_without_a_stated_uncertainty_accepts_no_axis(two_teats: RunReco
     )
     parts = list(accuracy_tables(replace(two_teats, trials=unstated), "fused", 50.0, np.eye(3)))
     assert {row[-1] for row in table(parts, "Errors along each axis, detector")} == {"between"}
-    expected = "nothing can be accepted and 50.000 mm or more refused"
-    assert expected in (message(parts, Table, "Errors along each axis, detector").note)
+    note = message(parts, Table, "Errors along each axis, detector").note
+    assert "nothing can be accepted and 50.000 mm or more refused" in note
     assert "noise" not in message(parts, Table, "Distance to the teat end").note
 
 
@@ -272,8 +261,8 @@ def test_few_repeats_say_what_is_missing(tmp_path: Path, two_teats: RunRecord) -
     text = message(parts, Paragraph, "AP, RP, AD and RD").text
     assert "of one teat at one pose there are 3 finds at most, and 10 are the least" in text
     single = list(precision_parts(replace(two_teats, trials=two_teats.trials[::3]), "fused"))
-    expected = "no teat was found twice at one pose"
-    assert expected in (message(single, Paragraph, "Repeatability and reproducibility").text)
+    text = message(single, Paragraph, "Repeatability and reproducibility").text
+    assert "no teat was found twice at one pose" in text
 
 
 def test_the_truth_s_own_gage_study_is_reported(tmp_path: Path) -> None:
