@@ -30,6 +30,7 @@ NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"/>'
 UNDRAWN = tuple(
     f"tests.bench.{room}." for room in ("cli", "dry_run", "record", "rig", "run", "safety", "truth")
 )
+UNDRAWN += tuple(f"tests.bench.calibrate.test_{name}" for name in ("checks", "live", "steps"))
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -1,6 +1,4 @@
-"""Pictures of boards before small cameras, drawn by intersecting every pixel's rays with the board:
-no code of the project's renderer.
-"""
+"""Boards before small cameras, drawn by rays: no code of the project's renderer."""
 
 from __future__ import annotations
 
@@ -28,9 +26,7 @@ SAMPLES = 4  # a side of a pixel
 
 
 def poses(count: int, seed: int = 1, board: Board = BOARD, spread: float = 1.0) -> list[Motion]:
-    """left_from_board: about a metre away, all over ``spread`` of the picture, tilted to every side
-    in turn.
-    """
+    """left_from_board: all over ``spread`` of the picture, tilted to every side in turn."""
     rng = np.random.default_rng(seed)
     found = []
     for at in range(count):
@@ -55,9 +51,7 @@ def picture(
     board: Board = BOARD,
     bend_mm: float = 0.0,
 ) -> NDArray[np.uint8]:
-    """An 8-bit picture of the board (printed at ``pitch_mm``, its rim ``bend_mm`` behind its
-    middle) on a grey wall, with noise.
-    """
+    """The board, printed at ``pitch_mm`` and bent by ``bend_mm``, on a grey wall, with noise."""
     height, width = camera.image_size[1], camera.image_size[0]
     flat, by_column, by_row = _undistorted(camera)
     board_from_camera = camera_from_board.inverse()

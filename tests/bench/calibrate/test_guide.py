@@ -1,6 +1,4 @@
-"""The guide: asks for what is missing, in words and in a
-picture, and is content when nothing is.
-"""
+"""The guide asks for what is missing, in words and a picture, until nothing is."""
 
 from __future__ import annotations
 
@@ -44,9 +42,7 @@ NOTHING: NDArray[np.uint8] = np.full((SIZE[1], SIZE[0]), 120, np.uint8)
 
 
 def in_cell(cell: int) -> Motion:
-    """left_from_board: the board's middle in the middle of that cell of twelve, tilted to each side
-    and near and far in turn.
-    """
+    """left_from_board: in that cell of twelve, tilted to each side, near and far in turn."""
     row, column = divmod(cell, 4)
     way, depth_mm = column * np.pi / 2, (520.0, 700.0)[(row + cell) % 2]
     R = Motion.from_vectors(TILT_RAD * np.array([np.cos(way), np.sin(way), 0.0]), np.zeros(3)).R
@@ -56,9 +52,7 @@ def in_cell(cell: int) -> Motion:
 
 
 class Room:
-    """An operator who holds the board in each cell in turn, before one camera; now and then nothing
-    is in the picture.
-    """
+    """An operator with the board in each cell in turn; now and then it is not there."""
 
     def __init__(self, *, empty: tuple[int, ...] = (), enough_at: int | None = None) -> None:
         self.asked: list[BoardAsked] = []
@@ -90,7 +84,7 @@ def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Pa
     assert room.note[-1] == "Nothing is missing any more."
     assert kept == 13, "twelve cells, and the view that was refused"
     assert room.note[2].startswith("view 3: left refused: no 7 x 5 chessboard found")
-    assert len(find_pictures([tmp_path]).pictures["left"]) == kept
+    assert len(find_pictures([tmp_path], ["left"])["left"]) == kept
     first, late = room.asked[0].instruction, room.asked[-1].instruction
     for words in (
         (

@@ -1,6 +1,4 @@
-"""What the world's live step does with touches that go wrong, with boards that aren't seen, and
-with a ball tip.
-"""
+"""The world's live step: touches that go wrong, boards that aren't seen, a ball tip."""
 
 from __future__ import annotations
 
@@ -30,9 +28,7 @@ RADIUS_MM = 1.5
 
 
 class Lab:
-    """An arm whose tip is where the operator put it, a board that the cameras see at some looks,
-    and what was asked and told.
-    """
+    """An arm whose tip is at the board, which the cameras see at some looks."""
 
     def __init__(
         self, *, wrong: Mapping[int, int] | None = None, moves_at: int = 0, hidden_looks: int = 0

@@ -1,6 +1,4 @@
-"""Text from files, detectors and the wire that would steer a terminal, break XML or be a formula:
-shown everywhere, doing nothing.
-"""
+"""Text that would steer a terminal, break XML or be a formula is shown, doing nothing."""
 
 from __future__ import annotations
 
@@ -8,11 +6,8 @@ import contextlib
 import csv
 import io
 import json
-import os
 import re
-import shutil
 import socket
-import subprocess
 import sys
 import threading
 import xml.etree.ElementTree as ET
@@ -27,9 +22,10 @@ from bench.cli.terminal import Terminal
 from bench.rig.loading import RIGS
 from bench.script.model import TRIALS
 from reports.sanitize import csv_text, sanitized
+from tests.bench.calibrate.arm_terminal import at_terminal
 from tests.bench.commands import Said, teatbench
 from tests.bench.small_recording import write_recording
-from tests.conftest import ROOT
+from tests.bench.small_run import smaller
 
 HOSTILE = "\x1b[2J\x1b]0;owned\x07\x9b31m\x00\u202edlrow\u2066 [/red][link=http://evil]here"
 UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
@@ -49,34 +45,6 @@ for number, line in enumerate(sys.stdin):
         sys.exit(3)
     print(json.dumps({{"frame": asked["frame"], "teats": [], "reason": "@" + hostile}}), flush=True)
 """
-
-
-def on_a_terminal(folder: Path, *arguments: str) -> tuple[int, str]:
-    """A command's exit code, and all that it wrote to a pseudo-terminal."""
-    near, far = os.openpty()
-    command = [sys.executable, "-m", "bench.cli", *arguments]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm-256color", "COLUMNS": "100"}
-    with subprocess.Popen(
-        command,
-        cwd=folder,
-        env=environment,
-        stdin=far,
-        stdout=far,
-        stderr=far,
-        start_new_session=True,
-    ) as process:
-        os.close(far)
-        written = b""
-        while True:
-            try:
-                data = os.read(near, 1 << 16)
-            except OSError:  # EIO: nobody has the other end any more
-                data = b""
-            if not data:
-                break
-            written += data
-        os.close(near)
-    return process.returncode, written.decode("utf-8")
 
 
 def check_terminal(text: str) -> None:
@@ -143,7 +111,6 @@ def test_names_of_a_recording_and_words_of_a_detector(tmp_path: Path, said: Said
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_a_script_and_a_rig_on_a_real_terminal(tmp_path: Path) -> None:
     script = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
     head, _, trials = script.partition("[[trials]]")
@@ -153,7 +120,8 @@ def test_a_script_and_a_rig_on_a_real_terminal(tmp_path: Path) -> None:
     head = head.replace("repeats = 3", "repeats = 1").replace("about =", "about = " + TOML + " #")
     first = re.sub("set_up = .*", lambda _: f"set_up = {TOML}", trials.partition("[[trials]]")[0])
     (tmp_path / "script.toml").write_text(f"{head}[[trials]]{first}", encoding="utf-8")
-    shutil.copy(RIGS / "calibration.toml", tmp_path)
+    calibration = (RIGS / "calibration.toml").read_text(encoding="utf-8")
+    (tmp_path / "calibration.toml").write_text(smaller(calibration), encoding="utf-8")
     rig = (RIGS / "emulated.toml").read_text(encoding="utf-8").replace('"emulated rig"', TOML)
     (tmp_path / "rig.toml").write_text(
         rig.replace('"emulator:"', '"script:answers.txt"', 1), encoding="utf-8"
@@ -162,21 +130,18 @@ def test_a_script_and_a_rig_on_a_real_terminal(tmp_path: Path) -> None:
     (tmp_path / "answers.txt").write_text(
         "".join(f"otherwise {kind}: go\n" for kind in kinds), encoding="utf-8"
     )
-    code, said = on_a_terminal(tmp_path, "run", "script.toml", "--rig", "rig.toml", "--out", "runs")
-    assert code in (1, 4), said
-    check_terminal(said)
-    (run,) = (tmp_path / "runs").iterdir()
-    check_files(run)
-    code, said = on_a_terminal(tmp_path, "trials", "show", "script.toml")
-    assert code == 0
-    check_terminal(said)
+    run = "run script.toml --rig rig.toml --out runs"
+    for command, codes in ((run, (1, 4)), ("trials show script.toml", (0,))):
+        with at_terminal(command.split(), 100, tmp_path) as terminal:
+            assert terminal.code() in codes, terminal.text
+        check_terminal(terminal.text)
+    (folder,) = (tmp_path / "runs").iterdir()
+    check_files(folder)
 
 
 @pytest.mark.slow
 def test_words_on_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
-    """A board that welcomes as Grbl does, and answers whatever it is asked with a version that
-    would clear the screen.
-    """
+    """A board like Grbl, whose version would clear the screen."""
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def serve() -> None:

@@ -1,6 +1,4 @@
-"""`teatbench scene sheet` and `scene record`: what they write, that it can be scored, and what they
-refuse.
-"""
+"""`teatbench scene …`: what is written, that it can be scored, and what is refused."""
 
 from __future__ import annotations
 
@@ -200,9 +198,7 @@ def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_boards_are_found_in_their_pictures(tmp_path: Path, said: Said) -> None:
-    """The shipped chessboard, drawn by the scene, is what OpenCV's finder sees; it is whole in both
-    pictures.
-    """
+    """OpenCV's finder sees the whole shipped chessboard in both pictures."""
     shown = said(0, "scene boards chessboard-9x6-40 --poses 2 --out {}", tmp_path / "boards").out
     assert "2 frames in" in shown
     recording = Recording(tmp_path / "boards")

@@ -1,6 +1,4 @@
-"""`--capture FILE` and `replay-wire`: a session with instruments, sent in a file and played to the
-same drivers again.
-"""
+"""`--capture FILE`, and `replay-wire`, which plays it to the same drivers again."""
 
 from __future__ import annotations
 
@@ -201,31 +199,23 @@ def test_a_wrong_file_gives_2_and_a_sentence(
     assert threading.active_count() == threads
 
 
+# each alone, or a group and which of it
 WITHOUT_A_LINK = {
-    "campaign run",
-    "campaign chunk",
-    "campaign query",
-    "campaign compare",
-    "campaign show",
-    "campaign search",
-    "campaign herd",
-    "campaign keep",
-    "console",
-    "trials show",
-    "replay-wire",
-    "control",
-    "tell",
-    "report",
-    "score",
-    "recording pack",
-    "compare",
+    f"{group} {name}".strip()
+    for group, names in {
+        "": "console replay-wire control tell report score compare init plan detect rigs emulate runs"
+        " completion",
+        "calibrate": "merge board export import",
+        "camera": "list show focus grab",
+        "campaign": "run chunk query compare show search herd keep",
+        "detectors": "new try",
+        "recording": "pack",
+        "scene": "sheet record boards sensitivity",
+        "store": "check export",
+        "trials": "show",
+    }.items()
+    for name in names.split()
 }
-WITHOUT_A_LINK |= {"init", "plan", "detect", "rigs", "emulate", "runs", "completion"}
-WITHOUT_A_LINK |= {"detectors new", "detectors try"}
-WITHOUT_A_LINK |= {f"camera {name}" for name in ("list", "show", "focus", "grab")}
-WITHOUT_A_LINK |= {f"scene {name}" for name in ("sheet", "record", "boards", "sensitivity")}
-WITHOUT_A_LINK |= {f"store {name}" for name in ("check", "export")}
-WITHOUT_A_LINK |= {f"calibrate {name}" for name in ("merge", "board", "export", "import")}
 
 
 def commands_of(
