@@ -146,33 +146,25 @@ def _show(found: Sequence[Comparison]) -> None:
     from rich.table import Table
 
     from bench.cli.terminal import Terminal
-    from bench.report.comparison import (
-        distance_table,
-        gate_reasons,
-        heading,
-        notes,
-        success_table,
-        verdict_text,
-        worded,
-    )
+    from bench.report import comparison as report
 
     console = Terminal()
     for comparison in found:
-        console.print(worded(comparison, heading(comparison)), soft_wrap=True)
+        console.print(report.worded(comparison, report.heading(comparison)), soft_wrap=True)
         for title, page in (
-            ("success", success_table(comparison)),
-            ("distance to the teat end", distance_table(comparison)),
+            ("success", report.success_table(comparison)),
+            ("distance to the teat end", report.distance_table(comparison)),
         ):
-            table, page = Table(title=title), worded(comparison, page)
+            table, page = Table(title=title), report.worded(comparison, page)
             for at, column in enumerate(page.columns):
                 name = f"{column.title}, {column.unit}" if column.unit else column.title
                 table.add_column(name, justify="right" if at else "left", overflow="fold")
             for row in page.rows:
                 table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in row))
             console.print(table)
-        for line in (*notes(comparison), verdict_text(comparison)):
-            console.print(worded(comparison, line))
-        for reason in worded(comparison, gate_reasons(comparison)):
+        for line in (*report.notes(comparison), report.verdict_text(comparison)):
+            console.print(report.worded(comparison, line))
+        for reason in report.worded(comparison, report.gate_reasons(comparison)):
             console.print(f"  {reason}")
 
 

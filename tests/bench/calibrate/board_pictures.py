@@ -31,10 +31,8 @@ def poses(count: int, seed: int = 1, board: Board = BOARD, spread: float = 1.0) 
     found = []
     for at in range(count):
         tilt, way = np.radians(rng.uniform(18.0, 38.0)), 2 * np.pi * (at * 0.618 + 0.05)
-        R = (
-            cv2.Rodrigues(tilt * np.array([np.cos(way), np.sin(way), 0.0]))[0]
-            @ cv2.Rodrigues(np.array([0.0, 0.0, rng.uniform(-0.2, 0.2)]))[0]
-        )
+        lean = Motion.from_vectors(tilt * np.array([np.cos(way), np.sin(way), 0.0]), np.zeros(3))
+        R = lean.R @ Motion.from_vectors([0.0, 0.0, rng.uniform(-0.2, 0.2)], np.zeros(3)).R
         depth = rng.uniform(650.0, 1050.0)
         across, up = (spread * rng.uniform(-most, most) * depth for most in (0.22, 0.16))
         aim = np.array([across + 50.0, up, depth])
@@ -120,13 +118,8 @@ def write_pairs(
 ) -> Path:
     """``count`` pairs of pictures as left/NN.png and right/NN.png."""
     for number, pose in enumerate(poses(count, seed)):
-        for name, camera, motion in (
-            ("left", LEFT, Motion.identity()),
-            ("right", RIGHT, RIGHT_FROM_LEFT),
-        ):
-            image = picture(
-                camera, motion @ pose, 100 * seed + number, pitch_mm=pitch_mm, bend_mm=bend_mm
-            )
+        for name, camera, seen in (("left", LEFT, pose), ("right", RIGHT, RIGHT_FROM_LEFT @ pose)):
+            image = picture(camera, seen, 100 * seed + number, pitch_mm=pitch_mm, bend_mm=bend_mm)
             write_image(folder / name / f"{number:02d}.png", image)
     return folder
 

@@ -65,10 +65,8 @@ def test_cameras_that_were_pushed(count: int, by_mm: float) -> None:
 
 def test_points_mistaken_for_each_other() -> None:
     points = touched(2)
-    order = [1, 0, *range(2, 18)]
-    (finding,) = check_points(WHOLE, replace(points, touched_mm=points.touched_mm[order]), **NOISE)[
-        1
-    ]
+    mistaken = replace(points, touched_mm=points.touched_mm[[1, 0, *range(2, 18)]])
+    (finding,) = check_points(WHOLE, mistaken, **NOISE)[1]
     assert finding.name == "scattered points"
     assert "points scatter by" in finding.sentence
 
