@@ -27,16 +27,18 @@ _HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]=]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(
     r"""\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=\s*"""
 )
-_STRINGS = re.compile(r'"""|\'\'\'|"(?:\\.|[^"\\])*"|\'[^\']*\'|#.*|[\[\]{}]')
+# strings and comments whole, what opens and closes, and line ends
+_TOKENS = re.compile(
+    r""""{3}(?:\\.|[^\\])*?"{3,5}|'{3}.*?'{3,5}|"(?:\\.|[^"\\\n])*"|'[^'\n]*'|#[^\n]*|[\[\]{}\n]""",
+    re.DOTALL,
+)
 
 KeyPath = tuple[str | int, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """``line`` from 1; columns from 0; the key spans ``key_end - key_start``, the value starts at
-    ``value_start``.
-    """
+    """``line`` from 1; where key and value are, in columns from 0."""
 
     line: int
     key_start: int
@@ -89,39 +91,18 @@ def _open_table(names: tuple[str, ...], *, is_array: bool, counts: dict[KeyPath,
 
 
 def _logical_lines(text: str) -> Iterator[tuple[int, str]]:
-    """Lines on which a header or key may start: those inside a long string, array or inline table
-    are left out.
-    """
-    depth, quote = 0, ""
-    for number, line in enumerate(text.split("\n"), 1):
-        if depth == 0 and not quote:
-            yield number, line
-        header = depth == 0 and not quote and _HEADER.match(line)
-        depth, quote = (0, "") if header else _scan(line, depth, quote)
-
-
-def _scan(line: str, depth: int, quote: str) -> tuple[int, str]:
-    at = 0
-    while at < len(line):
-        if quote:
-            end = line.find(quote, at)
-            if end < 0:
-                return depth, quote
-            at, quote = end + 3, ""
-            continue
-        token = _STRINGS.search(line, at)
-        if token is None:
-            break
-        at = token.end()
-        quote = token[0] if token[0] in ('"""', "'''") else ""
+    """Lines on which a header or key may start: none inside a long string or array."""
+    lines, number, depth = text.split("\n"), 1, 0
+    yield 1, lines[0]
+    for token in _TOKENS.finditer(text):
+        number += token[0].count("\n")
         depth += (token[0] in "[{") - (token[0] in "]}")
-    return depth, quote
+        if token[0] == "\n" and depth == 0:
+            yield number, lines[number - 1]
 
 
 class Section(BaseModel):
-    """A table of a file that a person writes: unknown keys are faults, numbers are finite, values
-    don't change.
-    """
+    """A table that a person writes: no unknown keys, finite numbers, no changes."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, arbitrary_types_allowed=True, allow_inf_nan=False
@@ -134,9 +115,7 @@ SHOWN, TOLD = 120, 2000  # characters of a line of the file, and of a message
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault of a file. ``line`` counts from 1; ``column`` and ``width`` say where the caret
-    goes.
-    """
+    """One fault of a file: ``line`` from 1, the caret's ``column`` and ``width``."""
 
     line: int
     column: int
@@ -145,9 +124,7 @@ class Fault:
 
 
 class ConfigError(Exception):
-    """A file (or a command's argument) is wrong. Lists all faults at once; the command exits with
-    2.
-    """
+    """A file or an argument is wrong. Lists all faults; the command exits with 2."""
 
     def __init__(self, path: Path | None, faults: Sequence[Fault], text: str = "") -> None:
         self.path = path
@@ -161,9 +138,7 @@ class ConfigError(Exception):
 
 
 def read_config(path: Path, model: type[Model], *, stored: bool = False) -> Model:
-    """The file at ``path`` as ``model``; ``stored`` is the copy in a run that was done. Raises
-    ConfigError with all its faults.
-    """
+    """The file as ``model``; ``stored`` in a run that was done. Raises ConfigError."""
     return parse_config(path, read_text(path), model, stored=stored)
 
 
@@ -211,9 +186,7 @@ def read_text(path: Path) -> str:
 
 
 def located(path: Path, text: str, found: Iterable[tuple[KeyPath, str, bool]]) -> ConfigError:
-    """A ConfigError for faults known by key path; the flag says that the key itself is wrong, not
-    its value.
-    """
+    """For faults by key path; the flag says that the key is wrong, not its value."""
     places = find_places(text)
     lines = text.split("\n")
     faults = []

@@ -37,9 +37,7 @@ def png_bytes(image: Picture) -> bytes:
 
 
 def write_pictures(pictures: Mapping[Path, Picture]) -> dict[Path, str]:
-    """Write all as PNG, synced and renamed; gives back the SHA-256 of each file. Raises OSError,
-    ValueError.
-    """
+    """Write all as PNG, synced; gives back each SHA-256. Raises OSError, ValueError."""
     if not pictures:
         return {}
     folders = {path.parent for path in pictures}
@@ -57,9 +55,7 @@ def _write_picture(path: Path, image: Picture) -> str:
 
 
 def write_synced(path: Path, data: bytes) -> None:
-    """Write ``data`` to ``path`` so that after a crash it is there whole or not at all, and once
-    this returns, is there.
-    """
+    """``data`` at ``path``, durable; after a crash whole or not at all."""
     make_folder(path.parent)
     _replace(path, data)
     sync_folder(path.parent)
@@ -89,9 +85,7 @@ def _made(folder: Path) -> list[Path]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in ``folder`` durable, where the system has that: Windows does it with the
-    rename.
-    """
+    """Make the names in ``folder`` durable; Windows does it with the rename."""
     if os.name == "nt":
         return
     handle = os.open(folder, os.O_RDONLY)

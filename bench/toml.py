@@ -11,9 +11,7 @@ WIDTH = 120
 
 
 def toml_text(table: Mapping[str, Any], heading: str = "") -> str:
-    """``table`` as TOML under comment lines of ``heading``. Keys with None are left out; lists of
-    tables come after plain keys.
-    """
+    """``table`` as TOML under ``heading``; None is left out, tables follow plain keys."""
     lines = [f"# {line}" for line in heading.split("\n")] if heading else []
     return "\n".join([*lines, *_lines(table, ())]) + "\n"
 

@@ -32,6 +32,7 @@ UNDRAWN = (
     *("tests.bench.truth.", "tests.bench.report.test_odd_recordings"),
     *("tests.bench.report.test_detector_errors", "tests.bench.report.test_report_thesis"),
 )
+UNDRAWN += tuple(f"tests.bench.calibrate.test_{name}" for name in ("checks", "live", "steps"))
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -57,11 +57,6 @@ HOMED = (
     "Was the stylus on its peg when the arm was last switched on, or the arm homed since"
     " ('teatbench arm home')?"
 )
-NO_TERMINAL = (
-    "no positions before homing is confirmed, and nobody is at a terminal to confirm it. Give"
-    " --homed where the stylus was on its peg when the arm was last switched on, or the arm was"
-    " homed since: otherwise positions are wrong, with no sign of it."
-)
 LEANS = ("upright", "leaning left", "leaning right", "leaning towards you", "leaning away from you")
 DIVOTS = {
     "near": "near the arm, some 200 mm from its base",
@@ -97,10 +92,8 @@ class ArmSession:
     trying: TryingArm | None
 
     def confirm_homing(self, *, homed: bool) -> None:
-        """Confirm homing, or ask. Raises ConfigError without a terminal, OperatorAbort."""
+        """Confirm homing, where it isn't known by asking. Raises OperatorAbort."""
         if not homed:
-            if not sys.stdin.isatty():
-                raise ConfigError.plain(NO_TERMINAL)
             points = isinstance(self.arm, PointArm)
             self.console.ask(Task(self.arm.homing if points else HOMED))
         self.arm.confirm_homed()
@@ -120,7 +113,7 @@ class ArmSession:
 
 @contextmanager
 def open_arm(
-    port: str, baud: Baud, answer_s: float, capture: Captures, *, length_mm: float | None = None
+    port: str, baud: Baud, answer_s: float, capture: Captures, length_mm: float | None = None
 ) -> Iterator[ArmSession]:
     """The arm at ``port``, signed on; ``length_mm``: an emulated arm's bar. Raises ConfigError."""
     try:
@@ -129,8 +122,9 @@ def open_arm(
         raise ConfigError.plain(f"--port {port}: {error}") from error
     with ExitStack() as stack:
         clock = stack.enter_context(closing(RealClock()))
-        emulated = TryingArm(clock, length_mm=length_mm or 300.0) if port == EMULATED else None
-        trying = stack.enter_context(emulated) if emulated else None
+        trying = None
+        if port == EMULATED:
+            trying = stack.enter_context(TryingArm(clock, length_mm=length_mm or 300.0))
         url = trying.url if trying else port
         rig = rig_of(arm=Arm.model_construct(url=url, baud=baud, answer_s=answer_s))
         with open_instruments(rig, ("arm",), clock, capture=capture) as devices:
@@ -291,8 +285,8 @@ def _divot(arm: AnyArm, person: Person, name: str, touches: int) -> LocationTest
             f" {LEANS[number % len(LEANS)]}{further}."
         )
         readings.append(read_touch(arm, person, Step(name, number, text)))
-    tips, axes = zip(*((one.tip_mm, one.axis) for one in readings), strict=True)
-    return LocationTest(name, np.array(tips), axes_of(axes))
+    axes = axes_of([one.axis for one in readings])
+    return LocationTest(name, np.array([one.tip_mm for one in readings]), axes)
 
 
 def read_touch(arm: AnyArm, person: Person, step: Step) -> Reading:

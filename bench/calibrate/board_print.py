@@ -28,9 +28,7 @@ PAPERS_MM: dict[str, tuple[float, float]] = {
 
 
 def board_pdf(board: Board, paper: str | None = None) -> bytes:
-    """The board on a landscape sheet, the smallest that holds it if none is named, as PDF. Raises
-    ConfigError.
-    """
+    """The board as PDF on a landscape sheet, the smallest if none is named. Raises ConfigError."""
     written = io.BytesIO()
     board_figure(board, paper).savefig(
         written, format="pdf", metadata={"CreationDate": None, "Title": "Calibration board"}

@@ -6,8 +6,9 @@ the left camera sees too, or as homographies from point pairs.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -55,14 +56,6 @@ PAIR = ("left", "right")
 PAIR_COLUMNS = ("thermal_x", "thermal_y", "left_x", "left_y", "right_x", "right_y")
 NORMAL_95 = 1.96
 LEAST_FOR_HALVES = 10  # pairs of views; a half of fewer than five says nothing
-
-
-@dataclass(frozen=True, slots=True)
-class Lens:
-    """Which lens model is fitted, of `detector.calibration.cameras.LENS_MODELS`."""
-
-    model: str = "k1 k2 p1 p2"
-    square_pixels: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,22 +137,27 @@ def _covariance(found: Calibrated, pose: str) -> ParameterCovariance:
     return ParameterCovariance(names, fit.covariance)
 
 
-def calibrate_pair(views: BoardViews, lens: Lens) -> CamerasResult:
-    """The whole job. Raises BundleError (a sentence) for views that can't fix the cameras."""
+def calibrate_pair(
+    views: BoardViews, *, model: str = "k1 k2 p1 p2", square_pixels: bool = False
+) -> CamerasResult:
+    """The whole job, with a lens ``model`` of `detector.calibration.cameras.LENS_MODELS`. Raises
+    BundleError (a sentence) for views that can't fix the cameras.
+    """
     seen = {camera: views.views(camera) for camera in PAIR}
-    size, fitted = views.image_size, asdict(lens)
-    alone = {name: calibrate_camera(name, seen[name], size[name], **fitted) for name in PAIR}
+    size = views.image_size
+    lens: dict[str, Any] = {"model": model, "square_pixels": square_pixels}
+    alone = {name: calibrate_camera(name, seen[name], size[name], **lens) for name in PAIR}
     if size["left"] != size["right"]:
         raise TooFewViewsError(
             "left and right pictures differ in size: are they from the same pair?"
         )
-    joint = join_cameras(alone, joint_lenses=PAIR, **fitted)
+    joint = join_cameras(alone, joint_lenses=PAIR, **lens)
     shown = {camera: _shown(views, camera, alone[camera]) for camera in PAIR}
     pairs, pair = views.pairs(), pair_of(joint)
     halves = held_out = None
     if len(pairs) >= LEAST_FOR_HALVES:
         try:
-            halves = split_half(seen, size["left"], **fitted)
+            halves = split_half(seen, size["left"], **lens)
         except TooFewViewsError:
             pass
         else:  # each half of the views measured with the calibration that the other half made
@@ -242,9 +240,7 @@ class ThermalResult:
 def calibrate_thermal(
     views: BoardViews, cameras: Part, delivered: Delivered, plane_depth_mm: float
 ) -> ThermalResult:
-    """The third camera against a pair, whose left lens is held. Views are of un-mirrored pictures.
-    Raises BundleError (a sentence).
-    """
+    """The third camera against a pair, by un-mirrored pictures. Raises BundleError."""
     pair = pair_of_part(cameras)
     size = views.image_size["thermal"]
     alone = calibrate_camera("thermal", views.views("thermal"), size, model=delivered.model)

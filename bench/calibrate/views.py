@@ -43,28 +43,12 @@ LAYOUT = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class PictureSet:
-    """Paths by camera, then by the name of the view. Every camera here has at least one picture."""
-
-    pictures: Mapping[str, Mapping[str, Path]]
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        return tuple(path for views in self.pictures.values() for path in views.values())
-
-    def only(self, *cameras: str) -> PictureSet:
-        """The pictures of some cameras. Raises ConfigError where one has none."""
-        for camera in cameras:
-            if camera not in self.pictures:
-                raise ConfigError.plain(
-                    f"no picture of the {camera} camera was found; wanted: {LAYOUT}"
-                )
-        return PictureSet({camera: self.pictures[camera] for camera in cameras})
+# paths by camera, then by the name of the view; every camera has at least one picture
+Pictures = Mapping[str, Mapping[str, Path]]
 
 
-def find_pictures(places: Sequence[Path]) -> PictureSet:
-    """All pictures in ``places``. Raises ConfigError for no folder, no picture, a view twice."""
+def find_pictures(places: Sequence[Path], cameras: Sequence[str]) -> Pictures:
+    """Pictures of these cameras. Raises ConfigError for no folder, no picture, a view twice."""
     found: dict[str, dict[str, Path]] = {}
     for place in places:
         if not place.is_dir():
@@ -81,9 +65,11 @@ def find_pictures(places: Sequence[Path]) -> PictureSet:
                 raise ConfigError.plain(
                     f"{path}: view {name!r} of the {camera} camera is there twice (also {first})"
                 )
-    return PictureSet(
-        {camera: dict(sorted(found[camera].items())) for camera in CAMERAS if camera in found}
-    )
+    if missing := [camera for camera in cameras if camera not in found]:
+        raise ConfigError.plain(
+            f"no picture of the {missing[0]} camera was found; wanted: {LAYOUT}"
+        )
+    return {camera: dict(sorted(found[camera].items())) for camera in cameras}
 
 
 def _in_folder(place: Path) -> list[tuple[str, str, Path]]:
@@ -149,7 +135,7 @@ class BoardViews:
 
 
 def find_views(
-    pictures: PictureSet,
+    pictures: Pictures,
     board: Board,
     *,
     report: Callable[[int, int], None] = lambda _done, _of: None,
@@ -161,9 +147,7 @@ def find_views(
     are turned first. ``report`` gets how many pictures are done, of how many. Raises ConfigError
     for unreadable pictures or mixed sizes.
     """
-    chosen_views = {
-        camera: _spread(views, max_views) for camera, views in pictures.pictures.items()
-    }
+    chosen_views = {camera: _spread(views, max_views) for camera, views in pictures.items()}
     done, total = 0, sum(map(len, chosen_views.values()))
     found: dict[str, dict[str, Found]] = {}
     sizes: dict[str, tuple[int, int]] = {}

@@ -9,10 +9,10 @@ import json
 import math
 import sys
 import webbrowser
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 
-from bench.cli.arguments import CODES, complain
+from bench.cli.arguments import CODES, complain, print_values
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
 from bench.rig import alone as rig_alone
@@ -37,40 +37,35 @@ def _at(given: argparse.Namespace) -> StageTable:
     return rig_alone.stage_of_rig(given.rig)
 
 
-def status(given: argparse.Namespace) -> int:
+def status(given: argparse.Namespace) -> None:
     with open_stage(_at(given), given.capture) as stage:
         figures = rig_alone.described(stage)
     if given.json:
         print(json.dumps(figures))
     else:
-        for key, value in figures.items():
-            print(f"{key}: {value}")
-    return CODES.met
+        print_values(figures)
 
 
-def home(given: argparse.Namespace) -> int:
-    return _work(given, _home)
-
-
-def move(given: argparse.Namespace) -> int:
-    def go(stage: Stage) -> None:
-        target = given.x_mm, given.y_mm
-        rig_alone.check_target(stage, *target, z_mm=given.z_mm, a_deg=given.a_deg)
+def home(given: argparse.Namespace) -> None:
+    with _opened(given) as stage:
         _home(stage)
-        stage.move_to(*target, z_mm=given.z_mm, a_deg=given.a_deg, feed_mm_min=given.feed)
+
+
+def move(given: argparse.Namespace) -> None:
+    target, more = (given.x_mm, given.y_mm), {"z_mm": given.z_mm, "a_deg": given.a_deg}
+    with _opened(given) as stage:
+        rig_alone.check_target(stage, *target, **more)
+        _home(stage)
+        stage.move_to(*target, **more, feed_mm_min=given.feed)
         print(f"moved: {shown(stage)}")
 
-    return _work(given, go)
 
-
-def jog(given: argparse.Namespace) -> int:
-    def go(stage: Stage) -> None:
+def jog(given: argparse.Namespace) -> None:
+    with _opened(given) as stage:
         _home(stage)
         for way in given.steps:
             rig_alone.jog(stage, way, given.feed)
             print(f"moved: {shown(stage)}", flush=True)
-
-    return _work(given, go)
 
 
 def _home(stage: Stage) -> None:
@@ -78,33 +73,31 @@ def _home(stage: Stage) -> None:
     print(f"homed: {shown(stage)}", flush=True)
 
 
-def _work(given: argparse.Namespace, go: Callable[[Stage], None]) -> int:
-    """``go`` with the stage; what the driver refuses to send is wrong use."""
+@contextmanager
+def _opened(given: argparse.Namespace) -> Iterator[Stage]:
+    """The stage; what its driver refuses to send is wrong use."""
     try:
         with open_stage(_at(given), given.capture) as stage:
-            go(stage)
+            yield stage
     except LimitError as error:
-        return complain(str(error), CODES.wrong_use)
-    return CODES.met
+        raise ConfigError.plain(str(error)) from error
 
 
-def recover(given: argparse.Namespace) -> int:
+def recover(given: argparse.Namespace) -> None:
     with open_stage(_at(given), given.capture) as stage:
         stage.recover()
         print(
             f"restarted, in state {stage.status().name}; its position is unknown until 'teatbench"
             " stage home'"
         )
-    return CODES.met
 
 
-def attached(given: argparse.Namespace) -> int:
+def attached(given: argparse.Namespace) -> None:
     rows = list(rig_alone.cameras_of_rig(given.rig) if given.rig else rig_alone.attached())
     for name, what in rows:
         print(f"{name}  {what}")
     if not rows:
         print("no camera answers on this machine's USB or network")
-    return CODES.met
 
 
 def show(given: argparse.Namespace) -> int:
@@ -130,7 +123,7 @@ def show(given: argparse.Namespace) -> int:
     return CODES.fault if faults else CODES.met
 
 
-def focus(given: argparse.Namespace) -> int:
+def focus(given: argparse.Namespace) -> None:
     """Print the blur of each camera's edges; smaller is sharper. Ends with the smallest."""
     best: dict[str, float] = {}
     live = sys.stdout.isatty()
@@ -166,10 +159,9 @@ def focus(given: argparse.Namespace) -> int:
     if best:
         values = ", ".join(f"{name} = {px:.2f}" for name, px in best.items())
         print(f"focus_px = {{ {values} }}  # of [cameras.checks] in the rig file")
-    return CODES.met
 
 
-def grab(given: argparse.Namespace) -> int:
+def grab(given: argparse.Namespace) -> None:
     with open_alone(given.sources) as alone:
         if alone.frame_set is None:
             raise ConfigError.plain(
@@ -199,4 +191,3 @@ def grab(given: argparse.Namespace) -> int:
             "there is no calibration: put calibration.toml into the folder before it is scored",
             file=sys.stderr,
         )
-    return CODES.met

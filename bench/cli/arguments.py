@@ -10,15 +10,13 @@ import platform
 import re
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from bench import __version__
-
-if TYPE_CHECKING:
-    SubParsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 PATHS = ("FILE", "DIR", "FOLDER", "CSV", "PART", "CAL", "FRAMES", "RUN")
 Argument = Callable[[argparse._ActionsContainer], object]  # adds itself to a parser
@@ -38,6 +36,11 @@ class Codes(NamedTuple):
 
 
 CODES = Codes()
+
+
+def code_of(verdict: str) -> int:
+    """The exit code for a verdict's value."""
+    return {"met": CODES.met, "not met": CODES.not_met}.get(verdict, CODES.inconclusive)
 
 
 def complain(text: str, code: int) -> int:
@@ -70,14 +73,21 @@ def command_line() -> str:
     return shlex.join(["teatbench", *sys.argv[1:]])
 
 
+def print_values(values: Mapping[str, object]) -> None:
+    """A line each: its name, and what there is to say of it."""
+    for name, value in values.items():
+        print(name if value == "" else f"{name}: {value}")
+
+
 def call(given: argparse.Namespace) -> int:
-    """Call the command; gives back its exit code.
+    """Call the command; gives back its exit code, which is 0 for one that gives none.
 
     One with ``--capture FILE`` asks ``given.capture.tap(name, clock)`` for each link's tap; the
     file is opened before the command and closed behind it.
     """
     module, name = given.command
-    work: Callable[[argparse.Namespace], int] = getattr(import_module(f"bench.cli.{module}"), name)
+    work: Callable[[argparse.Namespace], int | None]
+    work = getattr(import_module(f"bench.cli.{module}"), name)
     out = "write_rig" if "write_rig" in given else "out"
     if "replace" in given and (path := getattr(given, out)):
         refuse_existing(
@@ -87,12 +97,12 @@ def call(given: argparse.Namespace) -> int:
             makes_folder="makes_folder" in given,
         )
     if "capture" not in given:
-        return work(given)
+        return work(given) or CODES.met
     from instruments.captures.capture import NO_CAPTURE, CaptureFile
 
     if given.capture is None:
         given.capture = NO_CAPTURE
-        return work(given)
+        return work(given) or CODES.met
     facts = {
         "teatbench": __version__,
         "command": command_line(),
@@ -102,7 +112,7 @@ def call(given: argparse.Namespace) -> int:
     with CaptureFile(given.capture, facts) as capture:
         given.capture = capture
         try:
-            return work(given)
+            return work(given) or CODES.met
         finally:
             if capture.fault:
                 complain(capture.fault, CODES.fault)
@@ -218,20 +228,21 @@ def size(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def step(text: str) -> dict[str, float]:
-    """A step of the stage, as X-5Y2.5."""
-    from bench.rig.alone import step as taken
+def parsed(function: str) -> Callable[[str], Any]:
+    """What ``function``, "module:name", makes of the text; its ValueError is the message."""
 
-    try:
-        return taken(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
+    def take(text: str) -> Any:
+        module, _, name = function.partition(":")
+        try:
+            return attrgetter(name)(import_module(module))(text)
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+
+    return take
 
 
 def address(instrument: str) -> Callable[[str], str]:
-    """Where a "bath" or a "stage" is, as in a rig file, but not an emulated one: that lives in the
-    bench.
-    """
+    """Where a "bath" or "stage" is, as in a rig file, but not an emulated one."""
 
     def take(text: str) -> str:
         from bench.rig.urls import EMULATED, bath_url, serial_url

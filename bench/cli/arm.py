@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import fields
 from typing import Any
 
 from bench.calibrate.arm import (
-    NO_TERMINAL,
     PEG,
     ArmSession,
     Plan,
@@ -35,25 +37,26 @@ from instruments.points import points_url
 SHOW_S = 0.2
 
 
-def _opened(
-    given: argparse.Namespace, length_mm: float | None = None
-) -> AbstractContextManager[ArmSession]:
-    return open_arm(given.port, given.baud, given.answer_s, given.capture, length_mm=length_mm)
-
-
-def _refuse_nobody(given: argparse.Namespace) -> None:
+@contextmanager
+def _homed(given: argparse.Namespace, length_mm: float | None = None) -> Iterator[ArmSession]:
+    """The arm, its homing confirmed. Raises ConfigError where nobody can confirm it."""
     if not given.homed and not sys.stdin.isatty():
-        raise ConfigError.plain(NO_TERMINAL)
+        raise ConfigError.plain(
+            "no positions before homing is confirmed, and nobody is at a terminal to confirm it."
+            " Give --homed where the stylus was on its peg when the arm was last switched on, or"
+            " the arm was homed since: otherwise positions are wrong, with no sign of it."
+        )
+    with open_arm(given.port, given.baud, given.answer_s, given.capture, length_mm) as session:
+        session.confirm_homing(homed=given.homed)
+        yield session
 
 
-def read(given: argparse.Namespace) -> int:
-    _refuse_nobody(given)
+def read(given: argparse.Namespace) -> None:
     frame = load_frame(given.frame) if given.frame else None
-    with _opened(given) as session:
+    with _homed(given) as session:
         serial_number = session.arm.identity.serial_number
         if frame:
             frame = load_frame(given.frame, serial_number=serial_number)
-        session.confirm_homing(homed=given.homed)
         if isinstance(session.arm, MicroScribe):
             reading = session.arm.read(given.packets)
         else:
@@ -70,28 +73,12 @@ def read(given: argparse.Namespace) -> int:
     }
     if given.json:
         print(json.dumps(line))
-        return CODES.met
+        return
     print(f"arm {serial_number}")
     spread = f", spread {reading.spread_mm:.2f} mm over {reading.n} packets"
     print(f"tip {mm(line['tip_mm'], 2)} in the arm's frame{spread if reading.n > 1 else ''}")
     if frame:
         print(f"    {mm(line['world_mm'], 2)} in the world (frame of {frame.made:%Y-%m-%d})")
-    return CODES.met
-
-
-def watch(given: argparse.Namespace) -> int:
-    _refuse_nobody(given)
-    live = sys.stdout.isatty()
-    with _opened(given) as session:
-        session.confirm_homing(homed=given.homed)
-        try:
-            _watch(session, given.seconds, live=live)
-        except KeyboardInterrupt:
-            return CODES.met
-        finally:
-            if live:
-                print(flush=True)
-    return CODES.met
 
 
 def _microscribe(session: ArmSession) -> MicroScribe:
@@ -103,39 +90,42 @@ def _microscribe(session: ArmSession) -> MicroScribe:
     return session.arm
 
 
-def _watch(session: ArmSession, seconds: float | None, *, live: bool) -> None:
-    arm, clock = _microscribe(session), session.clock
-    start = shown = clock.now()
-    samples = []
-    with arm.stream() as stream:
-        for sample in stream:
-            samples.append(sample)
-            now = clock.now()
-            if now - shown >= SHOW_S:
-                x, y, z = arm.position(samples).tip_mm
-                pedals = ", ".join(
-                    f"{pedal.name.lower()} {'DOWN' if sample.buttons & pedal.value else 'up'}"
-                    for pedal in reversed(Pedal)
-                )
-                print(
-                    f"{chr(13) if live else ''}tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals:"
-                    f" {pedals:<22} {len(samples) / (now - shown):6.1f} packets/s   damaged:"
-                    f" {arm.damaged}",
-                    end="" if live else "\n",
-                    flush=True,
-                )
-                samples, shown = [], now
-            if seconds is not None and now - start >= seconds:
-                return
+def watch(given: argparse.Namespace) -> None:
+    live = sys.stdout.isatty()
+    with _homed(given) as session, ExitStack() as ending:
+        if live:
+            ending.callback(print, flush=True)
+        arm, clock = _microscribe(session), session.clock
+        shown, samples = clock.now(), []
+        end_s = shown + (given.seconds or math.inf)
+        with suppress(KeyboardInterrupt), arm.stream() as stream:
+            for sample in stream:
+                samples.append(sample)
+                now = clock.now()
+                if now - shown >= SHOW_S:
+                    x, y, z = arm.position(samples).tip_mm
+                    pedals = ", ".join(
+                        f"{pedal.name.lower()} {'DOWN' if sample.buttons & pedal.value else 'up'}"
+                        for pedal in reversed(Pedal)
+                    )
+                    print(
+                        f"tip {x:8.2f} {y:8.2f} {z:8.2f} mm   pedals: {pedals:<22}"
+                        f" {len(samples) / (now - shown):6.1f} packets/s   damaged: {arm.damaged}",
+                        end="\r" if live else "\n",
+                        flush=True,
+                    )
+                    samples, shown = [], now
+                if now >= end_s:
+                    break
 
 
-def home(given: argparse.Namespace) -> int:
+def home(given: argparse.Namespace) -> None:
     if not given.on_peg and not sys.stdin.isatty():
         raise ConfigError.plain(
             "homing with the stylus off its peg ruins every position. Put it there, and give"
             " --on-peg to say so."
         )
-    with _opened(given) as session:
+    with open_arm(given.port, given.baud, given.answer_s, given.capture) as session:
         arm = _microscribe(session)
         if not given.on_peg:
             session.ask(
@@ -147,12 +137,10 @@ def home(given: argparse.Namespace) -> int:
         f"Homed. The tip stands at {mm(reading.tip_mm, 2)} in the arm's frame. Leave the arm"
         " switched on."
     )
-    return CODES.met
 
 
 def frame(given: argparse.Namespace) -> int:
-    with _opened(given) as session:
-        session.confirm_homing(homed=given.homed)
+    with _homed(given) as session:
         checks = [*given.check, *[None] * given.plane_checks]
         found = touch_frame(session.arm, session, checks, today())
     for name, residual in found.residuals_mm.items():
@@ -180,11 +168,8 @@ def verify(given: argparse.Namespace) -> int:
             "--accuracy-mm is needed: the standard uncertainty of a point of this arm"
         )
     u_mm = given.accuracy_mm or Arm.model_fields["accuracy_mm"].default
-    gauge = (given.length_u_mm, given.gauge)
-    lengths = (given.length_mm, given.directions, *gauge, given.spheres)
-    plan = Plan(given.distances, given.touches, *lengths)
-    with _opened(given, given.length_mm) as session:
-        session.confirm_homing(homed=given.homed)
+    plan = Plan(**{field.name: getattr(given, field.name) for field in fields(Plan)})
+    with _homed(given, given.length_mm) as session:
         found = verify_arm(session.arm, session, plan, today())
     write_file(given.out, verification_text(found, limits))
     print(f"Articulated location error {found.location_mm:.2f} mm, limit {limits.location_mm:g} mm")

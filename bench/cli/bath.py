@@ -21,7 +21,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from bench.cli.arguments import CODES, complain
+from bench.cli.arguments import CODES, complain, print_values
 from bench.cli.terminal import Terminal
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import find_rig, load_rig
@@ -48,7 +48,7 @@ POINT, LINE = "•", "─"
 BARS = "▁▂▃▄▅▆▇█"  # 0 to 100 %
 
 
-def read(given: argparse.Namespace) -> int:
+def read(given: argparse.Namespace) -> None:
     with open_bath(given.port, profile_of(given.profile), capture=given.capture) as (bath, _):
         reading, run = bath.read(), bath.profile.row("run")
         values = {
@@ -69,9 +69,7 @@ def read(given: argparse.Namespace) -> int:
     if given.json:
         print(json.dumps(values))
     else:
-        for key, value in values.items():
-            print(f"{key}: {'not told' if value is None else value}")
-    return CODES.met
+        print_values({key: "not told" if value is None else value for key, value in values.items()})
 
 
 def learn(given: argparse.Namespace) -> int:
@@ -108,16 +106,15 @@ def change(given: argparse.Namespace) -> int:
     return CODES.met
 
 
-def watch(given: argparse.Namespace) -> int:
+def watch(given: argparse.Namespace) -> None:
     with open_bath(given.port, profile_of(given.profile), capture=given.capture) as (bath, clock):
         try:
             watch_bath(bath, clock, Terminal(), given.seconds or math.inf)
         except KeyboardInterrupt:
             print("left as it is; 'teatbench bath standby' switches the heater off")
-    return CODES.met
 
 
-def standby(given: argparse.Namespace) -> int:
+def standby(given: argparse.Namespace) -> None:
     profile = profile_of(given.profile)
     with open_bath(given.port, profile, identify=False, capture=given.capture) as (bath, _):
         bath.safe()
@@ -126,20 +123,18 @@ def standby(given: argparse.Namespace) -> int:
         # what matters is done; an alarm or a broken sensor doesn't undo it
         except InstrumentError as error:
             print(f"in standby; no temperature: {error}")
-    return CODES.met
 
 
-def acknowledge(given: argparse.Namespace) -> int:
+def acknowledge(given: argparse.Namespace) -> None:
     rig = load_rig(find_rig(given.rig))
     latch = read_latch(latch_path(rig))
     if latch is None:
         print("nothing is latched: no interlock of this rig waits to be acknowledged")
-        return CODES.met
+        return
     print(f"latched: {latch}")
     with open_bath(rig.rig.bath.url, rig.profile, capture=given.capture) as (bath, _):
         acknowledge_latch(rig, latch, bath.read())
     print("acknowledged; the rig may run again")
-    return CODES.met
 
 
 def profile_of(name: str) -> Profile:
@@ -199,22 +194,18 @@ def rate_k_per_s(samples: Sequence[BathReading]) -> float | None:
     return (last.temp_c - first.temp_c) / span_s if span_s >= 10.0 else None
 
 
-def plot(
-    samples: Sequence[BathReading], set_point_c: float, *, width: int = WIDTH, height: int = HEIGHT
-) -> list[str]:
-    """Temperature over time, the set point as a line; ``height`` rows of text, and one that says
-    the time.
-    """
+def plot(samples: Sequence[BathReading], set_point_c: float) -> list[str]:
+    """Temperature over time, the set point as a line, in `HEIGHT` rows; then the time."""
     temps_c = np.array([set_point_c, *(sample.temp_c for sample in samples)])
     low, high = temps_c.min(), temps_c.max()
     middle, half = (low + high) / 2, max(high - low, LEAST_SPAN_K) * 0.55
-    from_top = np.rint((middle + half - temps_c) / (2 * half) * (height - 1))
-    rows = np.clip(from_top, 0, height - 1).astype(int)
-    cells = np.full((height, width), " ")
+    from_top = np.rint((middle + half - temps_c) / (2 * half) * (HEIGHT - 1))
+    rows = np.clip(from_top, 0, HEIGHT - 1).astype(int)
+    cells = np.full((HEIGHT, WIDTH), " ")
     cells[rows[0]] = LINE
-    columns, span_s = _columns(samples, width)
+    columns, span_s = _columns(samples)
     cells[rows[1:], columns] = POINT
-    labels = {0: middle + half, height - 1: middle - half, rows[0]: set_point_c}
+    labels = {0: middle + half, HEIGHT - 1: middle - half, rows[0]: set_point_c}
     lines = [
         f"{f'{labels[i]:.2f}' if i in labels else '':>7} {''.join(row)}"
         for i, row in enumerate(cells)
@@ -222,34 +213,27 @@ def plot(
     return [*lines, f"{'degC':>7} last {span_s / 60:.1f} min; {LINE * 2} set point, {POINT} bath"]
 
 
-def output_strip(samples: Sequence[BathReading], *, width: int = WIDTH) -> str:
-    """The heater's output over the same time, a bar a column; empty where the controller doesn't
-    say it.
-    """
-    bars = [" "] * width
-    for column, sample in zip(_columns(samples, width)[0], samples, strict=True):
+def output_strip(samples: Sequence[BathReading]) -> str:
+    """The heater's output over the same time, a bar a column; empty where it isn't told."""
+    bars = [" "] * WIDTH
+    for column, sample in zip(_columns(samples)[0], samples, strict=True):
         if sample.power_percent is not None:
             part = min(100.0, max(0.0, sample.power_percent)) / 100.0
             bars[column] = BARS[round(part * (len(BARS) - 1))]
     return f"{'output':>7} {''.join(bars)}" if any(bar != " " for bar in bars) else ""
 
 
-def _columns(samples: Sequence[BathReading], width: int) -> tuple[NDArray[np.int_], float]:
-    """In which of ``width`` columns each reading stands, and how many seconds they span."""
+def _columns(samples: Sequence[BathReading]) -> tuple[NDArray[np.int_], float]:
+    """In which of `WIDTH` columns each reading stands, and how many seconds they span."""
     after_s = np.array([sample.t_s for sample in samples]) - samples[0].t_s
-    span_s = max(float(after_s[-1]), width * PERIOD_S)
-    return np.minimum(width - 1, after_s / span_s * (width - 1)).astype(int), span_s
+    span_s = max(float(after_s[-1]), WIDTH * PERIOD_S)
+    return np.minimum(WIDTH - 1, after_s / span_s * (WIDTH - 1)).astype(int), span_s
 
 
 class BathView:
     """What is shown after each reading."""
 
-    def __init__(
-        self,
-        gate: StabilityGate,
-        *,
-        moving: Callable[[BathReading], Hashable] = lambda reading: reading.raw,
-    ) -> None:
+    def __init__(self, gate: StabilityGate, moving: Callable[[BathReading], Hashable]) -> None:
         self._gate = gate
         self._moving = moving
         self._samples: deque[BathReading] = deque()
@@ -301,11 +285,9 @@ class BathView:
         )
 
 
-def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float = math.inf) -> None:
-    """Read and show once a second until ``seconds`` are over, or the user interrupts. Without a
-    terminal, a line a reading.
-    """
-    view = BathView(StabilityGate(bath.get("set_point")), moving=moving_of(bath.profile))
+def watch_bath(bath: Bath, clock: Clock, console: Console, seconds: float) -> None:
+    """Read and show once a second for ``seconds``; a line a reading without a terminal."""
+    view = BathView(StabilityGate(bath.get("set_point")), moving_of(bath.profile))
     started = bath.profile.row("run").values["started"]
     end_s = clock.now() + seconds
     with Live(console=console, auto_refresh=False, transient=False) as live:

@@ -13,16 +13,49 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from bench import __version__
+from bench.calibrate import exchange
+from bench.calibrate.cameras import (
+    Delivered,
+    calibrate_pair,
+    calibrate_thermal,
+    check_pair,
+    map_pairs,
+)
 from bench.calibrate.merge import CAMERAS_INPUT, read_part
 from bench.calibrate.merge import merge as merged
+from bench.calibrate.stage import PEG, calibrate_stage
+from bench.calibrate.views import (
+    CAMERAS,
+    BoardViews,
+    ViewsRequest,
+    find_pictures,
+    find_views,
+    free_folder,
+    gather,
+)
+from bench.calibrate.world import (
+    POINTS_FILE,
+    Asking,
+    calibrate_world,
+    check_points,
+    gather_points,
+    read_points,
+)
 from bench.cli.arguments import CODES, command_line, complain, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
+from bench.rig.alone import Look, patient, pictures
+from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig, find_board, find_rig, load_rig
+from bench.rig.opening import open_instruments
+from bench.script.calibration_age import refuse_other_cameras
+from bench.truth.touching import TipReader
 from detector.calibration import (
     DEFAULT_PLANE_DEPTH_MM,
     Calibration,
@@ -31,63 +64,52 @@ from detector.calibration import (
     dump_calibration,
     file_hash,
 )
+from detector.calibration.bundle import BundleError
 from instruments.clock import wall_time
+from instruments.operators.operator import Finish, Homing
 
 if TYPE_CHECKING:
-    from bench.calibrate.cameras import Delivered
-    from bench.calibrate.views import BoardViews
-    from bench.rig.alone import Look
-    from bench.rig.devices import Devices
     from detector.calibration.diagnosis import Finding
     from instruments.camera.frame import FrameSet, Grey
     from reports.page import Page
 
 CHECK_VIEWS = 5
 SHOWN = 3  # pictures that are left out
-PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
+STEREO = ViewsRequest()
+FOLDERS = "folders of pictures (FRAMES)"
 
 
 # The steps
 
 
 def cameras(given: argparse.Namespace) -> int:
-    import numpy as np
-
-    from bench.calibrate.cameras import Lens, calibrate_pair
     from bench.report.calibration import cameras_page
-    from detector.calibration.bundle import BundleError
 
-    _one_source(given, given.frames, "folders of pictures (FRAMES)")
+    _one_source(given, given.frames, FOLDERS)
     identity = dict(text.partition("=")[::2] for text in given.identity)
     for camera, serial in identity.items():
-        if camera not in ("left", "right", "thermal") or not serial:
+        if camera not in CAMERAS or not serial:
             raise ConfigError.plain(
                 f"--identity {camera}={serial}: say left=SERIAL, right=SERIAL or thermal=SERIAL"
             )
     if given.rig:
-        identity = {**_gather_views(given), **identity}
+        identity = _gather_views(given) | identity
     views, paths = _views_of(given, "left", "right")
-    try:
-        with working("fitting the cameras"):
-            result = calibrate_pair(views, Lens(given.model, given.square_pixels))
-    except BundleError as why:
-        raise ConfigError.plain(str(why)) from why
+    with _fitting("the cameras"):
+        result = calibrate_pair(views, model=given.model, square_pixels=given.square_pixels)
     record = _record(given, paths, identity)
     _write_step(given, result.part(record), cameras_page(result, record, command_line()))
     for camera, coverage in result.coverage.items():
         if coverage.missing:
             print(f"still missing, {camera}: {'; '.join(coverage.missing)}")
-    for line in result.text():
-        print(line)
+    print(*result.text(), sep="\n")
     good_mm = float(result.good_to_mm(np.array([1200.0]))[0])
     print(f"a point at 1.2 m: good to {good_mm:.2f} mm (k = 2)")
     return _say(result.findings, on_page=True)
 
 
-def thermal(given: argparse.Namespace) -> int:
-    from bench.calibrate.cameras import calibrate_thermal, map_pairs
+def thermal(given: argparse.Namespace) -> None:
     from bench.report.calibration import pairs_page, thermal_page
-    from detector.calibration.bundle import BundleError
 
     delivered = _delivered(given)
     if given.pairs is not None:
@@ -100,52 +122,34 @@ def thermal(given: argparse.Namespace) -> int:
         record = _record(given, (given.pairs,))
         part = mapped.part(given.image_size, delivered, record)
         _write_step(given, part, pairs_page(mapped, record, command_line()))
-        return CODES.met
+        return
     if not (given.frames or given.rig) or not given.board or not given.cameras:
         raise ConfigError.plain(
             "give folders of pictures or --rig with --board and --cameras, or a table with --pairs"
         )
-    _one_source(given, given.frames, "folders of pictures (FRAMES)")
+    _one_source(given, given.frames, FOLDERS)
     pair, identity = read_part(given.cameras), {}
+    both, mirrored = ("left", "thermal"), frozenset({"thermal"} if delivered.mirrored else ())
     if given.rig:
-        mirrored = frozenset({"thermal"} if delivered.mirrored else ())
-        identity = _gather_views(
-            given,
-            pair.part,
-            cameras=("left", "thermal"),
-            guided=("thermal",),
-            heated=True,
-            mirrored=mirrored,
-        )
-    views, paths = _views_of(given, "left", "thermal", mirrored=delivered.mirrored)
-    try:
-        with working("fitting the thermal camera"):
-            result = calibrate_thermal(
-                views, pair.part, delivered, given.plane or DEFAULT_PLANE_DEPTH_MM
-            )
-    except BundleError as why:
-        raise ConfigError.plain(str(why)) from why
+        how = ViewsRequest(both, guided=("thermal",), heated=True, mirrored=mirrored)
+        identity = _gather_views(given, pair.part, how)
+    views, paths = _views_of(given, *both, mirrored=mirrored)
+    with _fitting("the thermal camera"):
+        plane_mm = given.plane or DEFAULT_PLANE_DEPTH_MM
+        result = calibrate_thermal(views, pair.part, delivered, plane_mm)
     record = _record(given, paths, identity, {CAMERAS_INPUT: pair.sha256})
     _write_step(given, result.part(record), thermal_page(result, record, command_line()))
-    return CODES.met
 
 
 def _delivered(given: argparse.Namespace) -> Delivered:
-    """How the thermal pictures come: as the command says, as the rig's calibration has it, or as
-    its file says.
-    """
-    from bench.calibrate.cameras import Delivered
-
+    """How thermal pictures come, by command, by the rig's calibration or by its file."""
     size, mirrored, polarity = (160, 120), False, None
     if given.rig:
         rig = load_rig(find_rig(given.rig))
         known, table = rig.made_calibration, rig.rig.cameras.thermal
         if known is not None:
-            size, mirrored, polarity = (
-                known.thermal.sensor_size,
-                known.thermal.mirrored,
-                known.thermal.polarity,
-            )
+            thermal = known.thermal
+            size, mirrored, polarity = thermal.sensor_size, thermal.mirrored, thermal.polarity
         elif table is not None:
             mirrored, polarity = bool(table.mirrored), table.polarity
     return Delivered(
@@ -157,7 +161,6 @@ def _delivered(given: argparse.Namespace) -> Delivered:
 
 
 def world(given: argparse.Namespace) -> int:
-    from bench.calibrate.world import calibrate_world, read_points
     from bench.report.calibration import world_page
 
     _one_source(given, given.points, "a table of points (CSV)")
@@ -176,10 +179,9 @@ def world(given: argparse.Namespace) -> int:
     return _say(result.findings)
 
 
-def merge(given: argparse.Namespace) -> int:
+def merge(given: argparse.Namespace) -> None:
     whole = merged([read_part(path) for path in given.parts], _record(given, ()))
     _write_step(given, whole, None)
-    return CODES.met
 
 
 def check(given: argparse.Namespace) -> int:
@@ -189,25 +191,18 @@ def check(given: argparse.Namespace) -> int:
     if given.ends:
         return _check_ends(given, part)
     findings, page = (_check_points if given.points else _check_board)(given, part)
-    if given.page:
-        from reports.render import write_report
-
-        print(f"page: {write_report(page, given.page)}")
+    _write_page(page, given.page)
     print("It still holds." if not findings else "It no longer holds.")
     return _say(findings)
 
 
 def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page]:
-    from bench.calibrate.cameras import check_pair
     from bench.report.calibration import check_page
 
-    _one_source(
-        given,
-        given.frames,
-        "folders of pictures (FRAMES), touched points (--points CSV), touched ends (--ends DIR),",
-    )
+    others = ", touched points (--points CSV), touched ends (--ends DIR),"
+    _one_source(given, given.frames, FOLDERS + others)
     if given.rig:
-        _gather_views(given, part, guided=(), most=CHECK_VIEWS)
+        _gather_views(given, part, ViewsRequest(guided=(), most=CHECK_VIEWS))
     views, paths = _views_of(given, "left", "right")
     again, findings = check_pair(part, views)
     scale, sd = again.scale
@@ -219,9 +214,6 @@ def _check_board(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findin
 
 
 def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Finding], Page]:
-    import numpy as np
-
-    from bench.calibrate.world import check_points, read_points
     from bench.report.calibration import check_points_page
 
     if given.frames or given.rig:
@@ -242,7 +234,6 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     """Whether the cameras show touched teat ends where the calibration says."""
     from bench.report.calibration import check_ends_page
     from bench.results.cameras_agree import check_folder, decide
-    from bench.rig.alone import patient
     from bench.scoring.decisions import Verdict
     from bench.script.model import CamerasRequirement
 
@@ -266,11 +257,7 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     print(f"{found.told} of {found.ends} ends told")
     for one in found.offsets:
         print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
-    if given.page:
-        from reports.render import write_report
-
-        page = check_ends_page(found, decision, _record(given, ()), command_line())
-        print(f"page: {write_report(page, given.page)}")
+    _write_page(check_ends_page(found, decision, _record(given, ()), command_line()), given.page)
     if decision.verdict is Verdict.MET:
         print("It still holds.")
         return CODES.met
@@ -289,13 +276,11 @@ def _one_source(given: argparse.Namespace, files: object, what: str) -> None:
 
 
 def _views_of(
-    given: argparse.Namespace, *wanted: str, mirrored: bool = False
+    given: argparse.Namespace, *wanted: str, mirrored: frozenset[str] = frozenset()
 ) -> tuple[BoardViews, tuple[Path, ...]]:
     """The board in the pictures of these cameras, and the files they were."""
-    from bench.calibrate.views import find_pictures, find_views
-
     board, files = find_board(given.board)
-    found = find_pictures(given.frames).only(*wanted)
+    found = find_pictures(given.frames, wanted)
     with working("finding the board in the pictures") as report:
         views = find_views(
             found,
@@ -303,13 +288,23 @@ def _views_of(
             report=report,
             window_px=given.window,
             max_views=given.max_views,
-            mirrored=frozenset({"thermal"} if mirrored else ()),
+            mirrored=mirrored,
         )
     for one in views.refused[:SHOWN]:
         print(f"left out: {one.camera} {one.view}: {one.reason}")
     if (more := len(views.refused) - SHOWN) > 0:
         print(f"left out: {more} more")
-    return views, (*files, *found.paths)
+    return views, (*files, *(path for views_of in found.values() for path in views_of.values()))
+
+
+@contextmanager
+def _fitting(what: str) -> Iterator[None]:
+    """Raises ConfigError for views that can't be fitted."""
+    try:
+        with working(f"fitting {what}"):
+            yield
+    except BundleError as why:
+        raise ConfigError.plain(str(why)) from why
 
 
 def _record(
@@ -338,9 +333,15 @@ def _write_step(given: argparse.Namespace, found: Part | Calibration, page: Page
     write_synced(given.out, dump_calibration(found, command_line()).encode("utf-8"))
     print(f"written: {given.out}")
     if page is not None:
+        _write_page(page, given.out.with_suffix(".page"))
+
+
+def _write_page(page: Page, folder: Path | None) -> None:
+    """Write it, where it is wanted."""
+    if folder:
         from reports.render import write_report
 
-        print(f"page: {write_report(page, given.out.with_suffix('.page'))}")
+        print(f"page: {write_report(page, folder)}")
 
 
 def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
@@ -363,17 +364,13 @@ def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
 
 
 def _gather_views(
-    given: argparse.Namespace, known: Part | None = None, **wanted: Any
+    given: argparse.Namespace, known: Part | None = None, request: ViewsRequest = STEREO
 ) -> dict[str, str]:
     """Views of ``given.board`` from the cameras of ``given.rig``, which are those of ``known``, as
-    ``given.frames``; ``wanted`` as in a `ViewsRequest`. Gives back who the cameras are.
+    ``given.frames``. Gives back who the cameras are.
 
     Raises ConfigError, InstrumentError, OperatorAbort.
     """
-    from bench.calibrate.views import ViewsRequest, free_folder, gather
-    from instruments.operators.operator import Finish
-
-    request = ViewsRequest(**wanted)
     board, _ = find_board(given.board)
     folder = free_folder(given.out)
     with _opened(given, known, arm=False) as (parts, _, look):
@@ -386,28 +383,18 @@ def _gather_views(
 
 
 def _gather_world(given: argparse.Namespace, known: Part) -> Path:
-    """Points of ``given.board`` that the arm of ``given.rig`` touched and its cameras, those of
-    ``known``, saw: a table.
-    """
-    from bench.calibrate.views import free_folder
-    from bench.calibrate.world import POINTS_FILE, Asking, gather_points
-    from bench.truth.touching import TipReader
-    from instruments.operators.operator import Finish, Homing
-
+    """A table of points of the board that the rig's arm touched and its cameras saw."""
     board, _ = find_board(given.board)
     folder = free_folder(given.out)
     with _opened(given, known, arm=True) as (parts, rig, look):
         arm = parts.arm
-        if arm is None:
-            raise ValueError("the arm was asked for, and is not open")
         try:
             arm.sign_on()
             tip = TipReader(arm, rig.rig.arm, rig.frame)
             tip.refuse_other_arm()
             parts.operator.ask(Homing(PEG))
             arm.confirm_homed()
-            radius_mm = rig.rig.arm.tip_radius_mm
-            asking = Asking(look, parts.operator, tip, radius_mm, tell)
+            asking = Asking(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
             gather_points(asking, board, folder)
             parts.operator.ask(Finish())
         finally:
@@ -420,10 +407,6 @@ def _opened(
     given: argparse.Namespace, known: Part | None, *, arm: bool
 ) -> Iterator[tuple[Devices, LoadedRig, Look]]:
     """The rig's instruments, and what takes each camera's picture once all has come to rest."""
-    from bench.rig.alone import patient, pictures
-    from bench.rig.opening import open_instruments
-    from bench.script.calibration_age import refuse_other_cameras
-
     rig = load_rig(find_rig(given.rig))
     seed = rig.rig.seed if given.seed is None else given.seed
     names = ("arm", "operator", "cameras") if arm else ("operator", "cameras")
@@ -446,18 +429,15 @@ def tell(text: str) -> None:
 # Boards, other tools, the stage
 
 
-def board(given: argparse.Namespace) -> int:
+def board(given: argparse.Namespace) -> None:
     from bench.calibrate.board_print import board_pdf
 
     refuse_existing(given.pdf, replace=True, option="--pdf")
     write_synced(given.pdf, board_pdf(find_board(given.board)[0], given.paper))
     print(f"written: {given.pdf}; print it at 100 % and measure the line at its foot")
-    return CODES.met
 
 
-def export(given: argparse.Namespace) -> int:
-    from bench.calibrate import exchange
-
+def export(given: argparse.Namespace) -> None:
     part = read_part(given.calibration).part
     if given.format == "ros":
         exchange.write_ros(part, given.out, given.camera)
@@ -465,12 +445,9 @@ def export(given: argparse.Namespace) -> int:
         write = {"opencv": exchange.write_opencv, "bouguet": exchange.write_bouguet}
         write[given.format](part, given.out)
     print(f"written: {given.out}")
-    return CODES.met
 
 
-def take_over(given: argparse.Namespace) -> int:
-    from bench.calibrate import exchange
-
+def take_over(given: argparse.Namespace) -> None:
     if len(given.file) > (2 if given.format == "ros" else 1):
         raise ConfigError.plain(
             f"{given.format} takes"
@@ -483,11 +460,9 @@ def take_over(given: argparse.Namespace) -> int:
     else:
         part = exchange.read_ros(*given.file)
     _write_step(given, replace(part, record=_record(given, given.file)), None)
-    return CODES.met
 
 
 def stage(given: argparse.Namespace) -> int:
-    from bench.calibrate.stage import calibrate_stage
     from bench.truth.registration import write_registration
 
     rig = load_rig(find_rig(given.rig))

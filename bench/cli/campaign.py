@@ -18,66 +18,57 @@ if TYPE_CHECKING:
     from bench.campaign.plan import Plan
     from bench.campaign.run import Campaign, Executor, Status
 
-# flag -> key of a plan
-FLAGS = {
-    "family": "families",
-    "scenes": "scenes",
-    "half_width": "half_width",
-    "detector": "detectors",
-    "first": "first",
-    "seed": "seed",
-    "rig": "rig",
-    "calibration": "calibration",
-    "limit_mm": "limit_mm",
-    "chunk_scenes": "chunk_scenes",
-}
+# flag -> key of a plan, in its order
+SAME = ("first", "seed", "rig", "calibration", "limit_mm", "chunk_scenes")
+FLAGS = {"family": "families", "scenes": "scenes", "half_width": "half_width"}
+FLAGS |= {"detector": "detectors", **{name: name for name in SAME}}
 
 
 def run(given: argparse.Namespace) -> int:
-    from bench.campaign.pool import PoolError
     from bench.campaign.run import Campaign, locked
-    from bench.cli.terminal import working
-
-    plan = _plan(given)
-    campaign = Campaign(plan, given.out)
-    with locked(given.out):
-        campaign.begin()
-        try:
-            with (
-                working("campaign", pace="scenes") as shown,
-                executor(campaign, given.workers, given.dask, shown.say) as made,
-            ):
-                status = campaign.run(made, lambda status: shown(*progress(status)))
-        except KeyboardInterrupt:
-            return complain(
-                "interrupted; give the same command again to go on where it stopped", CODES.fault
-            )
-        except PoolError as error:
-            return complain(f"{error} The same command goes on where it stopped.", CODES.fault)
-        page = _page_of(campaign)
-        return _told(given, campaign, status, page)
-
-
-def _page_of(campaign: Campaign) -> Path:
     from bench.report.campaign import write_campaign_page
     from bench.results.answers import close_detectors
 
-    job = campaign.job
-    detectors = job.make_detectors()
+    campaign = Campaign(_plan(given), given.out)
+    with locked(given.out):
+        status = finish(campaign, "campaign", given.workers, given.dask)
+        if status is None:
+            return CODES.fault
+        job = campaign.job
+        detectors = job.make_detectors()
+        try:
+            bench = job.bench(job.renderer(), detectors)
+            page = write_campaign_page(given.out, campaign.plan, campaign.made_by, bench)
+        finally:
+            close_detectors(detectors)
+        return _told(given, campaign, status, page)
+
+
+def finish(campaign: Campaign, what: str, workers: int | None, dask: str | None) -> Status | None:
+    """Do what is left of a campaign; None where it was stopped, which is said."""
+    from bench.campaign.pool import PoolError
+    from bench.cli.terminal import working
+
+    campaign.begin()
     try:
-        bench = job.bench(job.renderer(), detectors)
-        return write_campaign_page(campaign.folder, campaign.plan, campaign.made_by, bench)
-    finally:
-        close_detectors(detectors)
+        with (
+            working(what, pace="scenes") as shown,
+            executor(campaign, workers, dask, shown.say) as made,
+        ):
+            return campaign.run(made, lambda status: shown(*progress(status)))
+    except KeyboardInterrupt:
+        complain("interrupted; give the same command again to go on where it stopped", CODES.fault)
+    except PoolError as error:
+        complain(f"{error} The same command goes on where it stopped.", CODES.fault)
+    return None
 
 
-def show(given: argparse.Namespace) -> int:
+def show(given: argparse.Namespace) -> None:
     from bench.report.scenes import show_scenes
 
     page, outcomes = show_scenes(given.folder, given.scene)
     print(plain_table(["scene", "detector", "outcome"], [list(one) for one in outcomes]))
     print(f"Page: {page}")
-    return CODES.met
 
 
 def compare(given: argparse.Namespace) -> int:
@@ -130,22 +121,16 @@ def chunk(given: argparse.Namespace) -> int:
     )
 
 
-def query(given: argparse.Namespace) -> int:
+def query(given: argparse.Namespace) -> None:
     from bench.campaign.shards import query as ask
 
     names, rows = ask(given.folder, given.sql)
     if given.json:
-        print(
-            json.dumps(
-                [dict(zip(names, row, strict=True)) for row in rows],
-                ensure_ascii=False,
-                default=str,
-            )
-        )
-        return CODES.met
+        objects = [dict(zip(names, row, strict=True)) for row in rows]
+        print(json.dumps(objects, ensure_ascii=False, default=str))
+        return
     texts = [["" if value is None else str(value) for value in row] for row in rows]
     print(plain_table(names, texts))
-    return CODES.met
 
 
 def search(given: argparse.Namespace) -> int:
@@ -185,7 +170,7 @@ def search(given: argparse.Namespace) -> int:
     return CODES.met
 
 
-def herd(given: argparse.Namespace) -> int:
+def herd(given: argparse.Namespace) -> None:
     from bench.campaign.herd import run_herd, score
     from bench.cli.terminal import working
 
@@ -194,34 +179,27 @@ def herd(given: argparse.Namespace) -> int:
     one = score(found, given.cows, given.visits)
     if given.json:
         print(json.dumps({k: v if v == v else None for k, v in asdict(one).items()}))
-        return CODES.met
-    own, last, swapped = one.within_5_mm, one.last_within_5_mm, one.swapped_within_5_mm
+        return
     print(f"{one.visits} visits with a history; {one.unseen} unseen ends, {one.found} found.")
-    print(
-        plain_table(
-            ["by", "median (mm)", "within 5 mm"],
-            [
-                ["own history", f"{one.median_mm:.1f}", f"{own:.1%}"],
-                ["the last visit", f"{one.last_median_mm:.1f}", f"{last:.1%}"],
-                ["another cow's history", "", f"{swapped:.1%}"],
-            ],
-        )
-    )
+    rows = [
+        ["own history", f"{one.median_mm:.1f}", f"{one.within_5_mm:.1%}"],
+        ["the last visit", f"{one.last_median_mm:.1f}", f"{one.last_within_5_mm:.1%}"],
+        ["another cow's history", "", f"{one.swapped_within_5_mm:.1%}"],
+    ]
+    print(plain_table(["by", "median (mm)", "within 5 mm"], rows))
     print(
         f"{one.predicted} predicted, {one.inside:.1%} of them within their 95 % region"
         f" ({one.median_volume_ml:.1f} ml in the median); a teat invented at {one.invented_visits}"
         " visits."
     )
     print(f"Written: {given.out}")
-    return CODES.met
 
 
-def keep(given: argparse.Namespace) -> int:
+def keep(given: argparse.Namespace) -> None:
     from bench.campaign.failures import keep as kept
 
     frame = kept(given.folder, given.number, given.into, given.name)
     print(f"{frame} in {given.into}")
-    return CODES.met
 
 
 def plain_table(names: list[str], rows: list[list[str]]) -> str:

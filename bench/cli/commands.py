@@ -4,10 +4,8 @@ arguments. It imports nothing heavy, so that ``--help`` answers at once.
 
 from __future__ import annotations
 
-from argparse import ArgumentTypeError
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bench.cli.arguments import (
     Argument,
@@ -16,14 +14,11 @@ from bench.cli.arguments import (
     number,
     one_of,
     option,
+    parsed,
     point,
     size,
-    step,
     whole,
 )
-
-if TYPE_CHECKING:
-    from bench.campaign.perturbations import Applied
 
 # the help of all: what a user wants to do, and the commands and groups for it
 TASKS = {
@@ -54,23 +49,6 @@ CAMERAS = ("left", "right", "thermal")
 SHELLS = ("bash", "zsh", "fish", "powershell")
 LANGUAGES = ("python", "javascript", "cpp", "onnx")
 
-
-def perturbation(text: str) -> Applied:
-    """Of `campaign run --perturb`."""
-    from bench.campaign.perturbations import Applied
-
-    try:
-        return Applied.parse(text)
-    except ValueError as error:
-        raise ArgumentTypeError(str(error)) from error
-
-
-PERTURB = option(
-    "--perturb NAME=AMOUNT",
-    "change every scene, such as vergence=0.1 (docs/campaigns.md); may be given several times",
-    perturbation,
-    many=True,
-)
 SECONDS = number("a number of seconds above 0", above=0.0)
 ABOVE_0 = number("a number above 0", above=0.0)
 LENGTH = number("a length in mm above 0", above=0.0)
@@ -84,6 +62,7 @@ SCRIPT_HELP = "a shipped script by name ('teatbench trials' lists them), or a .t
 
 CAPTURE = option("--capture FILE", "record the bytes of every link in a new file (docs/record.md)")
 JSON = flag("--json", "one JSON object, units in its keys")
+TABLES_JSON = flag("--json", "print JSON instead of tables")
 RIG = option("rig RIG", RIG_HELP, nargs="?")
 RIG_OPTION = option("--rig RIG", RIG_HELP)
 CAMERAS_OF = option(
@@ -122,14 +101,35 @@ COMPARED = (
     ),
     flag("--gate", "exit code 1 when the new one is worse, 4 when that can't be told"),
 )
-SITUATIONS = (
-    CAMERAS_OF,
-    option("--situation NAME", "which; may be given several times (default: all)", many=True),
+COMPARED_PAGE = option("--out DIR", "also write a page and comparison.json there")
+
+ALL = "which; may be given several times (default: all)"
+PERTURB = option(
+    "--perturb NAME=AMOUNT",
+    "change every scene, such as vergence=0.1 (docs/campaigns.md); may be given several times",
+    parsed("bench.campaign.perturbations:Applied.parse"),
+    many=True,
 )
+SITUATIONS = (CAMERAS_OF, option("--situation NAME", ALL, many=True))
+SCENE_SEED = option("--seed N", "seed of noise and of the cameras' fixed patterns", whole(0), 1)
 FIRST_SEEDS = (
     option("--first N", "number of the first member of each family", whole(0), 0),
-    option("--seed N", "seed of noise and of the cameras' fixed patterns", whole(0), 1),
+    SCENE_SEED,
 )
+CAMPAIGN = option("folder DIR", "the campaign's folder")
+PLAN_OR_FAMILIES = (
+    option(
+        "plan PLAN", "a .toml file in place of the options (docs/campaigns.md)", Path, nargs="?"
+    ),
+    option("--family NAME", ALL, many=True),
+)
+FIRST_MEMBER = option(
+    "--first N", "number of the first member of each family (default: 0)", whole(0)
+)
+CALIBRATION = option(
+    "--calibration FILE", "the calibration that detectors get (default: the cameras' own)", str
+)
+LARGEST = option("--limit-mm MM", "largest error that a teat end may have (default: 5)", LENGTH)
 
 ARM_LINK = (
     CAPTURE,
@@ -209,10 +209,17 @@ LIVE = (
     option("--rig RIG", "live, with the cameras of this rig: by name, or a .toml file"),
     RIG_SEED,
 )
-MADE_WITH = option("--cameras FILE", "what 'calibrate cameras' wrote; needed with pictures")
-TOUCH_SD = option("--touch-sd MM", "standard deviation of a touch along each axis, mm", SD, 0.25)
+OTHER_TOOL = option(
+    "--format", "of which tool", choices=("opencv", "bouguet", "ros"), required=True
+)
+TOUCH_NOISE = (
+    option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
+    option("--touch-sd MM", "standard deviation of a touch along each axis, mm", SD, 0.25),
+)
 FRAMES = option("frames FRAMES", "folders of pictures (docs/calibration.md)", nargs="*")
-FINDER = (
+BOARD = option("board BOARD", BOARD_HELP)
+BOARD_SHOWN = (
+    option("--board BOARD", BOARD_HELP),
     option("--max-views N", "take at most so many views, spread over the set", whole(1)),
     option(
         "--window PX",
@@ -328,9 +335,9 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         flag(
             "--together", "judge all runs as one, by their counts and errors, instead of comparing"
         ),
-        option("--out DIR", "also write a page and comparison.json there"),
+        COMPARED_PAGE,
         DESPITE_DAMAGE,
-        flag("--json", "print JSON instead of tables"),
+        TABLES_JSON,
     ),
     "plan": (
         "how many poses a claim needs, and what so many poses can show",
@@ -357,7 +364,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         option(
             "--u-mm MM", "the truth's standard uncertainty along an axis, as a report says", LENGTH
         ),
-        flag("--json", "print JSON instead of tables"),
+        TABLES_JSON,
     ),
     "store check": (
         "check database, frames and files of a run; exit code 0: unaltered, 1: altered",
@@ -425,7 +432,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "scene boards": (
         "draw a calibration board all over the view, for 'teatbench calibrate'",
         "scene boards chessboard-9x6-40 --out recordings/boards",
-        option("board BOARD", BOARD_HELP),
+        BOARD,
         CAMERAS_OF,
         option(
             "--camera NAME",
@@ -446,16 +453,16 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     ),
     "scene sensitivity": (
         (
-            "draw how errors grow with noise, range, tilt and so on, beside the physical"
-            " limit (docs/scene.md)"
+            "draw how errors grow with noise, range, tilt and so on, beside the physical limit"
+            " (docs/scene.md)"
         ),
         "scene sensitivity --detector fused --out sensitivity",
         DETECTORS,
-        option("--quantity NAME", "which; may be given several times (default: all)", many=True),
+        option("--quantity NAME", ALL, many=True),
         CAMERAS_OF,
         option("--seeds N", "scenes at each value", whole(1), 6),
         option("--first N", "the first scene's seed", whole(0), 0),
-        option("--seed N", "seed of noise and of the cameras' fixed patterns", whole(0), 1),
+        SCENE_SEED,
         WORKERS,
         option(
             "--out DIR",
@@ -466,10 +473,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "campaign run": (
         "score detectors on many simulated scenes; given again, it goes on where it stopped",
         "campaign run --family ideal --scenes 40 --detector fused --seed 7 --out campaigns/ideal",
-        option(
-            "plan PLAN", "a .toml file in place of the options (docs/campaigns.md)", Path, nargs="?"
-        ),
-        option("--family NAME", "which; may be given several times (default: all)", many=True),
+        *PLAN_OR_FAMILIES,
         option("--scenes N", "scenes of each family (default: 100)", whole(1, 10_000_000)),
         option(
             "--half-width W",
@@ -477,20 +481,14 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             number("a number above 0 and below 0.5", above=0.0, below=0.5),
         ),
         DETECTORS,
-        option("--first N", "number of the first member of each family (default: 0)", whole(0)),
+        FIRST_MEMBER,
         option(
             "--seed N", "seed of noise and of the cameras' fixed patterns (default: 1)", whole(0)
         ),
-        option(
-            "--rig RIG", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
-        ),
-        option(
-            "--calibration FILE",
-            "the calibration that detectors get (default: the cameras' own)",
-            str,
-        ),
+        CAMERAS_OF,
+        CALIBRATION,
         PERTURB,
-        option("--limit-mm MM", "largest error that a teat end may have (default: 5)", LENGTH),
+        LARGEST,
         option("--chunk-scenes N", "scenes of a chunk (default: up to 50)", whole(1, 10_000)),
         one_of(
             WORKERS,
@@ -511,10 +509,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "campaign search": (
         "search for scenes on which a detector fails, around members of the families",
         "campaign search --family low_contrast --scenes 100 --rate-scenes 200 --out searches/low",
-        option(
-            "plan PLAN", "a .toml file in place of the options (docs/campaigns.md)", Path, nargs="?"
-        ),
-        option("--family NAME", "which; may be given several times (default: all)", many=True),
+        *PLAN_OR_FAMILIES,
         option(
             "--scenes N", "scenes tried around each member (default: 100)", whole(1, 10_000_000)
         ),
@@ -523,17 +518,11 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
         option("--rate-scenes N", "weighted scenes for each family's rate", whole(0, 1_000_000), 0),
         DETECTORS,
-        option("--first N", "number of the first member of each family (default: 0)", whole(0)),
+        FIRST_MEMBER,
         option("--seed N", "seed of noise, fixed patterns and the search (default: 1)", whole(0)),
-        option(
-            "--rig RIG", "whose cameras: a shipped rig by name, or a .toml file (default: emulated)"
-        ),
-        option(
-            "--calibration FILE",
-            "the calibration that detectors get (default: the cameras' own)",
-            str,
-        ),
-        option("--limit-mm MM", "largest error that a teat end may have (default: 5)", LENGTH),
+        CAMERAS_OF,
+        CALIBRATION,
+        LARGEST,
         option("--out DIR", "the search's folder, a new one", required=True),
         JSON,
     ),
@@ -560,7 +549,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
     "campaign show": (
         "draw scenes of a campaign again, with truth and answers, as a page",
         "campaign show campaigns/ideal ideal-0012",
-        option("folder DIR", "the campaign's folder"),
+        CAMPAIGN,
         option("scene SCENE", "by name: family and member, as in ideal-0012", str, nargs="+"),
     ),
     "campaign compare": (
@@ -574,13 +563,13 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             number("a number of 0 or more, below 1", least=0.0, below=1.0),
             0.01,
         ),
-        option("--out DIR", "also write a page and comparison.json there"),
-        flag("--json", "print JSON instead of tables"),
+        COMPARED_PAGE,
+        TABLES_JSON,
     ),
     "campaign query": (
         "ask a campaign's rows in SQL (DuckDB): views scenes, teats, parameters",
         'campaign query campaigns/ideal "SELECT failure, count() FROM scenes GROUP BY ALL"',
-        option("folder DIR", "the campaign's folder"),
+        CAMPAIGN,
         option("sql SQL", "a SELECT; 'DESCRIBE scenes' lists the columns of a view"),
         flag("--json", "a JSON list with an object a row"),
     ),
@@ -736,7 +725,10 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "stage jog --rig my-rig.toml X-5 X-5Y2.5",
         *STAGE_LINK,
         option(
-            "steps STEP", "X-5, or X-5Y2.5 for both at once: mm, degrees for A", step, nargs="+"
+            "steps STEP",
+            "X-5, or X-5Y2.5 for both at once: mm, degrees for A",
+            parsed("bench.rig.alone:step"),
+            nargs="+",
         ),
         FEED,
     ),
@@ -776,8 +768,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "calibrate cameras --rig my-rig.toml --board chessboard-9x6-40 --out parts/cameras.toml",
         CAPTURE,
         FRAMES,
-        option("--board BOARD", BOARD_HELP),
-        *FINDER,
+        *BOARD_SHOWN,
         *LIVE,
         option("--model", "distortion that is fitted", default="k1 k2 p1 p2", choices=MODELS),
         flag("--square-pixels", "fit one focal length for both directions (fx = fy)"),
@@ -793,10 +784,9 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "calibrate thermal --pairs pairs.csv --image-size 640x480 --out thermal.toml",
         CAPTURE,
         FRAMES,
-        option("--board BOARD", BOARD_HELP),
-        *FINDER,
+        *BOARD_SHOWN,
         *LIVE,
-        MADE_WITH,
+        option("--cameras FILE", "what 'calibrate cameras' wrote; needed with pictures"),
         option(
             "--pairs CSV",
             "point pairs instead of pictures: thermal_x,thermal_y,left_x,left_y,right_x,right_y",
@@ -837,8 +827,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         *LIVE,
         option("--board BOARD", f"with --rig: {BOARD_HELP}"),
         option("--cameras FILE", "what 'calibrate cameras' wrote", required=True),
-        option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
-        TOUCH_SD,
+        *TOUCH_NOISE,
         *_part("world.toml"),
     ),
     "calibrate merge": (
@@ -853,8 +842,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         CAPTURE,
         option("calibration CAL", "the calibration, or the cameras' file where a board is shown"),
         FRAMES,
-        option("--board BOARD", BOARD_HELP),
-        *FINDER,
+        *BOARD_SHOWN,
         *LIVE,
         option("--points CSV", "touched points in the place of a board, as for 'calibrate world'"),
         option(
@@ -862,14 +850,13 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
             "a run or recording with touched teat ends, in place of a board; with --rig the phantom"
             " is seen anew, standing as in its last trial",
         ),
-        option("--pixel-sd PX", "standard deviation of a pixel coordinate, px", SD, 0.1),
-        TOUCH_SD,
+        *TOUCH_NOISE,
         option("--page DIR", "also write a page there"),
     ),
     "calibrate board": (
         "print a calibration board as a PDF in true size",
         "calibrate board chessboard-9x6-40 --pdf board.pdf",
-        option("board BOARD", BOARD_HELP),
+        BOARD,
         option("--pdf FILE", "the file to write", required=True),
         option(
             "--paper",
@@ -881,7 +868,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "write a calibration for another tool",
         "calibrate export calibration.toml --format opencv --out calibration.yaml",
         option("calibration CAL", "the calibration file"),
-        option("--format", "of which tool", choices=("opencv", "bouguet", "ros"), required=True),
+        OTHER_TOOL,
         option("--camera", "for ros, which has one camera a file", default="left", choices=CAMERAS),
         option("--out FILE", "the file to write", required=True),
         REPLACE,
@@ -890,7 +877,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "take over the cameras that another tool calibrated, as a part for 'merge'",
         "calibrate import left.yaml right.yaml --format ros --out cameras.toml",
         option("file FILE", "the other tool's file; for ros two: left, right", nargs="+"),
-        option("--format", "of which tool", choices=("opencv", "bouguet", "ros"), required=True),
+        OTHER_TOOL,
         option("--image-size COLUMNSxROWS", "px; for opencv, whose files may leave it out", size),
         *_part("cameras.toml"),
     ),
@@ -901,7 +888,7 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         ),
         "calibrate stage --rig my-rig.toml --out registration.toml",
         CAPTURE,
-        option("--rig RIG", RIG_HELP),
+        RIG_OPTION,
         option("--out FILE", "the file to write, which a script's [truth] names", required=True),
         REPLACE,
         option("--layout NAME", "how the phantom's teats stand", default="table-5-1"),
@@ -934,13 +921,10 @@ COMMANDS: Mapping[str, tuple[str, str, *tuple[Argument, ...]]] = {
         "list the poses of a script, and estimate its time",
         "trials show plane-map",
         option("script SCRIPT", SCRIPT_HELP),
-        option("--rig RIG", RIG_HELP),
+        RIG_OPTION,
         flag("--json", "one JSON object instead of a table"),
     ),
-    "rigs": (
-        "list the rig files that ship, and the one to copy for a real rig",
-        "rigs",
-    ),
+    "rigs": ("list the rig files that ship, and the one to copy for a real rig", "rigs"),
     "detectors": (
         "list the detectors: shipped, of other packages, declared in ./detectors",
         "detectors",
@@ -988,7 +972,7 @@ MODULES = {
     "alone": ("camera", "stage"),
     "rig": ("check", "detect", "emulate", "replay-wire", "rigs", "scene"),
     "run": ("report", "resume", "score"),
-    "store": ("compare", "control", "recording"),
+    "store": ("compare", "control", "recording", "runs"),
     "trials": ("plan",),
 }
 # a command's function, unless it has the name of its last word

@@ -13,8 +13,6 @@ import argcomplete
 from argcomplete.completers import FilesCompleter
 from argcomplete.shell_integration import shellcode
 
-from bench.cli.arguments import CODES
-
 BENCH = Path(__file__).parents[1]
 # what an argument is called -> the folder with the files that ship
 SHIPPED = {"script": "trials", "rig": "rigs", "board": "boards"}
@@ -22,9 +20,8 @@ SHIPPED = {"script": "trials", "rig": "rigs", "board": "boards"}
 NO_RIGS = ("calibration", "thesis-calibration", "depth-calibration", "lab.example")
 
 
-def shell_code(given: argparse.Namespace) -> int:
+def shell_code(given: argparse.Namespace) -> None:
     sys.stdout.write(shellcode(["teatbench"], shell=given.shell) + "\n")
-    return CODES.met
 
 
 def complete(top: argparse.ArgumentParser) -> None:

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from bench.cli.arguments import CODES
 from bench.cli.verdict import on_a_desktop
 from bench.config import ConfigError
 from bench.rig.urls import is_loopback
@@ -25,7 +24,7 @@ EXPOSED = (
 )
 
 
-def console(given: argparse.Namespace) -> int:
+def console(given: argparse.Namespace) -> None:
     try:
         import uvicorn
 
@@ -63,7 +62,6 @@ def console(given: argparse.Namespace) -> int:
             ws="none",
         )
         uvicorn.Server(config).run(sockets=[listener])
-    return CODES.met
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES, complain
+from bench.cli.arguments import CODES, complain, print_values
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
 from bench.script.detectors import DECLARED, declared, make_detectors
@@ -73,16 +73,14 @@ CURES = {
 }
 
 
-def listed(_: argparse.Namespace) -> int:
+def listed(_: argparse.Namespace) -> None:
     from detector.registry import available, broken
 
-    rows = {**declared(), **available(), **{name: f"BROKEN: {x}" for name, x in broken().items()}}
-    for name, what in rows.items():
-        print(f"{name}: {what}" if what else name)
-    return CODES.met
+    faulty = {name: f"BROKEN: {why}" for name, why in broken().items()}
+    print_values({**declared(), **available(), **faulty})
 
 
-def new(given: argparse.Namespace) -> int:
+def new(given: argparse.Namespace) -> None:
     import detector.external
     from bench.toml import toml_text
 
@@ -122,13 +120,10 @@ def new(given: argparse.Namespace) -> int:
     elif given.language == "javascript" and not shutil.which("node"):
         print("node was not found: install Node.js")
     print(f"try it:  teatbench detectors try {word}")
-    return CODES.met
 
 
 def _python(library: str = "") -> str:
-    """A Python by a name that holds on other machines too, where this one has it; this very one
-    where ``library`` is in it.
-    """
+    """A Python by a name that holds elsewhere; this very one where ``library`` is in it."""
     if library and find_spec(library):
         return sys.executable
     names = ("python", "py") if os.name == "nt" else ("python3", "python")

@@ -160,9 +160,7 @@ def _time(seconds: float) -> str:
 
 
 def _stage_settings(rig: LoadedRig) -> tuple[StageSettings | None, str]:
-    """What the stage's controller says of itself; None without a stage, or where it could not be
-    asked, and why. It only asks.
-    """
+    """What the stage's controller says of itself; or None, and why it could not be asked."""
     if rig.rig.stage is None:
         return None, ""
 

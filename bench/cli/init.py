@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import closing
 from datetime import date
-from typing import TypeVar
 
 from bench.cli.arguments import CODES, refuse_existing
 from bench.config import ConfigError, parse_config, read_text
@@ -28,7 +27,6 @@ PLACES = {  # what stands in the file where nothing was found
     "cameras.left": "opencv:LEFT",
     "cameras.right": "opencv:RIGHT",
 }
-T = TypeVar("T")
 Ask = Callable[[str, str], str]
 
 
@@ -45,13 +43,9 @@ def init(given: argparse.Namespace) -> int:
         print(f"{question} [{default or 'none'}] ", end="", flush=True)
         return sys.stdin.readline().strip() or default
 
-    values: dict[str, dict[str, object]] = {
-        "": {
-            "name": ask("What is the rig called?", "udder lab"),
-            "calibration": "calibration.toml",
-        },
-        "operator": {"url": "console:"},
-    }
+    name = ask("What is the rig called?", "udder lab")
+    values: dict[str, dict[str, object]] = {"": {"name": name, "calibration": "calibration.toml"}}
+    values["operator"] = {"url": "console:"}
     for kind in _ABOUT:
         if one := _chosen(kind, [each for each in found if each.kind == kind], ask):
             about_it = _ABOUT[kind](one, ask)
@@ -93,14 +87,14 @@ def _chosen(kind: str, there: list[Found], ask: Ask) -> Found | None:
         return there[0] if there else None
     urls = ", ".join(one.url for one in there)
     answer = ask(f"Which is the {kind}: {urls}?", there[0].url)
-    return _one_of(f"the {kind}", answer, {one.url: one for one in there})
+    known = {one.url: one for one in there}
+    return known[_one_of(f"the {kind}", answer, known)]
 
 
 def _arm(found: Found, ask: Ask) -> Mapping[str, object]:
     known = next((one for one in MODELS if one.removeprefix("3") in found.who.split()), "3DX")
-    answer = ask(f"Which MicroScribe ({', '.join(MODELS)})?", known)
-    accuracy_mm = _one_of("the model", answer, MODELS)
-    return {"accuracy_mm": accuracy_mm, "accuracy_source": f"maker's data sheet, {answer}"}
+    model = _one_of("the model", ask(f"Which MicroScribe ({', '.join(MODELS)})?", known), MODELS)
+    return {"accuracy_mm": MODELS[model], "accuracy_source": f"maker's data sheet, {model}"}
 
 
 def _bath(found: Found, ask: Ask) -> Mapping[str, object]:
@@ -114,13 +108,12 @@ def _bath(found: Found, ask: Ask) -> Mapping[str, object]:
         tested = date.fromisoformat(day).isoformat() if day else ""
     except ValueError:
         raise ConfigError.plain(f"{day!r} is no day; write it as 2026-11-20") from None
-    profile = _one_of("the profile", answer, {name: name for name in profiles})
-    return {"profile": profile, "cut_out_tested": tested}
+    return {"profile": _one_of("the profile", answer, profiles), "cut_out_tested": tested}
 
 
 def _stage(found: Found, ask: Ask) -> Mapping[str, object]:
     answer = ask(f"What does the stage move ({', '.join(AXES)})?", AXES[0])
-    axes = _one_of("the axes", answer.upper(), {axes: axes for axes in AXES})
+    axes = _one_of("the axes", answer.upper(), AXES)
     values: dict[str, object] = {"axes": axes, "dialect": found.dialect}
     if found.dialect == "zaber":
         devices = ask(
@@ -161,15 +154,15 @@ def _cameras(there: Mapping[str, str], ask: Ask) -> dict[str, dict[str, object]]
             values[f"cameras.{name}"] = {"url": camera_url(url)}
         except ValueError as error:
             raise ConfigError.plain(f"{url}: {error}") from error
-    if "cameras.thermal" in values:
-        profile = ask(f"Does it deliver temperatures ({', '.join(PROFILES)})?", "")
-        if profile:
-            _one_of("the radiometric profile", profile, PROFILES)
-            values["cameras.thermal"]["radiometric"] = {"profile": profile}
+    asked = f"Does it deliver temperatures ({', '.join(PROFILES)})?"
+    if "cameras.thermal" in values and (profile := ask(asked, "")):
+        known = _one_of("the radiometric profile", profile, PROFILES)
+        values["cameras.thermal"]["radiometric"] = {"profile": known}
     return values
 
 
-def _one_of(what: str, answer: str, known: Mapping[str, T]) -> T:
+def _one_of(what: str, answer: str, known: Collection[str]) -> str:
+    """``answer``. Raises ConfigError where it is none of the known ones."""
     if answer not in known:
         raise ConfigError.plain(f"{what} {answer!r} is not one of {', '.join(known)}")
-    return known[answer]
+    return answer

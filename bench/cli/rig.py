@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench import __version__
-from bench.cli.arguments import CODES, complain, refuse_existing
+from bench.cli.arguments import CODES, complain, print_values, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, did_you_mean
 from bench.rig.loading import NO_RIGS, RIGS, TO_COPY, LoadedRig, find_rig, load_rig, shipped
@@ -119,18 +119,14 @@ def _rig_text(rig: LoadedRig, urls: Mapping[str, str]) -> str:
     return toml_text(table, "Written by 'teatbench emulate', and good while that runs.")
 
 
-def rigs(_: argparse.Namespace) -> int:
+def rigs(_: argparse.Namespace) -> None:
     names = {name: "" for name in shipped(RIGS) if name not in NO_RIGS}
     names["for a real rig"] = f"copy {TO_COPY}, where every key is explained"
-    for name, what in names.items():
-        print(f"{name}: {what}" if what else name)
-    return CODES.met
+    print_values(names)
 
 
 def replay_wire(given: argparse.Namespace) -> int:
-    """The far end of a capture, until Ctrl-C or, for ``--once``, its end; mismatches are printed as
-    they come.
-    """
+    """The far end of a capture, until Ctrl-C or, for ``--once``, its end."""
     from instruments.captures.capture import read_capture
     from instruments.captures.replay import Replay
 
@@ -165,9 +161,7 @@ def replay_wire(given: argparse.Namespace) -> int:
 
 
 def _watch(replay: Replay, clock: Clock, path: Path, *, once: bool) -> int:
-    """Print mismatches as they come, until Ctrl-C or, for ``once``, the end; gives back the exit
-    code.
-    """
+    """Print mismatches until Ctrl-C or, for ``once``, the end; gives back the exit code."""
     shown, going = 0, True
     while going:
         try:
@@ -203,7 +197,7 @@ def _members(given: argparse.Namespace) -> range:
     return range(given.first, given.first + given.seeds)
 
 
-def sheet(given: argparse.Namespace) -> int:
+def sheet(given: argparse.Namespace) -> None:
     from bench.rig.scenes import write_sheet
 
     refuse_existing(given.out, replace=True)
@@ -211,7 +205,6 @@ def sheet(given: argparse.Namespace) -> int:
     with working("rendering the scenes"):
         write_sheet(rig, given.situation, _members(given), given.out, given.seed)
     print(given.out)
-    return CODES.met
 
 
 def boards(given: argparse.Namespace) -> int:
@@ -260,11 +253,10 @@ def _shown(frames: Iterator[str], out: Path, total: int) -> int:
 
 def sensitivity(given: argparse.Namespace) -> int:
     from bench.campaign.plan import with_whole_paths
-    from bench.campaign.pool import PoolError
     from bench.campaign.quantities import chosen
     from bench.campaign.run import locked
     from bench.campaign.sensitivity import Study, measured, opened
-    from bench.cli.campaign import executor, progress
+    from bench.cli.campaign import finish
     from bench.report.sensitivity import check_curves, no_answers, write_figure, write_numbers
     from bench.script.detectors import make_detectors
 
@@ -285,19 +277,8 @@ def sensitivity(given: argparse.Namespace) -> int:
     results: dict[str, list[Measured]] = {}
     with locked(folder):
         campaign = opened(with_whole_paths(plan, Path()), folder)
-        campaign.begin()
-        try:
-            with (
-                working("sensitivity", pace="scenes") as shown,
-                executor(campaign, given.workers, None, shown.say) as works,
-            ):
-                campaign.run(works, lambda status: shown(*progress(status)))
-        except KeyboardInterrupt:
-            return complain(
-                "interrupted; give the same command again to go on where it stopped", CODES.fault
-            )
-        except PoolError as error:
-            return complain(f"{error} The same command goes on where it stopped.", CODES.fault)
+        if finish(campaign, "sensitivity", given.workers, None) is None:
+            return CODES.fault
         for quantity in quantities:
             points = results[quantity.name] = []
             for point in measured(campaign, quantity):

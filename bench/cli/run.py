@@ -57,14 +57,7 @@ def run(given: argparse.Namespace) -> int:
 
 
 def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int:
-    from bench.run.estimate import (
-        estimate_text,
-        figures,
-        needs,
-        read_durations,
-        took,
-        write_durations,
-    )
+    from bench.run import estimate
     from bench.run.start import RunOptions, run_script
 
     console = Terminal()
@@ -87,12 +80,13 @@ def _run(given: argparse.Namespace, rig: LoadedRig, script: LoadedScript) -> int
         written = write_run_report(folder)
     code = show_verdict(console, *written)
     record = read_run(folder)
-    spent = took(record)
+    spent = estimate.took(record)
     # the next estimate is better by what this run took; one that stopped shows nothing
     if record.ending == "finished" and "total_s" in spent:
-        expected = needs(rig, script, read_durations(given.out, rig)).time
-        write_durations(folder, rig, expected, spent, figures(record, rig, script, spent))
-        print(estimate_text(expected, spent))
+        expected = estimate.needs(rig, script, estimate.read_durations(given.out, rig)).time
+        figures = estimate.figures(record, rig, script, spent)
+        estimate.write_durations(folder, rig, expected, spent, figures)
+        print(estimate.estimate_text(expected, spent))
     if given.open:
         open_report(written[0])
     return code

@@ -1,5 +1,6 @@
-"""What is done with runs' folders: `store check`, `store export`, `recording pack`, `compare` of
-detectors or versions on the same scenes, and `control` of a run that goes on.
+"""What is done with runs' folders: `runs` lists them, with a page over them; `store check`, `store
+export`, `recording pack`, `compare` of detectors or versions on the same scenes, and `control` of a
+run that goes on.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bench.cli.arguments import CODES
+from bench.cli.arguments import CODES, code_of
 from bench.cli.terminal import working
 from bench.config import ConfigError
 from bench.files import write_synced
@@ -20,7 +21,6 @@ from bench.record.check import NOT_AS_WRITTEN, check_run, checked_first, shorten
 
 if TYPE_CHECKING:
     from bench.results.comparison import Comparison
-    from bench.scoring.decisions import Verdict
 
 DAMAGED = "NOT-AS-WRITTEN.txt"  # beside what was exported of a damaged record
 TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take longer
@@ -28,9 +28,7 @@ TAKEN_S = 10.0  # a run looks once a second; a capture or a detection may take l
 
 @contextmanager
 def undamaged(runs: Sequence[Path], given: argparse.Namespace) -> Iterator[tuple[str, ...]]:
-    """Checks the runs' records first; gives what is damaged, where that was allowed, and says it
-    before and after all else.
-    """
+    """Checks the records first; gives the damage that was allowed, said before and after."""
     with ExitStack() as stack:
         with working("checking the record"):
             damage = stack.enter_context(checked_first(runs, despite_damage=given.despite_damage))
@@ -53,7 +51,7 @@ def check(given: argparse.Namespace) -> int:
     return CODES.met if done.whole else CODES.not_met
 
 
-def export(given: argparse.Namespace) -> int:
+def export(given: argparse.Namespace) -> None:
     from bench.record.tables import export_csv, export_parquet, needed
 
     if given.format == "mcap":
@@ -76,10 +74,9 @@ def export(given: argparse.Namespace) -> int:
         raise ConfigError.plain(
             f"the export can't be written to {given.out}: {error.strerror or error}"
         ) from error
-    return CODES.met
 
 
-def pack(given: argparse.Namespace) -> int:
+def pack(given: argparse.Namespace) -> None:
     from bench.run.packing import pack_run
 
     try:
@@ -96,7 +93,6 @@ def pack(given: argparse.Namespace) -> int:
             " for one.",
             file=sys.stderr,
         )
-    return CODES.met
 
 
 def compare(given: argparse.Namespace) -> int:
@@ -118,19 +114,14 @@ def compare(given: argparse.Namespace) -> int:
             verdict = run_verdict(judgements)
         else:
             with working("comparing the runs"):
-                found = compare_folders(
-                    given.run,
-                    given.detector,
-                    margin_mm=given.margin_mm,
-                    confidence=given.confidence,
-                    damage=damage,
-                )
+                how = {"margin_mm": given.margin_mm, "confidence": given.confidence}
+                found = compare_folders(given.run, given.detector, **how, damage=damage)
             return told(given, found)
         if given.json:
             print(json.dumps(rows, indent=1, ensure_ascii=False))
         else:
             print("\n".join(line for one in judgements for line in judgement_lines(one)))
-    return _code(given, verdict)
+    return code_of(verdict.value) if given.gate else CODES.met
 
 
 def told(given: argparse.Namespace, found: Sequence[Comparison]) -> int:
@@ -147,47 +138,33 @@ def told(given: argparse.Namespace, found: Sequence[Comparison]) -> int:
             path = write_comparison(found, given.out)
         if not given.json:
             print(f"Report: {path}")
-    return _code(given, overall(one.compared.gate.verdict for one in found))
-
-
-def _code(given: argparse.Namespace, verdict: Verdict) -> int:
-    if not given.gate:
-        return CODES.met
-    codes = {"met": CODES.met, "not met": CODES.not_met}
-    return codes.get(verdict.value, CODES.inconclusive)
+    verdict = overall(one.compared.gate.verdict for one in found)
+    return code_of(verdict.value) if given.gate else CODES.met
 
 
 def _show(found: Sequence[Comparison]) -> None:
     from rich.table import Table
 
     from bench.cli.terminal import Terminal
-    from bench.report.comparison import (
-        distance_table,
-        gate_reasons,
-        heading,
-        notes,
-        success_table,
-        verdict_text,
-        worded,
-    )
+    from bench.report import comparison as report
 
     console = Terminal()
     for comparison in found:
-        console.print(worded(comparison, heading(comparison)), soft_wrap=True)
+        console.print(report.worded(comparison, report.heading(comparison)), soft_wrap=True)
         for title, page in (
-            ("success", success_table(comparison)),
-            ("distance to the teat end", distance_table(comparison)),
+            ("success", report.success_table(comparison)),
+            ("distance to the teat end", report.distance_table(comparison)),
         ):
-            table, page = Table(title=title), worded(comparison, page)
+            table, page = Table(title=title), report.worded(comparison, page)
             for at, column in enumerate(page.columns):
                 name = f"{column.title}, {column.unit}" if column.unit else column.title
                 table.add_column(name, justify="right" if at else "left", overflow="fold")
             for row in page.rows:
                 table.add_row(*(cell if isinstance(cell, str) else cell.text for cell in row))
             console.print(table)
-        for line in (*notes(comparison), verdict_text(comparison)):
-            console.print(worded(comparison, line))
-        for reason in worded(comparison, gate_reasons(comparison)):
+        for line in (*report.notes(comparison), report.verdict_text(comparison)):
+            console.print(report.worded(comparison, line))
+        for reason in report.worded(comparison, report.gate_reasons(comparison)):
             console.print(f"  {reason}")
 
 
@@ -209,3 +186,50 @@ def control(given: argparse.Namespace) -> int:
             " has ended."
         )
     return CODES.met
+
+
+def runs(given: argparse.Namespace) -> None:
+    from bench.cli.terminal import Terminal, working
+    from bench.report.runs import counted, list_runs, write_runs_page
+    from bench.report.wording import number
+
+    with working("reading the runs"):
+        found = list_runs(given.folder)
+    if given.json:
+        text = {
+            "runs": [run.as_dict() for run in found.runs],
+            "history": [
+                {"detector": detector, "script": script, "runs": [str(run.folder) for run, _ in of]}
+                for (detector, script), of in found.histories().items()
+            ],
+            "others": [
+                {"folder": str(found.folder / name), "why": why} for name, why in found.others
+            ],
+            "page": str(write_runs_page(found)),
+        }
+        print(json.dumps(text, indent=1, ensure_ascii=False))
+        return
+    from rich.table import Table
+
+    console = Terminal()
+    table = Table()
+    for column in ("run", "detector", "verdict", "found", "false", "largest error"):
+        table.add_column(column, overflow="fold", justify="right" if column[0] in "fl" else "left")
+    for run in found.runs:
+        for at, one in enumerate(run.results):
+            share, largest = f"{one.found} of {one.visible}", number(one.max_error_mm, "mm")
+            name = "" if at else run.folder.name
+            table.add_row(name, one.detector, one.verdict, share, str(one.false), largest)
+        table.add_section()
+    console.print(f"{found.folder}: {counted(found)}", highlight=False, soft_wrap=True)
+    if found.runs:
+        console.print(table)
+    for (detector, script), of in found.histories().items():
+        steps = " → ".join(f"{one.verdict} ({one.share} found)" for _, one in of)
+        console.print(f"{detector}, {script}: {steps}", highlight=False)
+    for run in found.runs:
+        if run.note:
+            console.print(f"{run.folder.name}: {run.note}", highlight=False, soft_wrap=True)
+    for name, why in found.others:
+        console.print(f"not a run: {name}: {why}", highlight=False, soft_wrap=True)
+    print(f"Page: {write_runs_page(found)}")

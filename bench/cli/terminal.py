@@ -9,7 +9,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from types import TracebackType
 from typing import TextIO
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -39,12 +38,7 @@ class _Count(MofNCompleteColumn):
 
 def _columns() -> tuple[ProgressColumn, ...]:
     """What every bar is made of."""
-    return (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        _Count(),
-        TimeElapsedColumn(),
-    )
+    return TextColumn("{task.description}"), BarColumn(), _Count(), TimeElapsedColumn()
 
 
 class Working:
@@ -147,12 +141,7 @@ class TerminalProgress:
             self._start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(*FAILURES):
             self._stop(leave=any(task.total is not None for task in self._bar.tasks))
 

@@ -9,7 +9,7 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from bench.cli.arguments import CODES
+from bench.cli.arguments import CODES, print_values
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig, shipped
 from bench.script.model import TRIALS, find_script, load_script
@@ -19,7 +19,7 @@ WIDEST = 500  # of a table in a file, in characters
 RATES = (0.95, 0.99, 0.999)
 
 
-def listed(given: argparse.Namespace) -> int:
+def listed(given: argparse.Namespace) -> None:
     rows = {}
     for name in shipped(TRIALS):
         path = TRIALS / f"{name}.toml"
@@ -28,9 +28,7 @@ def listed(given: argparse.Namespace) -> int:
     if given.json:
         print(json.dumps(rows, ensure_ascii=False))
     else:
-        for name, what in rows.items():
-            print(f"{name}: {what}" if what else name)
-    return CODES.met
+        print_values(rows)
 
 
 def show(given: argparse.Namespace) -> int:
@@ -120,7 +118,7 @@ def _show_offsets(path: Path, *, as_json: bool) -> int:
     return CODES.met
 
 
-def plan(given: argparse.Namespace) -> int:
+def plan(given: argparse.Namespace) -> None:
     from bench.scoring.sample_size import make_plan, plan_lines  # scipy takes seconds to import
 
     if given.script and given.trials is not None:
@@ -140,21 +138,10 @@ def plan(given: argparse.Namespace) -> int:
     poses = given.trials
     if given.script:  # repeats of one pose count once
         poses = len({trial.name for trial in load_script(find_script(given.script)).planned})
-    found = make_plan(
-        tuple(given.rate) or RATES,
-        given.confidence,
-        failures=given.failures,
-        poses=poses,
-        true_rate=given.true_rate,
-        sd_mm=given.sd_mm,
-        shift_mm=given.shift_mm,
-        power=given.power,
-        limit_mm=given.limit_mm,
-        u_mm=given.u_mm,
-    )
+    names = ("failures", "true_rate", "sd_mm", "shift_mm", "power", "limit_mm", "u_mm")
+    more = {name: getattr(given, name) for name in names}
+    found = make_plan(tuple(given.rate) or RATES, given.confidence, poses=poses, **more)
     if given.json:
         print(json.dumps(asdict(found), indent=1))
     else:
-        for line in plan_lines(found):
-            print(line)
-    return CODES.met
+        print(*plan_lines(found), sep="\n")

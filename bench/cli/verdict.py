@@ -15,7 +15,7 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-from bench.cli.arguments import CODES
+from bench.cli.arguments import CODES, code_of
 from bench.cli.terminal import Terminal
 from bench.record.reader import RunRecord
 from bench.report.wording import headline, limit, measured
@@ -32,15 +32,12 @@ SIGNS: Mapping[str, tuple[str, str]] = {
     "aborted": ("!", "red"),
     "no verdict": ("○", "yellow"),
 }
-EXIT_CODES = {Verdict.MET: CODES.met, Verdict.NOT_MET: CODES.not_met}
 
 
 def show_verdict(
     console: Terminal, report: Path, record: RunRecord, judgements: Sequence[Judgement]
 ) -> int:
-    """Show what a run found; gives back the exit code that the run deserves, whether or not it can
-    be shown.
-    """
+    """Show what a run found; gives back its exit code, whether or not it can be shown."""
     with suppress(*FAILURES):
         verdict, why, then = headline(record, judgements)
         decided = record.ending == "finished" and not record.damage and bool(judgements)
@@ -56,8 +53,8 @@ def show_verdict(
             console.print(why, markup=False)
             console.print(f"Next: {then}", markup=False)
         console.print(f"Report: {report.resolve().as_uri()}", markup=False, soft_wrap=True)
-    code = EXIT_CODES.get(run_verdict(judgements), CODES.inconclusive)
-    return code if record.ending == "finished" else CODES.fault
+    finished = record.ending == "finished"
+    return code_of(run_verdict(judgements).value) if finished else CODES.fault
 
 
 def _bench(record: RunRecord, judgement: Judgement) -> Text:
@@ -136,9 +133,7 @@ def open_report(report: Path) -> bool:
 
 
 def on_a_desktop() -> bool:
-    """Whether a person sits before this terminal and its screen: not in CI, not in a pipe, not over
-    SSH, not without a display.
-    """
+    """Whether a person sits before this screen: no CI, pipe, SSH, missing display."""
     there = os.environ.get
     if there("CI") or not (sys.stdout and sys.stdout.isatty()):
         return False

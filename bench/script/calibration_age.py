@@ -22,9 +22,7 @@ AGAIN = "Calibrate again (docs/calibration.md: teatbench calibrate cameras, ther
 
 
 def refuse_old_calibration(rig: LoadedRig, script: LoadedScript, today: date) -> None:
-    """Raises ConfigError for a calibration that is older than the script allows, that doesn't say
-    how old it is, or that isn't there.
-    """
+    """Raises ConfigError for a calibration too old for the script, of unknown age, or missing."""
     record = rig.calibration.record
     most = script.script.calibration.max_age_days
     if most is None or rig.rig.all_emulated:
@@ -71,9 +69,7 @@ def calibration_fact(calibration: Calibration, today: date, *, emulated: bool) -
 
 
 def decide_calibration(rule: CalibrationRequirement, facts: Mapping[str, Any]) -> Decision:
-    """Was the calibration fresh? Not measured where its age isn't known; cameras that are made from
-    it always are.
-    """
+    """Was the calibration fresh? Not measured where its age isn't known."""
     fact = facts.get(CALIBRATION_FACT)
     said = f"calibration at most {rule.max_age_days:g} days old on the day of the run"
     if fact is not None and fact["emulated"]:

@@ -113,9 +113,7 @@ def _listed(numbers: Sequence[object]) -> str:
 
 
 def check_named(names: Iterable[str]) -> None:
-    """Raises ValueError for a registered name that isn't there; what a command or a file holds
-    shows when it is made.
-    """
+    """Raises ValueError for a name that isn't there; commands and files aren't looked into."""
     known = list(registry.available())
     for name in names:
         file = DECLARED / f"{name}{FILE}"
@@ -131,9 +129,7 @@ def check_named(names: Iterable[str]) -> None:
 
 
 def declared() -> dict[str, str]:
-    """Name -> one line, of the files in ``detectors`` where the bench is called; a faulty file's
-    line says so.
-    """
+    """Name -> one line, of the files in ``detectors``; a faulty file's says so."""
     found: dict[str, str] = {}
     for path in sorted(DECLARED.glob(f"*{FILE}")):
         try:
@@ -173,9 +169,7 @@ def _plain(name: str) -> str:
 
 
 def taken_apart(text: str, *, windows: bool) -> list[str]:
-    """The words of a command; on Windows a backslash is a letter. Raises ValueError for a quotation
-    that doesn't end.
-    """
+    """A command's words; a backslash is a letter on Windows. Raises ValueError."""
     words = shlex.split(text, posix=not windows)
     return [re.sub(r"""(?s)^(["'])(.*)\1\Z""", r"\2", word) if windows else word for word in words]
 

@@ -96,9 +96,7 @@ Rate = Annotated[float, Field(gt=0, lt=1)]
 
 
 class BathGate(Section):
-    """Set point and stability gate; the defaults are those of the
-    bench's bath sheet, section 4.2.
-    """
+    """Set point and stability gate; defaults are the bath sheet's, section 4.2."""
 
     set_point_c: float
     # far less than 600 s shows nothing: for trying a rig out
@@ -141,9 +139,7 @@ class ErrorRequirement(_Stated):
 
 
 class TimeRequirement(_Stated):
-    """Decided on what was timed; with a rate only where so many poses show it for that share, with
-    the confidence.
-    """
+    """Decided on what was timed; with a rate, only where so many poses show it."""
 
     kind: Literal["time"]
     limit_s: Positive
@@ -207,9 +203,7 @@ class CamerasRequirement(_Named):
 
 
 class CalibrationTable(Section):
-    """``[calibration]``: a run with an older one, or one of unknown age, is refused before
-    anything is opened.
-    """
+    """``[calibration]``: a run with an older one, or one of unknown age, is refused."""
 
     max_age_days: Positive | None = None
 
@@ -236,9 +230,7 @@ def _names_differ(rows: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 class Rules(Section):
-    """What detections are held against, with or without
-    instruments: fixed before anything is run.
-    """
+    """What detections are held against, fixed before anything is run."""
 
     title: str
     about: str = ""
@@ -327,16 +319,12 @@ class LoadedScript:
 
 
 def find_script(name: str | None) -> Path:
-    """The file of a shipped script by name, or of any script by path; the six situations for None.
-    Raises ConfigError.
-    """
+    """A script by name or path; the six situations for None. Raises ConfigError."""
     return find_shipped(name or "six-situations", TRIALS, "trial script")
 
 
 def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> LoadedScript:
-    """The script at ``path``, held against the rig's allowed set points where given. Raises
-    ConfigError with all faults.
-    """
+    """The script, held against the rig's set points, where given. Raises ConfigError."""
     text = script_text(path)
     script = parse_config(path, text, Script)
     wanted = script.bath.set_point_c
@@ -350,9 +338,7 @@ def load_script(path: Path, rig_limits_c: tuple[float, float] | None = None) -> 
 
 
 def script_text(path: Path) -> str:
-    """The TOML of the script at ``path``: its text, or what its Python gives. Raises ConfigError
-    that names file and line.
-    """
+    """A script's TOML, or what its Python gives. Raises ConfigError with file and line."""
     text = read_text(path)
     if path.suffix != ENDING:
         return text
@@ -396,9 +382,7 @@ def _tables(path: Path, made: Any) -> Iterator[Mapping[str, Any]]:
 
 
 def _as_toml(value: Any, path: Path, at: str = "") -> Any:
-    """``value`` as TOML has it; numpy's numbers and arrays become Python's. Raises ConfigError for
-    what TOML has no words for.
-    """
+    """``value`` as TOML has it, without numpy. Raises ConfigError for what TOML lacks."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, Mapping):
@@ -425,9 +409,7 @@ def _line_of(path: Path, error: BaseException) -> str:
 
 
 def layouts_of(script: Script, folder: Path) -> dict[str, Layout]:
-    """The layouts that the trials name, those of the script's own out of ``folder``. Raises
-    ConfigError.
-    """
+    """The layouts that the trials name, own ones out of ``folder``. Raises ConfigError."""
     return {
         name: load_layout(find_layout(name, folder))
         for name in {trial.layout for trial in script.trials if trial.layout}

@@ -39,9 +39,7 @@ def ordered(span: Span) -> Span:
 
 
 class TeatTable(Section):
-    """One teat: where its axis leaves the plate, how long it is from there to the apex, and how far
-    it leans towards +x and +y.
-    """
+    """Where a teat's axis leaves the plate, its length, and its lean towards +x and +y."""
 
     name: Name
     base_mm: tuple[Place, Place]
@@ -64,9 +62,7 @@ class TeatTable(Section):
 
 
 class Envelope(Section):
-    """Within what an udder is drawn: each figure evenly between its two ends, each teat for itself
-    where it is a teat's.
-    """
+    """Within what an udder is drawn: figures evenly between two ends, each teat for itself."""
 
     middle_mm: tuple[Place, Place]
     front_spacing_mm: Span
@@ -83,9 +79,7 @@ class Envelope(Section):
     )(ordered)
 
     def draw(self, rng: np.random.Generator) -> tuple[Teat, ...]:
-        """LF, RF, LR, RR. Raises ValueError where none of `TRIES` draws keeps its teats
-        ``least_gap_mm`` apart.
-        """
+        """LF, RF, LR, RR. Raises ValueError where `TRIES` draws come too near each other."""
         for _ in range(TRIES):
             teats = tuple(self._teats(rng))
             if _nearest(teats)[0] >= self.least_gap_mm:
@@ -150,9 +144,7 @@ class Layout:
     file: PhantomFile
 
     def phantom(self, *seed: int) -> Phantom:
-        """The phantom at its reference place; ``seed`` is for one that is drawn. Raises ValueError
-        for a too tight envelope.
-        """
+        """The phantom, drawn by ``seed``. Raises ValueError for a too tight envelope."""
         envelope = self.file.envelope
         teats = (
             envelope.draw(np.random.default_rng(seed))
@@ -168,9 +160,7 @@ def layout_names() -> list[str]:
 
 
 def find_layout(name: str, folder: Path | None = None) -> Path:
-    """The file of a shipped layout by name, or of one that ends in ``.toml``, from ``folder``.
-    Raises ValueError that lists what ships.
-    """
+    """A shipped layout by name, or ``folder``'s file that ends in ``.toml``. Raises ValueError."""
     if name.endswith(".toml"):
         path = (folder or Path()) / name
         if not path.is_file():
@@ -196,9 +186,7 @@ def load_layout(path: Path) -> Layout:
 
 
 def shipped_phantom(name: str) -> Phantom:
-    """A layout that ships and isn't drawn, at its reference place. Raises ValueError for a name
-    that isn't known.
-    """
+    """A layout that ships and isn't drawn, at its reference place. Raises ValueError."""
     return load_layout(find_layout(name)).phantom()
 
 

@@ -75,9 +75,7 @@ class LoadedOffsets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What one teat's offset does: errors (n, 3) mm in the world frame, a row for each direction or
-    pair of directions.
-    """
+    """What an offset does: errors (n, 3) mm, world frame, a row a pair of directions."""
 
     offset: Offset
     errors_mm: Floats
@@ -102,9 +100,7 @@ class Outcome:
 
 
 def is_offset_script(path: Path) -> bool:
-    """Whether the script at ``path`` says ``kind = "offsets"``. Raises ConfigError where it can't
-    be read.
-    """
+    """Whether the script says ``kind = "offsets"``. Raises ConfigError."""
     try:
         return tomllib.loads(read_text(path)).get("kind") == "offsets"
     except tomllib.TOMLDecodeError:

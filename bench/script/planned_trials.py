@@ -36,9 +36,7 @@ Count = Annotated[int, Field(ge=1, le=1000)]
 
 
 def layout_of(name: str, info: ValidationInfo) -> str:
-    """``name`` where it is a layout that can be read. Raises ValueError, and ConfigError for faults
-    in its file.
-    """
+    """A layout's ``name``. Raises ValueError, and ConfigError for faults in its file."""
     if Path(name).name != name or name in RUN_FILES:
         raise ValueError(
             "a layout is a shipped one's name, or the name of a file of its own in the script's"
@@ -52,9 +50,7 @@ LayoutName = Annotated[str, AfterValidator(layout_of)]
 
 
 class PoseTable(Section):
-    """Where the plate stands, from its reference place: shifted, and turned about the turntable's
-    axis.
-    """
+    """The plate from its reference place: shifted, and turned about the turntable's axis."""
 
     x_mm: Shift = 0.0
     y_mm: Shift = 0.0
@@ -271,9 +267,7 @@ class PlannedTrial:
         )
 
     def arrangement(self, axes: Collection[str]) -> Arrangement:
-        """What the operator is asked to set up: the scene, and of the pose what the stage's
-        ``axes`` (of "XYZA") don't do.
-        """
+        """What the operator sets up: the scene, and what the stage's ``axes`` don't do."""
         _, pose = shared(self.pose, axes)
         _, first = shared(self.approach or self.pose, axes)
         asked = [self.trial.set_up or (self.scene.about if self.scene else "")]
@@ -299,9 +293,7 @@ class PlannedTrial:
 
 
 def shared(pose: PlatePose, axes: Collection[str]) -> tuple[PlatePose, PlatePose]:
-    """Which part of ``pose`` the stage's ``axes`` (of "XYZA") do, and which the operator: together
-    they are the pose.
-    """
+    """Which part of ``pose`` the stage's ``axes`` (of "XYZA") do, and which the operator."""
     parts = {"X": "x_mm", "Y": "y_mm", "Z": "z_mm", "A": "yaw_rad"}
     by_hand = {part: 0.0 for axis, part in parts.items() if axis in axes}
     by_stage = {part: 0.0 for axis, part in parts.items() if axis not in axes}
@@ -398,9 +390,7 @@ def surrounded(things: Sequence[SceneObject]) -> str:
 def pose_set(
     trials: Sequence[Trial], planned: Sequence[PlannedTrial], *, seed: int, order: str
 ) -> dict[str, Any]:
-    """What the record keeps of the poses: how they were chosen, and each trial with its place, in
-    the order of `POSE_KEYS`.
-    """
+    """For the record: how poses were chosen, and each trial's, in the order of `POSE_KEYS`."""
     rows = [
         [one.id, one.name, one.repeat, p.x_mm, p.y_mm, p.z_mm, one.yaw_deg, one.side]
         for one in planned

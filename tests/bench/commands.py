@@ -4,14 +4,19 @@ example of a real rig, with its instruments elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import pytest
 
 from bench.cli.main import main
 from bench.rig.loading import RIGS
+from instruments.clock import RealClock
+from instruments.listener import Device, Listener
 
 
 def words(text: str, *values: object) -> list[str]:
@@ -58,11 +63,71 @@ NO_CAMERA = {'"opencv:0"  ': '"opencv:none1.avi"  '}
 
 
 def lab_rig(folder: Path, changes: Mapping[str, str]) -> Path:
-    """The example of a real rig in ``folder``, with each of ``changes`` made in its text."""
+    """The example of a real rig in ``folder``, with each of ``changes`` made in its text, and with
+    small pictures.
+    """
+    from tests.bench.small_run import smaller  # which imports this module
+
     text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
     for old, new in changes.items():
         assert old in text
         text = text.replace(old, new)
     (folder / "lab.toml").write_text(text, encoding="utf-8")
-    (folder / "calibration.toml").write_bytes((RIGS / "calibration.toml").read_bytes())
+    calibration = (RIGS / "calibration.toml").read_text(encoding="utf-8")
+    (folder / "calibration.toml").write_text(smaller(calibration), encoding="utf-8")
     return folder / "lab.toml"
+
+
+D = TypeVar("D", bound=Device)
+
+
+@contextmanager
+def served(make: Callable[[RealClock], D]) -> Iterator[tuple[D, str]]:
+    """A device of this process in real time, and the URL that it answers at."""
+    with closing(RealClock()) as clock:
+        device = make(clock)
+        with closing(Listener(device, clock, lock=threading.RLock(), name="device")) as listener:
+            yield device, listener.url
+
+
+class Person:
+    """Standard input and output of a command, and who sits there: each prompt is answered when it
+    stands there, by its line or by what comes first. ``text`` is all that was written.
+    """
+
+    encoding = "utf-8"
+
+    def __init__(
+        self,
+        monkeypatch: pytest.MonkeyPatch,
+        *answers: str | tuple[str, str | Callable[[], object]],
+    ) -> None:
+        self.text = ""
+        self._answers = [one if isinstance(one, tuple) else (one, "") for one in answers]
+        self._at = 0
+        for name in ("stdin", "stdout"):
+            monkeypatch.setattr(sys, name, self)
+
+    def isatty(self) -> bool:
+        return True
+
+    def flush(self) -> None: ...
+
+    def write(self, text: str) -> int:
+        self.text += text
+        return len(text)
+
+    def readline(self) -> str | None:
+        """None while the prompt isn't there; "" once there is nothing more to say."""
+        if not self._answers:
+            return ""
+        words, answer = self._answers[0]
+        place = self.text.find(words, self._at)
+        if place < 0 or "a = abort" not in self.text[place:]:
+            return None
+        del self._answers[0]
+        self._at = len(self.text)
+        if callable(answer):
+            answer()
+            answer = ""
+        return f"{answer}\n"

@@ -202,14 +202,13 @@ def test_a_set_point_that_is_refused_is_shown_in_its_place(
     assert shown[caret.index("^") : caret.rindex("^") + 1] == value
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "line", ['seed = "{}"', 'profile = "{}"', "{} = 1", '{} = "{}', "seed = [{}1]", 'baud = "{}"']
 )
 @pytest.mark.parametrize("name", ["rig.toml", "answers.txt"])
-def test_a_line_of_megabytes_is_not_printed_whole(tmp_path: Path, line: str, name: str) -> None:
+def test_an_endless_line_is_not_printed_whole(tmp_path: Path, line: str, name: str) -> None:
     path = tmp_path / name
-    long = ("1, " if "[" in line else "abc") * 1_000_000
+    long = ("1, " if "[" in line else "abc") * 30_000
     path.write_text(f"[arm]\n{line.format(long, long)}", encoding="utf-8")
     why = str(refused(load_rig if name == "rig.toml" else load_answers, path))
     assert len(why) < 5000

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.calibrate.cameras import Lens, calibrate_pair
+from bench.calibrate.cameras import PAIR, calibrate_pair
 from bench.calibrate.views import find_pictures, find_views, pattern_of, write_picture
 from bench.rig.loading import RIGS
 from detector.calibration import Calibration, load_calibration
@@ -63,7 +63,7 @@ def test_from_files_to_a_calibration(
     benchmark: BenchmarkFixture, pictures: Path, two_cores: None
 ) -> None:
     result = benchmark.pedantic(
-        lambda: calibrate_pair(find_views(find_pictures([pictures]), BOARD), Lens()),
+        lambda: calibrate_pair(find_views(find_pictures([pictures], PAIR), BOARD)),
         rounds=1,
         iterations=1,
     )

@@ -1,6 +1,4 @@
-"""What the arm's tests share: a session of virtual time with an emulated arm whose hand follows the
-dialogue.
-"""
+"""An emulated arm in virtual time, whose hand follows the dialogue."""
 
 from __future__ import annotations
 
@@ -20,9 +18,7 @@ MADE = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 
 @dataclass
 class Follower:
-    """A person who does as told, and remembers it. ``instead`` may put another step in a step's
-    place.
-    """
+    """A person who does as told, or ``instead`` another step, and remembers it."""
 
     hand: TryingArm
     instead: Callable[[Step], Step] = lambda step: step

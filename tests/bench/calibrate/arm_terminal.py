@@ -1,6 +1,4 @@
-"""A command at a pseudo-terminal, driven as a person drives it:
-read what it says, type an answer.
-"""
+"""A command at a pseudo-terminal: read what it says, type an answer."""
 
 from __future__ import annotations
 
@@ -53,9 +51,7 @@ class Rendered:
 
 
 class Terminal:
-    """The person's side of a running command. ``text`` is all that it has said, ``screen`` what is
-    to be seen of it.
-    """
+    """The person's side: ``text`` is all that it said, ``screen`` what of it is to be seen."""
 
     def __init__(self, child: subprocess.Popen[bytes], fd: int, columns: int) -> None:
         self._child = child
@@ -65,9 +61,7 @@ class Terminal:
         self.screen = Rendered(columns)
 
     def expect(self, words: str) -> str:
-        """Wait until it says ``words``, after what was expected before; gives back what came up to
-        their end.
-        """
+        """Wait until it says ``words``; gives back what came up to their end."""
         deadline = time.monotonic() + PATIENCE_S
         while words not in self.text[self._at :]:
             assert time.monotonic() < deadline, f"waited for {words!r}; it said:\n{self.text}"
@@ -125,9 +119,7 @@ class Terminal:
 def at_terminal(
     arguments: Sequence[str], columns: int = COLUMNS, cwd: Path = ROOT
 ) -> Iterator[Terminal]:
-    """``teatbench`` with ``arguments`` at a terminal of its own, which Ctrl-C and hanging up work
-    on; skipped where there are none.
-    """
+    """``teatbench`` at a terminal of its own, which Ctrl-C and hanging up work on."""
     if sys.platform == "win32":
         pytest.skip("needs a pseudo-terminal, which Windows has not")
     import pty

@@ -1,6 +1,4 @@
-"""Pictures of boards before small cameras, drawn by intersecting every pixel's rays with the board:
-no code of the project's renderer.
-"""
+"""Boards before small cameras, drawn by rays: no code of the project's renderer."""
 
 from __future__ import annotations
 
@@ -28,17 +26,13 @@ SAMPLES = 4  # a side of a pixel
 
 
 def poses(count: int, seed: int = 1, board: Board = BOARD, spread: float = 1.0) -> list[Motion]:
-    """left_from_board: about a metre away, all over ``spread`` of the picture, tilted to every side
-    in turn.
-    """
+    """left_from_board: all over ``spread`` of the picture, tilted to every side in turn."""
     rng = np.random.default_rng(seed)
     found = []
     for at in range(count):
         tilt, way = np.radians(rng.uniform(18.0, 38.0)), 2 * np.pi * (at * 0.618 + 0.05)
-        R = (
-            cv2.Rodrigues(tilt * np.array([np.cos(way), np.sin(way), 0.0]))[0]
-            @ cv2.Rodrigues(np.array([0.0, 0.0, rng.uniform(-0.2, 0.2)]))[0]
-        )
+        lean = Motion.from_vectors(tilt * np.array([np.cos(way), np.sin(way), 0.0]), np.zeros(3))
+        R = lean.R @ Motion.from_vectors([0.0, 0.0, rng.uniform(-0.2, 0.2)], np.zeros(3)).R
         depth = rng.uniform(650.0, 1050.0)
         across, up = (spread * rng.uniform(-most, most) * depth for most in (0.22, 0.16))
         aim = np.array([across + 50.0, up, depth])
@@ -55,9 +49,7 @@ def picture(
     board: Board = BOARD,
     bend_mm: float = 0.0,
 ) -> NDArray[np.uint8]:
-    """An 8-bit picture of the board (printed at ``pitch_mm``, its rim ``bend_mm`` behind its
-    middle) on a grey wall, with noise.
-    """
+    """The board, printed at ``pitch_mm`` and bent by ``bend_mm``, on a grey wall, with noise."""
     height, width = camera.image_size[1], camera.image_size[0]
     flat, by_column, by_row = _undistorted(camera)
     board_from_camera = camera_from_board.inverse()
@@ -126,13 +118,8 @@ def write_pairs(
 ) -> Path:
     """``count`` pairs of pictures as left/NN.png and right/NN.png."""
     for number, pose in enumerate(poses(count, seed)):
-        for name, camera, motion in (
-            ("left", LEFT, Motion.identity()),
-            ("right", RIGHT, RIGHT_FROM_LEFT),
-        ):
-            image = picture(
-                camera, motion @ pose, 100 * seed + number, pitch_mm=pitch_mm, bend_mm=bend_mm
-            )
+        for name, camera, seen in (("left", LEFT, pose), ("right", RIGHT, RIGHT_FROM_LEFT @ pose)):
+            image = picture(camera, seen, 100 * seed + number, pitch_mm=pitch_mm, bend_mm=bend_mm)
             write_image(folder / name / f"{number:02d}.png", image)
     return folder
 

@@ -12,9 +12,7 @@ from tests.bench.commands import Said, teatbench
 
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the board's file, twelve pairs of pictures as day1, and cameras.toml with its
-    page.
-    """
+    """A folder with the board's file, twelve pairs as day1, and cameras.toml with its page."""
     folder = tmp_path_factory.mktemp("lab")
     (folder / "board.toml").write_text(BOARD_TOML, encoding="utf-8")
     write_pairs(folder / "day1", 12)

@@ -1,6 +1,4 @@
-"""A copy of the emulated rig with optical cameras of half the size in pixels, so that a live
-calibration takes a few seconds.
-"""
+"""The emulated rig with optical cameras of half the size, for fast calibrations."""
 
 from __future__ import annotations
 

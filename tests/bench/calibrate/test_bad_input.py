@@ -1,16 +1,15 @@
-"""Whatever is wrong with a set of pictures or a table, the answer is one sentence that says what,
-where and what to do, and no file.
-"""
+"""Wrong pictures and tables: one sentence says what, where and what to do; no file."""
 
 from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from bench.calibrate.board_print import board_figure, board_pdf, sheet_mm
 from bench.calibrate.exchange import (
@@ -52,156 +51,148 @@ def three_pairs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_pairs(tmp_path_factory.mktemp("pictures") / "day", 3)
 
 
-@pytest.fixture
-def refused(lab: Path, said: Said) -> Callable[..., str]:
-    """Why `calibrate cameras` refuses a folder of the lab; no file is written."""
-
-    def refuse(name: str | Path, *more: str) -> str:
-        given = lab / name, lab / "board.toml", lab / "cameras.toml", more
-        text = said(2, "calibrate cameras {} --board {} --out {} {}", *given).err
-        assert not (lab / "cameras.toml").exists()
-        return text
-
-    return refuse
+BLACK, GREY = np.zeros((100, 100), np.uint8), np.full((360, 480), 128, np.uint8)
 
 
-class TestPictures:
-    def test_none(self, lab: Path, refused: Callable[..., str]) -> None:
-        wanted = "no such folder; a set of pictures is a folder with left/NAME.png"
-        assert f"nowhere: {wanted}" in refused("nowhere")
-        assert "no picture found; wanted: left/NAME.png" in refused("")
-        write_image(lab / "half" / "left" / "00.png", np.zeros((100, 100), np.uint8))
-        assert "no picture of the right camera was found" in refused("half")
-
-    def test_no_board_in_them(self, lab: Path, refused: Callable[..., str]) -> None:
-        for camera in ("left", "right"):
-            write_image(lab / "empty" / camera / "00.png", np.full((360, 480), 128, np.uint8))
-        assert "left has 0 usable views of the board, at least 3 are needed" in refused("empty")
-
-    def test_too_few_views(self, three_pairs: Path, refused: Callable[..., str]) -> None:
-        assert "2 usable views of the board" in refused(three_pairs, "--max-views", "2")
-
-    def test_all_views_from_one_side(self, lab: Path, refused: Callable[..., str]) -> None:
-        one = picture(LEFT, poses(1)[0], 1)
-        for camera in ("left", "right"):
-            for number in range(4):
-                write_image(lab / "same" / camera / f"{number}.png", one)
-        assert "from one side" in refused("same")
-
-    def test_mixed_sizes(self, lab: Path, three_pairs: Path, refused: Callable[..., str]) -> None:
-        shutil.copytree(three_pairs, lab / "mixed")
-        write_image(lab / "mixed" / "left" / "02.png", np.zeros((100, 100), np.uint8))
-        assert "02.png: 100 x 100 px, but" in refused("mixed")
-
-    def test_an_unreadable_picture(self, lab: Path, refused: Callable[..., str]) -> None:
-        for camera in ("left", "right"):
-            (lab / "broken" / camera).mkdir(parents=True)
-            (lab / "broken" / camera / "00.png").write_bytes(b"no picture at all")
-        assert "00.png: is not an image that can be read (17 bytes)" in refused("broken")
-
-    def test_a_board_that_is_none(
-        self, lab: Path, three_pairs: Path, refused: Callable[..., str]
-    ) -> None:
-        (lab / "board.toml").write_text(
-            'kind = "chessboard"\ncolumns = 7\nrows = 5\n', encoding="utf-8"
-        )
-        assert re.search(r"board\.toml(.|\n)*pitch_mm", refused(three_pairs))
+def both(image: NDArray[np.uint8], count: int = 1) -> dict[str, NDArray[np.uint8]]:
+    names = (f"{camera}/{at:02d}.png" for camera in ("left", "right") for at in range(count))
+    return dict.fromkeys(names, image)
 
 
-class TestTables:
-    @pytest.mark.parametrize(
-        ("text", "wanted"),
-        [
-            ("a,b\n1,2\n", "are missing; the first line must name left_x"),
-            (
-                "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,six,7\n",
-                "y_mm must be a number, is 'six'",
-            ),
-            (
-                "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7\n",
-                "1 touched points are too few: at least 4",
-            ),
-        ],
-    )
-    def test_touched_points(self, lab: Path, text: str, wanted: str, in_lab: Said) -> None:
-        (lab / "points.csv").write_text(text, encoding="utf-8")
-        cameras = RIGS / "thesis-calibration.toml"
-        why = in_lab(2, "calibrate world points.csv --cameras {} --out w.toml", cameras).err
-        assert wanted in why
-
-    def test_pairs_need_the_pictures_size(self, lab: Path, in_lab: Said) -> None:
-        columns = "thermal_x,thermal_y,left_x,left_y,right_x,right_y\n"
-        (lab / "pairs.csv").write_text(columns, encoding="utf-8")
-        for pairs, why in (("--pairs pairs.csv", "--pairs needs --image-size"), ("", WANTED)):
-            assert why in in_lab(2, f"calibrate thermal {pairs} --out t.toml").err
-
-
-class TestPrint:
-    @pytest.mark.parametrize("name", sorted(path.stem for path in BOARDS.glob("*.toml")))
-    def test_a_shipped_board_is_printed_in_true_size(self, name: str, tmp_path: Path) -> None:
-        board = load_board(BOARDS / f"{name}.toml").board
-        figure = board_figure(board)
-        width, height = sheet_mm(board, None)
-        dots_per_mm = 4
-        figure.set_dpi(25.4 * dots_per_mm)
-        figure.savefig(tmp_path / "board.png", dpi=25.4 * dots_per_mm)
-        from instruments.camera.recording import read_grey
-
-        image = read_grey(tmp_path / "board.png")
-        assert image.shape == (height * dots_per_mm, width * dots_per_mm)
-        found = find_board(image, board)
-        assert len(found.ids) == board.columns * board.rows
-        grid = np.column_stack([board.points_mm[found.ids, :2], np.ones(len(found.ids))])
-        slopes = np.linalg.lstsq(grid, found.pixels_px, rcond=None)[0]
-        np.testing.assert_allclose(slopes[:2] / dots_per_mm, np.eye(2), atol=1e-3)
-        assert f"/MediaBox [ 0 0 {width * 72 / 25.4:.4f}"[:22].encode() in board_pdf(board)
-
-    def test_a_sheet_that_is_too_small(self, lab: Path, in_lab: Said) -> None:
-        print_board = "calibrate board chessboard-9x6-40 --pdf"
-        assert "more than A4 has; it fits A2" in in_lab(2, f"{print_board} b.pdf --paper A4").err
-        in_lab(0, f"{print_board} b.pdf")
-        assert (lab / "b.pdf").read_bytes().startswith(b"%PDF")
-        nowhere = Path("typo/b.pdf")
-        assert (
-            f"--pdf {nowhere}: there is no folder" in in_lab(2, f"{print_board} {{}}", nowhere).err
-        )
-        assert not nowhere.parent.exists()
+@pytest.mark.parametrize(
+    ("name", "made", "more", "why"),
+    [
+        ("nowhere", dict, "", "nowhere: no such folder; a set of pictures is a folder with left/"),
+        ("", dict, "", "no picture found; wanted: left/NAME.png"),
+        ("half", lambda: {"left/00.png": BLACK}, "", "no picture of the right camera was found"),
+        ("empty", lambda: both(GREY), "", "left has 0 usable views of the board, at least 3 are"),
+        ("day", dict, "--max-views 2", "2 usable views of the board"),
+        ("same", lambda: both(picture(LEFT, poses(1)[0], 1), 4), "", "from one side"),
+        ("day", lambda: {"left/02.png": BLACK}, "", "02.png: 100 x 100 px, but"),
+        ("broken", lambda: both(GREY), "", "00.png: is not an image that can be read (17 bytes)"),
+    ],
+)
+def test_pictures_that_make_no_calibration(
+    lab: Path,
+    three_pairs: Path,
+    said: Said,
+    name: str,
+    made: Callable[[], Mapping[str, NDArray[np.uint8]]],
+    more: str,
+    why: str,
+) -> None:
+    if name == "day":
+        shutil.copytree(three_pairs, lab / "day")
+    for path, image in made().items():
+        write_image(lab / name / path, image)
+        if name == "broken":
+            (lab / name / path).write_bytes(b"no picture at all")
+    given = lab / name, lab / "board.toml", lab / "cameras.toml", more.split()
+    assert why in said(2, "calibrate cameras {} --board {} --out {} {}", *given).err
+    assert not (lab / "cameras.toml").exists()
 
 
-class TestExchange:
-    def test_each_format_comes_back_as_it_went(self, tmp_path: Path) -> None:
-        part = load_calibration(RIGS / "calibration.toml").part
-        assert part.right_from_left is not None
-        write_opencv(part, tmp_path / "a.yml")
-        write_bouguet(part, tmp_path / "b.mat")
-        for taken in (read_opencv(tmp_path / "a.yml"), read_bouguet(tmp_path / "b.mat")):
-            assert (taken.left, taken.right) == (part.left, part.right)
-            assert taken.right_from_left is not None
-            np.testing.assert_allclose(taken.right_from_left.R, part.right_from_left.R, atol=1e-12)
-            np.testing.assert_allclose(taken.right_from_left.T, part.right_from_left.T, atol=1e-9)
-        for camera in ("left", "right"):
-            write_ros(part, tmp_path / f"{camera}.yaml", camera)
-        taken = read_ros(tmp_path / "left.yaml", tmp_path / "right.yaml")
+def test_a_board_that_is_none(lab: Path, three_pairs: Path, said: Said) -> None:
+    (lab / "board.toml").write_text('kind = "chessboard"\ncolumns = 7\nrows = 5\n', "utf-8")
+    given = three_pairs, lab / "board.toml", lab / "cameras.toml"
+    seen = said(2, "calibrate cameras {} --board {} --out {}", *given).err
+    assert re.search(r"board\.toml(.|\n)*pitch_mm", seen)
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("a,b\n1,2\n", "are missing; the first line must name left_x"),
+        (
+            "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,six,7\n",
+            "y_mm must be a number, is 'six'",
+        ),
+        (
+            "left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n1,2,3,4,5,6,7\n",
+            "1 touched points are too few: at least 4",
+        ),
+    ],
+)
+def test_tables_of_touched_points(lab: Path, text: str, wanted: str, in_lab: Said) -> None:
+    (lab / "points.csv").write_text(text, encoding="utf-8")
+    cameras = RIGS / "thesis-calibration.toml"
+    why = in_lab(2, "calibrate world points.csv --cameras {} --out w.toml", cameras).err
+    assert wanted in why
+
+
+def test_tables_of_pairs_need_the_pictures_size(lab: Path, in_lab: Said) -> None:
+    columns = "thermal_x,thermal_y,left_x,left_y,right_x,right_y\n"
+    (lab / "pairs.csv").write_text(columns, encoding="utf-8")
+    for pairs, why in (("--pairs pairs.csv", "--pairs needs --image-size"), ("", WANTED)):
+        assert why in in_lab(2, f"calibrate thermal {pairs} --out t.toml").err
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in BOARDS.glob("*.toml")))
+def test_a_shipped_board_is_printed_in_true_size(name: str, tmp_path: Path) -> None:
+    board = load_board(BOARDS / f"{name}.toml").board
+    figure = board_figure(board)
+    width, height = sheet_mm(board, None)
+    dots_per_mm = 4
+    figure.set_dpi(25.4 * dots_per_mm)
+    figure.savefig(tmp_path / "board.png", dpi=25.4 * dots_per_mm)
+    from instruments.camera.recording import read_grey
+
+    image = read_grey(tmp_path / "board.png")
+    assert image.shape == (height * dots_per_mm, width * dots_per_mm)
+    found = find_board(image, board)
+    assert len(found.ids) == board.columns * board.rows
+    grid = np.column_stack([board.points_mm[found.ids, :2], np.ones(len(found.ids))])
+    slopes = np.linalg.lstsq(grid, found.pixels_px, rcond=None)[0]
+    np.testing.assert_allclose(slopes[:2] / dots_per_mm, np.eye(2), atol=1e-3)
+    assert f"/MediaBox [ 0 0 {width * 72 / 25.4:.4f}"[:22].encode() in board_pdf(board)
+
+
+def test_a_sheet_that_is_too_small(lab: Path, in_lab: Said) -> None:
+    print_board = "calibrate board chessboard-9x6-40 --pdf"
+    assert "more than A4 has; it fits A2" in in_lab(2, f"{print_board} b.pdf --paper A4").err
+    in_lab(0, f"{print_board} b.pdf")
+    assert (lab / "b.pdf").read_bytes().startswith(b"%PDF")
+    nowhere = Path("typo/b.pdf")
+    assert f"--pdf {nowhere}: there is no folder" in in_lab(2, f"{print_board} {{}}", nowhere).err
+    assert not nowhere.parent.exists()
+
+
+def test_each_format_comes_back_as_it_went(tmp_path: Path) -> None:
+    part = load_calibration(RIGS / "calibration.toml").part
+    assert part.right_from_left is not None
+    write_opencv(part, tmp_path / "a.yml")
+    write_bouguet(part, tmp_path / "b.mat")
+    for taken in (read_opencv(tmp_path / "a.yml"), read_bouguet(tmp_path / "b.mat")):
         assert (taken.left, taken.right) == (part.left, part.right)
+        assert taken.right_from_left is not None
+        np.testing.assert_allclose(taken.right_from_left.R, part.right_from_left.R, atol=1e-12)
+        np.testing.assert_allclose(taken.right_from_left.T, part.right_from_left.T, atol=1e-9)
+    for camera in ("left", "right"):
+        write_ros(part, tmp_path / f"{camera}.yaml", camera)
+    taken = read_ros(tmp_path / "left.yaml", tmp_path / "right.yaml")
+    assert (taken.left, taken.right) == (part.left, part.right)
 
-    def test_opencvs_own_file(self, shared_data: Path, tmp_path: Path) -> None:
-        path = shared_data / "opencv_stereo_chessboards" / "data" / "intrinsic.yml"
-        with pytest.raises(ConfigError, match="--image-size"):
-            read_opencv(path)
-        with pytest.raises(ConfigError, match="only k1 k2 p1 p2 k3 can be taken over"):
-            read_opencv(path, (640, 480))
 
-    @pytest.mark.parametrize("kind", ["opencv", "bouguet", "ros"])
-    def test_what_is_none_of_them(self, kind: str, lab: Path, in_lab: Said) -> None:
-        (lab / "x.yml").write_text("hello: [1, 2\n", encoding="utf-8")
-        assert "x.yml" in in_lab(2, f"calibrate import x.yml --format {kind} --out c.toml").err
-        assert not (lab / "c.toml").exists()
+def test_opencvs_own_file(shared_data: Path, tmp_path: Path) -> None:
+    path = shared_data / "opencv_stereo_chessboards" / "data" / "intrinsic.yml"
+    with pytest.raises(ConfigError, match="--image-size"):
+        read_opencv(path)
+    with pytest.raises(ConfigError, match="only k1 k2 p1 p2 k3 can be taken over"):
+        read_opencv(path, (640, 480))
 
-    def test_by_command(self, lab: Path, in_lab: Said) -> None:
-        rig = RIGS / "thesis-calibration.toml"
-        in_lab(0, "calibrate export {} --format bouguet --out c.mat", rig)
-        in_lab(0, "calibrate import c.mat --format bouguet --out c.toml")
-        assert 'with_what = "teatbench' in (lab / "c.toml").read_text(encoding="utf-8")
+
+@pytest.mark.parametrize("kind", ["opencv", "bouguet", "ros"])
+def test_a_file_that_is_of_no_other_tool(kind: str, lab: Path, in_lab: Said) -> None:
+    (lab / "x.yml").write_text("hello: [1, 2\n", encoding="utf-8")
+    assert "x.yml" in in_lab(2, f"calibrate import x.yml --format {kind} --out c.toml").err
+    assert not (lab / "c.toml").exists()
+
+
+def test_files_of_other_tools_by_command(lab: Path, in_lab: Said) -> None:
+    rig = RIGS / "thesis-calibration.toml"
+    in_lab(0, "calibrate export {} --format bouguet --out c.mat", rig)
+    in_lab(0, "calibrate import c.mat --format bouguet --out c.toml")
+    assert 'with_what = "teatbench' in (lab / "c.toml").read_text(encoding="utf-8")
 
 
 def test_the_published_calibration_ships_with_its_defects_stated() -> None:

@@ -1,10 +1,9 @@
-"""The guide: asks for what is missing, in words and in a
-picture, and is content when nothing is.
-"""
+"""The guide asks for what is missing, in words and a picture, until nothing is."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -44,9 +43,7 @@ NOTHING: NDArray[np.uint8] = np.full((SIZE[1], SIZE[0]), 120, np.uint8)
 
 
 def in_cell(cell: int) -> Motion:
-    """left_from_board: the board's middle in the middle of that cell of twelve, tilted to each side
-    and near and far in turn.
-    """
+    """left_from_board: in that cell of twelve, tilted to each side, near and far in turn."""
     row, column = divmod(cell, 4)
     way, depth_mm = column * np.pi / 2, (520.0, 700.0)[(row + cell) % 2]
     R = Motion.from_vectors(TILT_RAD * np.array([np.cos(way), np.sin(way), 0.0]), np.zeros(3)).R
@@ -55,10 +52,14 @@ def in_cell(cell: int) -> Motion:
     return Motion(R, aim - R @ SMALL.points_mm.mean(axis=0))
 
 
+@cache
+def held_picture(number: int) -> NDArray[np.uint8]:
+    held = in_cell((number - 1) % 12)
+    return picture(LEFT, held, number, board=SMALL, pitch_mm=SMALL.pitch_mm)
+
+
 class Room:
-    """An operator who holds the board in each cell in turn, before one camera; now and then nothing
-    is in the picture.
-    """
+    """An operator with the board in each cell in turn; now and then it is not there."""
 
     def __init__(self, *, empty: tuple[int, ...] = (), enough_at: int | None = None) -> None:
         self.asked: list[BoardAsked] = []
@@ -76,8 +77,7 @@ class Room:
         if self.asked[-1].number in self._empty:
             return {"left": NOTHING}
         self._shown += 1
-        held, pitch_mm = in_cell((self._shown - 1) % 12), SMALL.pitch_mm
-        return {"left": picture(LEFT, held, self._shown, board=SMALL, pitch_mm=pitch_mm)}
+        return {"left": held_picture(self._shown)}
 
     def gather(self, folder: Path, wanted: ViewsRequest = LEFT_ALONE) -> int:
         return gather(self.look, self, SMALL, wanted, folder, self.note.append)
@@ -90,24 +90,22 @@ def test_it_asks_for_less_and_less_and_ends_when_nothing_is_missing(tmp_path: Pa
     assert room.note[-1] == "Nothing is missing any more."
     assert kept == 13, "twelve cells, and the view that was refused"
     assert room.note[2].startswith("view 3: left refused: no 7 x 5 chessboard found")
-    assert len(find_pictures([tmp_path]).pictures["left"]) == kept
+    assert len(find_pictures([tmp_path], ["left"])["left"]) == kept
     first, late = room.asked[0].instruction, room.asked[-1].instruction
-    for words in (
-        (
-            "where left sees all of it. Missing: left: show the board in the picture's top far"
-            " left, top left"
-        ),
-        "; and 3 more.",
-    ):
-        assert words in first
-    assert late.endswith(
-        "Missing: left: show the board in the picture's bottom far right; left: 1 more view."
-    )
+    show = "Missing: left: show the board in the picture's"
+    assert f"where left sees all of it. {show} top far left, top left" in first
+    assert "; and 3 more." in first
+    assert late.endswith(f"{show} bottom far right; left: 1 more view.")
 
 
 @pytest.mark.slow
-def test_the_picture_is_green_where_it_is_covered(tmp_path: Path) -> None:
-    Room(enough_at=3).gather(tmp_path)
+def test_who_has_had_enough_reads_what_is_missing_and_sees_green_where_it_is_covered(
+    tmp_path: Path,
+) -> None:
+    room = Room(enough_at=3)
+    assert room.gather(tmp_path) == 2
+    missing = "Still missing: left: show the board in the picture's"
+    assert room.note[-1].startswith(f"Enough: his arms are tired. {missing}")
     drawn = np.asarray(cv2.imread(str(tmp_path / GUIDE))).astype(int)
     high, wide = drawn.shape[0] // 3, drawn.shape[1] // 4
     redder = [
@@ -119,15 +117,6 @@ def test_the_picture_is_green_where_it_is_covered(tmp_path: Path) -> None:
         "the two cells where the board was"
     )
     assert min(redder) > drawn[5 + high : 60 + high, :, 1].mean(), "the row below, where it was not"
-
-
-@pytest.mark.slow
-def test_who_has_had_enough_reads_what_is_missing(tmp_path: Path) -> None:
-    room = Room(enough_at=5)
-    assert room.gather(tmp_path) == 4
-    assert room.note[-1].startswith(
-        "Enough: his arms are tired. Still missing: left: show the board in the picture's"
-    )
 
 
 @pytest.mark.slow

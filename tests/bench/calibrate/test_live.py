@@ -1,6 +1,4 @@
-"""Live calibration on an emulated rig, end to end: boards held before its cameras, and touched with
-its arm, by the emulated operator.
-"""
+"""Live calibration on an emulated rig, boards shown and touched, end to end."""
 
 from __future__ import annotations
 
@@ -12,8 +10,8 @@ import pytest
 import scipy
 
 from detector.calibration import Part, load_calibration, load_part
-from detector.geometry import Motion
 from tests.bench.calibrate.small_rig import small_calibration, write_rig
+from tests.bench.calibrate.touched import placed, there, within
 from tests.bench.commands import Said, teatbench
 
 pytestmark = pytest.mark.slow
@@ -23,9 +21,7 @@ BOARD, HEATED = "chessboard-9x6-40", "heated-circles-7x5-18"
 
 @pytest.fixture(scope="module")
 def bench_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a small rig, its cameras calibrated live, and what was said meanwhile as
-    said.txt.
-    """
+    """A small rig, its cameras calibrated live, and what was said as said.txt."""
     folder = tmp_path_factory.mktemp("room")
     write_rig(folder)
     with pytest.MonkeyPatch.context() as patch:
@@ -49,87 +45,72 @@ def made(folder: Path, step: str, board: str) -> Part:
     return load_part(folder / f"{step}.toml")
 
 
-def within(part: Part, owner: str, name: str, off: float) -> bool:
-    assert part.covariance is not None
-    return abs(off) < 4.0 * (part.covariance.sd(owner, name) or 0.0)
+def test_the_pair_comes_out_as_it_was_put_in(bench_room: Path) -> None:
+    part, put_in = load_part(bench_room / "cameras.toml"), small_calibration()
+    assert within(part, "left", {"fx": there(part.left).fc[0] - put_in.left.fc[0]})
+    assert placed(part, "stereo", there(part.right_from_left), put_in.right_from_left)
 
 
-def placed(part: Part, owner: str, found: Motion, known: Motion, axes: str = "123") -> bool:
-    """Whether the place is found, along these axes."""
-    off = found.T - known.T
-    return all(within(part, owner, f"T{axis}", float(off[int(axis) - 1])) for axis in axes)
+def test_the_record_says_which_cameras_these_are(bench_room: Path) -> None:
+    record = there(load_part(bench_room / "cameras.toml").record)
+    assert record.cameras == {"left": "emulated 680 x 512", "right": "emulated 680 x 512"}
+    assert "left/01.png" in record.inputs
 
 
-class TestCameras:
-    def test_the_pair_comes_out_as_it_was_put_in(self, bench_room: Path) -> None:
-        part, put_in = load_part(bench_room / "cameras.toml"), small_calibration()
-        assert part.left is not None
-        assert part.right_from_left is not None
-        assert within(part, "left", "fx", part.left.fc[0] - put_in.left.fc[0])
-        assert placed(part, "stereo", part.right_from_left, put_in.right_from_left)
-
-    def test_the_record_says_which_cameras_these_are(self, bench_room: Path) -> None:
-        record = load_part(bench_room / "cameras.toml").record
-        assert record is not None
-        assert record.cameras == {"left": "emulated 680 x 512", "right": "emulated 680 x 512"}
-        assert "left/01.png" in record.inputs
-
-    def test_the_operator_reads_of_each_view_and_of_what_is_missing(self, bench_room: Path) -> None:
-        said = (bench_room / "said.txt").read_text(encoding="utf-8").splitlines()
-        assert re.fullmatch(
-            r"view 1: left (found, 54 points|refused: .+); right (found, 54 points|refused: .+)",
-            said[0],
-        )
-        enough = "Enough: the emulated operator has shown the board 24 times. Still missing: "
-        assert any(line.startswith(f"{enough}left and right") for line in said)
-        assert said[-1].startswith("24 views in ")
-
-    def test_the_pictures_that_were_kept_give_the_same_again(self, bench_room: Path) -> None:
-        out = bench_room / "again.toml"
-        code = teatbench(
-            "calibrate cameras {} --board {} --out {}", bench_room / "cameras.pictures", BOARD, out
-        )
-        assert code == 0
-        first, again = load_part(bench_room / "cameras.toml"), load_part(out)
-        for one, other in ((first.left, again.left), (first.right, again.right)):
-            assert one is not None
-            assert other is not None
-            # OpenCV's threads add up in any order
-            np.testing.assert_allclose((*one.fc, *one.cc), (*other.fc, *other.cc), rtol=1e-6)
-
-    def test_pictures_are_never_written_over(self, bench_room: Path) -> None:
-        left = bench_room / "cameras.pictures" / "left"
-        kept = {path: path.stat().st_mtime_ns for path in left.iterdir()}
-        (bench_room / "answers.txt").write_text(
-            "otherwise board: go\nboard (view 2): enough\n", encoding="utf-8"
-        )
-        text = (bench_room / "small.toml").read_text(encoding="utf-8")
-        (bench_room / "scripted.toml").write_text(
-            text.replace('url = "emulator:"', 'url = "script:answers.txt"', 1), encoding="utf-8"
-        )
-        code = live(bench_room, "cameras", "--board", BOARD, "--replace", rig="scripted.toml")
-        assert code == 2, "one view is too few"
-        assert len(list((bench_room / "cameras.pictures-2" / "left").iterdir())) == 1
-        assert {path: path.stat().st_mtime_ns for path in left.iterdir()} == kept
+def test_the_operator_reads_of_each_view_and_of_what_is_missing(bench_room: Path) -> None:
+    said = (bench_room / "said.txt").read_text(encoding="utf-8").splitlines()
+    assert re.fullmatch(
+        r"view 1: left (found, 54 points|refused: .+); right (found, 54 points|refused: .+)",
+        said[0],
+    )
+    enough = "Enough: the emulated operator has shown the board 24 times. Still missing: "
+    assert any(line.startswith(f"{enough}left and right") for line in said)
+    assert said[-1].startswith("24 views in ")
 
 
-class TestWorld:
-    def test_the_table_comes_out_where_it_is(self, bench_room: Path) -> None:
-        part, put_in = made(bench_room, "world", BOARD), small_calibration()
-        assert part.world_from_right is not None
-        places = np.array([[-250.0, 180.0, 60.0], [-120.0, 300.0, 200.0]])
-        apart = (
-            part.world_from_right.apply(put_in.world_from_right.inverse().apply(places)) - places
-        )
-        assert np.linalg.norm(apart, axis=1).max() < 1.5, "mm, among the touched places"
-        assert placed(part, "world", part.world_from_right, put_in.world_from_right)
-        kept = {path.name for path in (bench_room / "world.pictures").iterdir()}
-        assert kept == {
-            "left",
-            "right",
-            "points.csv",
-            *(f"position-{n}-{c}-numbered.png" for n in (1, 2) for c in ("left", "right")),
-        }
+def test_the_pictures_that_were_kept_give_the_same_again(bench_room: Path) -> None:
+    out = bench_room / "again.toml"
+    code = teatbench(
+        "calibrate cameras {} --board {} --out {}", bench_room / "cameras.pictures", BOARD, out
+    )
+    assert code == 0
+    first, again = load_part(bench_room / "cameras.toml"), load_part(out)
+    for before, after in ((first.left, again.left), (first.right, again.right)):
+        one, other = there(before), there(after)
+        # OpenCV's threads add up in any order
+        np.testing.assert_allclose((*one.fc, *one.cc), (*other.fc, *other.cc), rtol=1e-6)
+
+
+def test_pictures_are_never_written_over(bench_room: Path) -> None:
+    left = bench_room / "cameras.pictures" / "left"
+    kept = {path: path.stat().st_mtime_ns for path in left.iterdir()}
+    (bench_room / "answers.txt").write_text(
+        "otherwise board: go\nboard (view 2): enough\n", encoding="utf-8"
+    )
+    text = (bench_room / "small.toml").read_text(encoding="utf-8")
+    (bench_room / "scripted.toml").write_text(
+        text.replace('url = "emulator:"', 'url = "script:answers.txt"', 1), encoding="utf-8"
+    )
+    code = live(bench_room, "cameras", "--board", BOARD, "--replace", rig="scripted.toml")
+    assert code == 2, "one view is too few"
+    assert len(list((bench_room / "cameras.pictures-2" / "left").iterdir())) == 1
+    assert {path: path.stat().st_mtime_ns for path in left.iterdir()} == kept
+
+
+def test_the_table_comes_out_where_it_is(bench_room: Path) -> None:
+    part, put_in = made(bench_room, "world", BOARD), small_calibration()
+    found = there(part.world_from_right)
+    places = np.array([[-250.0, 180.0, 60.0], [-120.0, 300.0, 200.0]])
+    apart = found.apply(put_in.world_from_right.inverse().apply(places)) - places
+    assert np.linalg.norm(apart, axis=1).max() < 1.5, "mm, among the touched places"
+    assert placed(part, "world", found, put_in.world_from_right)
+    kept = {path.name for path in (bench_room / "world.pictures").iterdir()}
+    assert kept == {
+        "left",
+        "right",
+        "points.csv",
+        *(f"position-{n}-{c}-numbered.png" for n in (1, 2) for c in ("left", "right")),
+    }
 
 
 def test_it_still_holds_on_another_day(bench_room: Path, said: Said) -> None:
@@ -141,13 +122,10 @@ def test_it_still_holds_on_another_day(bench_room: Path, said: Said) -> None:
 
 def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_room: Path) -> None:
     put_in = small_calibration()
-    for step, board in (("thermal", HEATED), ("world", BOARD)):
-        part = made(bench_room, step, board)
-        if step == "thermal":
-            assert part.thermal_from_left
-            assert put_in.thermal_from_left
-            where = part.thermal_from_left, put_in.thermal_from_left
-            assert placed(part, "thermal pose", *where, "12")
+    made(bench_room, "world", BOARD)
+    part = made(bench_room, "thermal", HEATED)
+    where = there(part.thermal_from_left), there(put_in.thermal_from_left)
+    assert placed(part, "thermal pose", *where, "12")
     parts = [str(bench_room / f"{step}.toml") for step in ("cameras", "thermal", "world")]
     whole = bench_room / "calibration-live.toml"
     merge = "calibrate merge {} --out {} --by {} --replace"
@@ -160,8 +138,7 @@ def test_all_live_steps_make_one_calibration_that_is_as_good_as_it_says(bench_ro
     off, covariance = found.place(left, right) - places, found.covariance_of(places)
     distances = [float(o @ np.linalg.solve(c, o)) for o, c in zip(off, covariance, strict=True)]
     assert max(distances) < scipy.stats.chi2.ppf(0.9999, 3)
-    assert found.record is not None
-    assert found.record.cameras["thermal"].startswith("emulated")
+    assert there(found.record).cameras["thermal"].startswith("emulated")
 
 
 def test_cameras_of_another_rig_are_refused(bench_room: Path, said: Said) -> None:

@@ -1,6 +1,4 @@
-"""What the world's live step does with touches that go wrong, with boards that aren't seen, and
-with a ball tip.
-"""
+"""The world's live step: touches that go wrong, boards that aren't seen, a ball tip."""
 
 from __future__ import annotations
 
@@ -30,9 +28,7 @@ RADIUS_MM = 1.5
 
 
 class Lab:
-    """An arm whose tip is where the operator put it, a board that the cameras see at some looks,
-    and what was asked and told.
-    """
+    """An arm whose tip is at the board, which the cameras see at some looks."""
 
     def __init__(
         self, *, wrong: Mapping[int, int] | None = None, moves_at: int = 0, hidden_looks: int = 0
@@ -88,34 +84,18 @@ def test_nine_points_at_each_of_two_positions_the_ball_allowed_for(tmp_path: Pat
     np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
     assert [(asked.number, asked.fixed) for asked in lab.boards] == [(1, True), (2, True)]
     assert lab.touches == 18
-    assert (
-        (tmp_path / "points.csv")
-        .read_text(encoding="utf-8")
-        .startswith("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n")
-    )
+    table = (tmp_path / "points.csv").read_text(encoding="utf-8")
+    assert table.startswith("left_x,left_y,right_x,right_y,x_mm,y_mm,z_mm\n")
 
 
 @pytest.mark.slow
-def test_another_point_is_asked_for_again(tmp_path: Path) -> None:
-    lab = Lab(wrong={5: 3})
+def test_another_point_and_an_arm_that_moved_are_asked_for_again(tmp_path: Path) -> None:
+    lab = Lab(wrong={5: 3}, moves_at=8)
     np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
-    assert lab.touches == 19
+    assert lab.touches == 20
     assert "where the print has" in lab.again[0]
     assert "another point, or the board has moved. Once more." in lab.again[0]
-
-
-@pytest.mark.slow
-def test_an_arm_that_moved_is_asked_for_again(tmp_path: Path) -> None:
-    lab = Lab(moves_at=7)
-    np.testing.assert_allclose(lab.points(tmp_path), expected(), atol=1e-9)
-    assert lab.touches == 19
-    assert lab.again[0].endswith("Touch it once more.")
-
-
-def test_a_point_that_is_never_touched_well_ends_it(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match="point 4 of the board was not touched well, 4 times"):
-        Lab(wrong=dict.fromkeys(range(4, 8), 0)).points(tmp_path)
-    assert not (tmp_path / "points.csv").exists()
+    assert lab.again[1].endswith("Touch it once more.")
 
 
 @pytest.mark.slow
@@ -127,9 +107,20 @@ def test_a_board_that_is_not_seen_is_asked_for_again_with_the_reason(tmp_path: P
     assert lab.text[0].startswith("position 1: refused: no 7 x 5 chessboard found")
 
 
-def test_a_board_that_is_never_seen_ends_it(tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match="the board was not found at position 1, 4 times"):
-        Lab(hidden_looks=9).points(tmp_path)
+@pytest.mark.parametrize(
+    ("lab", "why"),
+    [
+        (Lab(hidden_looks=9), "the board was not found at position 1, 4 times"),
+        (
+            Lab(wrong=dict.fromkeys(range(4, 8), 0)),
+            "point 4 of the board was not touched well, 4 times",
+        ),
+    ],
+)
+def test_what_never_goes_well_ends_it(lab: Lab, why: str, tmp_path: Path) -> None:
+    with pytest.raises(DeviceError, match=why):
+        lab.points(tmp_path)
+    assert not (tmp_path / "points.csv").exists()
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

@@ -37,9 +37,7 @@ DEPTHS_MM = (500.0, 1200.0)
 
 
 def rendered_views(table: Mapping[str, Any], seed: int) -> dict[str, list[View]]:
-    """Boards in new poses before cameras with fixed patterns and noise of their own, found in the
-    pictures.
-    """
+    """Boards in new poses, found by cameras with patterns and noise of their own."""
     renderer = Renderer.from_calibration(table, seed)
     views: dict[str, list[View]] = {"left": [], "right": []}
     for number, board in enumerate(

@@ -1,6 +1,4 @@
-"""The steps of a calibration as a user goes through them: pictures in, files and pages out, one
-calibration at the end.
-"""
+"""The steps of a calibration as a user goes through them, from pictures to one file."""
 
 from __future__ import annotations
 
@@ -14,8 +12,15 @@ from bench.rig.loading import BOARDS, shipped
 from detector.calibration import load_calibration, load_part
 from tests.bench.calibrate.board_pictures import BOARD, LEFT, RIGHT_FROM_LEFT, write_pairs
 from tests.bench.calibrate.conftest import calibrate_cameras
-from tests.bench.calibrate.touched import TOUCHED, WORLD_FROM_RIGHT, write_touched
-from tests.bench.commands import Said
+from tests.bench.calibrate.touched import (
+    TOUCHED,
+    WORLD_FROM_RIGHT,
+    placed,
+    there,
+    within,
+    write_touched,
+)
+from tests.bench.commands import Said, words
 from tests.plain_text import plain_text
 from tests.reports.markup import read
 
@@ -37,33 +42,19 @@ def write_pairs_table(path: Path) -> Path:
 
 def test_cameras_come_out_as_they_were_put_in(lab: Path) -> None:
     part = load_part(lab / "cameras.toml")
-    assert part.left is not None
-    assert part.right_from_left is not None
-    assert part.covariance is not None
-    for name, at in (("fx", 0), ("fy", 1)):
-        assert abs(part.left.fc[at] - LEFT.fc[at]) < 4 * (part.covariance.sd("left", name) or 0.0)
-    off = part.right_from_left.T - RIGHT_FROM_LEFT.T
-    assert np.all(
-        np.abs(off)
-        < 4
-        * np.array([part.covariance.sd("stereo", name) for name in ("T1", "T2", "T3")], dtype=float)
-    )
-    assert part.record is not None
-    assert len(part.record.inputs) == 25, "24 pictures and the board"
+    off = np.subtract(there(part.left).fc, LEFT.fc)
+    assert within(part, "left", {"fx": off[0], "fy": off[1]})
+    assert placed(part, "stereo", there(part.right_from_left), RIGHT_FROM_LEFT)
+    assert len(there(part.record).inputs) == 25, "24 pictures and the board"
 
 
 def test_a_board_by_its_figures_and_a_folder_that_is_not_there(
     lab: Path, tmp_path: Path, in_lab: Said
 ) -> None:
-    columns, rows, pitch_mm = BOARD.columns, BOARD.rows, f"{BOARD.pitch_mm:g}"
-    out, board = (
-        tmp_path / "new" / "folder" / "c.toml",
-        f"checkerboard:{columns}x{rows}:{pitch_mm}mm",
-    )
+    out = tmp_path / "new" / "folder" / "c.toml"
+    board = f"checkerboard:{BOARD.columns}x{BOARD.rows}:{BOARD.pitch_mm:g}mm"
     seen = in_lab(0, "calibrate cameras day1 --board {} --model {} --out {}", board, ["k1 k2"], out)
-    made, known = load_part(out).left, load_part(lab / "cameras.toml").left
-    assert made is not None
-    assert known is not None
+    made, known = (there(load_part(path).left) for path in (out, lab / "cameras.toml"))
     assert made.fc == known.fc
     note = re.findall(
         r"^(baseline|focal lengths|reprojection error).* (?:±|to) [0-9.]+", seen.out, re.M
@@ -136,17 +127,13 @@ def test_all_steps_make_one_calibration(lab: Path, in_lab: Said) -> None:
     found = load_calibration(lab / "calibration.toml")
     assert np.abs(found.world_from_right.T - WORLD_FROM_RIGHT.T).max() < 3.0
     assert found.thermal.mirrored
-    assert found.depth is not None
-    assert found.depth.image_size == (320, 240)
-    assert found.depth_from_left is not None
-    assert found.depth_from_left.T.tolist() == [-50.0, 40.0, 0.0]
-    assert found.covariance is not None
-    assert found.covariance.sd("world", "T3") is not None
+    assert there(found.depth).image_size == (320, 240)
+    assert there(found.depth_from_left).T.tolist() == [-50.0, 40.0, 0.0]
+    assert there(found.covariance).sd("world", "T3") is not None
     sd = np.sqrt(np.linalg.eigvalsh(found.covariance_of(TOUCHED[:1], 0.05)[0]))
     assert 0.02 < sd[0] < sd[2] < 3.0
-    assert found.record is not None
-    assert found.record.by == who
-    assert "world.toml: points.csv" in found.record.inputs
+    assert there(found.record).by == who
+    assert "world.toml: points.csv" in there(found.record).inputs
     page = (lab / "world.page" / "index.html").read_text(encoding="utf-8")
     assert "Good enough. Mapped points miss the arm" in page
 
@@ -155,23 +142,17 @@ def test_worse_touches_and_pixels_make_a_less_certain_world(lab: Path, in_lab: S
     write_touched(lab / "points3.csv")
     sds: list[float] = []
     for noise in ("", "--touch-sd 2.5", "--pixel-sd 2.5"):
-        in_lab(
-            0, f"calibrate world points3.csv --cameras cameras.toml --out w3.toml --replace {noise}"
-        )
-        covariance = load_part(lab / "w3.toml").covariance
-        assert covariance is not None
-        sds.append(covariance.sd("world", "T3") or 0.0)
+        command = "calibrate world points3.csv --cameras cameras.toml --out w3.toml --replace"
+        in_lab(0, f"{command} {noise}")
+        sds.append(there(load_part(lab / "w3.toml").covariance).sd("world", "T3") or 0.0)
     assert 0.0 < sds[0] * 1.5 < min(sds[1:])
 
 
 def test_whose_cameras_they_are_is_on_record(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert calibrate_cameras(
-        lab, lab / "named.toml", "--identity", "left=L-17", "--identity", "right=R-18"
-    ) in (0, 1)
-    assert load_part(lab / "named.toml").record is not None
-    text = (lab / "named.toml").read_text(encoding="utf-8")
-    assert "L-17" in text
-    assert "R-18" in text
+    named = words("--identity left=L-17 --identity right=R-18")
+    assert calibrate_cameras(lab, lab / "named.toml", *named) in (0, 1)
+    record = there(load_part(lab / "named.toml").record)
+    assert record.cameras == {"left": "L-17", "right": "R-18"}
     assert calibrate_cameras(lab, lab / "nobody.toml", "--identity", "middle=1") == 2
     assert "say left=SERIAL" in capsys.readouterr().err
 

@@ -1,9 +1,8 @@
-"""The thermal camera as a third camera: a heated board, mirrored and inverted as such cameras
-deliver it.
-"""
+"""The thermal camera as a third one: a heated board, mirrored and inverted."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from tests.bench.calibrate.board_pictures import (
     poses,
     write_image,
 )
+from tests.bench.calibrate.touched import placed, there, within
 from tests.bench.commands import Said
 
 pytestmark = pytest.mark.slow
@@ -39,14 +39,11 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     (folder / "cameras.toml").write_text(dump_calibration(pair), encoding="utf-8")
     for number, pose in enumerate(poses(10, 3, HEATED, 0.3)):
-        write_image(
-            folder / "day" / "left" / f"{number:02d}.png",
-            picture(LEFT, pose, number, board=HEATED, pitch_mm=HEATED.pitch_mm),
-        )
-        seen = picture(
-            THERMAL, THERMAL_FROM_LEFT @ pose, 50 + number, board=HEATED, pitch_mm=HEATED.pitch_mm
-        )
-        write_image(folder / "day" / "thermal" / f"{number:02d}.png", (255 - seen)[:, ::-1].copy())
+        show = partial(picture, board=HEATED, pitch_mm=HEATED.pitch_mm)
+        seen = 255 - show(THERMAL, THERMAL_FROM_LEFT @ pose, 50 + number)
+        pictures = {"left": show(LEFT, pose, number), "thermal": seen[:, ::-1].copy()}
+        for camera, image in pictures.items():
+            write_image(folder / "day" / camera / f"{number:02d}.png", image)
     return folder
 
 
@@ -56,18 +53,11 @@ CALIBRATE = "calibrate thermal day --board heated.toml --cameras {} --out {}"
 def test_lens_and_pose_come_out_as_they_were_put_in(lab: Path, in_lab: Said) -> None:
     in_lab(0, f"{CALIBRATE} --mirrored --plane 900", "cameras.toml", "thermal.toml")
     part = load_part(lab / "thermal.toml")
-    assert part.thermal is not None
-    assert part.thermal.lens is not None
-    assert part.thermal.mirrored
-    assert part.thermal_from_left is not None
-    assert part.covariance is not None
-    found, put_in = part.thermal.lens, THERMAL
-    for name, off in (("fx", found.fc[0] - put_in.fc[0]), ("fy", found.fc[1] - put_in.fc[1])):
-        assert abs(off) < 4 * (part.covariance.sd("thermal", name) or 0.0)
-    place_sd = np.array(
-        [part.covariance.sd("thermal pose", name) for name in ("T1", "T2", "T3")], dtype=float
-    )
-    assert np.all(np.abs(part.thermal_from_left.T - THERMAL_FROM_LEFT.T) < 4 * place_sd)
+    thermal = there(part.thermal)
+    assert thermal.mirrored
+    off = np.subtract(there(thermal.lens).fc, THERMAL.fc)
+    assert within(part, "thermal", {"fx": off[0], "fy": off[1]})
+    assert placed(part, "thermal pose", there(part.thermal_from_left), THERMAL_FROM_LEFT)
     page = (lab / "thermal.page" / "index.html").read_text(encoding="utf-8")
     assert "10 views of a heated" in page
     assert "Derived at a plane 900 mm" in page

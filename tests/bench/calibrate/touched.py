@@ -1,11 +1,13 @@
-"""Points that an arm touched before the drawn cameras, as a table."""
+"""Points that an arm touched before the drawn cameras, and what a part of a calibration holds."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
+from detector.calibration import Part
 from detector.geometry import Motion
 from tests.bench.calibrate.board_pictures import LEFT, RIGHT, RIGHT_FROM_LEFT
 
@@ -25,3 +27,24 @@ def write_touched(path: Path, noise_mm: float = 0.1) -> Path:
     ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
+
+
+T = TypeVar("T")
+
+
+def there(value: T | None) -> T:
+    """``value``, which must be there."""
+    assert value is not None
+    return value
+
+
+def within(part: Part, owner: str, off: dict[str, float]) -> bool:
+    """Whether these parameters are off by less than four times what ``part`` states."""
+    stated = there(part.covariance)
+    return all(abs(by) < 4.0 * (stated.sd(owner, name) or 0.0) for name, by in off.items())
+
+
+def placed(part: Part, owner: str, found: Motion, known: Motion, axes: str = "123") -> bool:
+    """Whether the place is found, along these axes."""
+    off = found.T - known.T
+    return within(part, owner, {f"T{axis}": float(off[int(axis) - 1]) for axis in axes})

@@ -1,6 +1,4 @@
-"""`teatbench arm …`: as a person at a terminal uses it, as another program does, and with
-everything that can be wrong.
-"""
+"""`teatbench arm …`: by a person, for another program, and with all that can be wrong."""
 
 from __future__ import annotations
 
@@ -8,10 +6,9 @@ import json
 import math
 import re
 import signal
-import sys
 import tomllib
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,60 +19,30 @@ from bench.rig.arm_files import load_frame, load_verification
 from bench.rig.model import Arm
 from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.clock import RealClock
-from tests.bench.calibrate.arm_terminal import ENTER, Terminal, answer, at_terminal
-from tests.bench.commands import Said, words
-from tests.bench.run.test_end_to_end import started
+from tests.bench.calibrate.arm_terminal import answer, at_terminal
+from tests.bench.commands import Person, Said, teatbench, words
 from tests.conftest import ROOT
 
 HOMING = "Was the stylus on its peg"
-OWN = "--port emulator:"
-TOUCHES = (ENTER,) * 3
-
-
-@contextmanager
-def arm(text: str, *values: object) -> Iterator[Terminal]:
-    """An arm's command at a terminal of its own."""
-    with at_terminal(words(f"arm {text}", *values)) as terminal:
-        yield terminal
-
-
-def answer_all(terminal: Terminal, *prompts: str) -> None:
-    """Enter at each of the prompts; the command succeeds then."""
-    for prompt in prompts:
-        answer(terminal, prompt)
-    assert terminal.code() == 0, terminal.text
-
-
-@contextmanager
-def in_hand(
-    text: str, *values: object, accuracy_mm: float = 0.23
-) -> Iterator[tuple[TryingArm, Terminal]]:
-    """The command on an emulated arm of this process in real time; the test is the hand."""
-    with (
-        closing(RealClock()) as clock,
-        TryingArm(clock, accuracy_mm=accuracy_mm) as trying,
-        # the command waits for a processor, never for the arm
-        arm(f"{text} --answer-s 60 --port {trying.url}", *values) as terminal,
-    ):
-        yield trying, terminal
-
-
-# At a terminal
+OWN = "--port emulator: --out {}"
+Patch = pytest.MonkeyPatch
 
 
 @pytest.mark.slow
 def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
+    """At a terminal of its own."""
     out = tmp_path / "arm-frame.toml"
-    with arm(f"frame {OWN} --out {{}} --check 100,100,0", out) as terminal:
-        answer_all(
-            terminal,
+    with at_terminal(words(f"arm frame {OWN} --check 100,100,0", out)) as terminal:
+        for prompt in (
             HOMING,
             "Touch the table's origin",
             "Touch a point on the x axis",
             "Touch a point of the table's plane on the side of positive y",
             "Check point 1 of 2: touch the point 100.0, 100.0, 0.0 mm (world)",
             "Check point 2 of 2: touch another point of the table's plane",
-        )
+        ):
+            answer(terminal, prompt)
+        assert terminal.code() == 0, terminal.text
     assert 'frame = "arm-frame.toml"' in terminal.text
     frame = load_frame(out, serial_number="40937")
     assert np.allclose(frame.world_from_arm.T, PLACED.T, atol=1.0)
@@ -84,7 +51,7 @@ def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
+def test_a_new_user_verifies_the_arm(tmp_path: Path, monkeypatch: Patch) -> None:
     out = tmp_path / "arm-verification.toml"
     plan = "--distances 1 --touches 5 --length-mm 250 --directions 2 --length-u-mm 0.01"
     leaning = (f"leaning {way}" for way in ("left", "right", "towards you", "away from you"))
@@ -94,117 +61,105 @@ def test_a_new_user_verifies_the_arm(tmp_path: Path) -> None:
         for number, lean in enumerate(("upright", *leaning), 1)
     ]
     for where in ("pointing away from the arm", "across in front of the arm"):
-        prompts += [
-            f"Fix the calibrated length flat, {where}",
-            "touch its first end",
-            "touch its second end",
-        ]
-    with arm(f"verify {OWN} --out {{}} {plan}", out) as terminal:
-        answer_all(terminal, *prompts)
-    assert "limit 0.46 mm" in terminal.text
-    assert "limit 0.7 mm" in terminal.text
+        prompts.append(f"Fix the calibrated length flat, {where}")
+        prompts += ["touch its first end", "touch its second end"]
+    person = Person(monkeypatch, *prompts)
+    assert teatbench(f"arm verify {OWN} {plan}", out) == 0
+    assert "limit 0.46 mm" in person.text
+    assert "limit 0.7 mm" in person.text
     found = load_verification(out)
     assert [test.calibrated_mm for test in found.lengths] == [250.0, 250.0]
     assert {test.calibrated_u_mm for test in found.lengths} == {0.01}
-    assert "lengths of the dated verification show an arm of u = 0." in terminal.text
-    assert "--accuracy-mm 0.23 is not refuted" in terminal.text
-    assert re.search(rf"Articulated location error {found.location_mm:.2f} mm", terminal.text)
+    assert "lengths of the dated verification show an arm of u = 0." in person.text
+    assert "--accuracy-mm 0.23 is not refuted" in person.text
+    assert f"Articulated location error {found.location_mm:.2f} mm" in person.text
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("command", "prompts"), [("frame", 3), ("verify", 0)])
-def test_an_abort_writes_nothing(tmp_path: Path, command: str, prompts: int) -> None:
+@pytest.mark.parametrize(
+    ("command", "answers"),
+    [("frame", [HOMING, "origin", "x axis", ("plane", "a")]), ("verify", [(HOMING, "a")])],
+)
+def test_an_abort_writes_nothing(
+    tmp_path: Path,
+    monkeypatch: Patch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    answers: list[str],
+) -> None:
     out = tmp_path / "arm.toml"
-    with arm(f"{command} {OWN} --out {{}}", out) as terminal:
-        for _ in range(prompts):
-            answer(terminal, ENTER)
-        answer(terminal, ENTER, "a")
-        assert terminal.code() == 3
-    assert "the operator aborted the run; nothing was written" in terminal.text
-    assert "Traceback" not in terminal.text
+    Person(monkeypatch, *answers)
+    assert teatbench(f"arm {command} {OWN}", out) == 3
+    said = capsys.readouterr().err
+    assert said == "teatbench: the operator aborted the run; nothing was written\n"
     assert not out.exists()
 
 
-@pytest.mark.slow
-def test_a_bad_arm_is_not_verified(tmp_path: Path) -> None:
+def test_a_bad_arm_is_not_verified(tmp_path: Path, monkeypatch: Patch, said: Said) -> None:
     out = tmp_path / "verification.toml"
-    command = "verify --out {} --homed --distances 1 --touches 5"
-    with in_hand(command, out, accuracy_mm=3.0) as (trying, terminal):
-        answer(terminal, "Fix the divot")
-        for touch in range(5):
-            terminal.expect("tip in the divot")
-            trying.go(Step("middle", touch, ""))
-            answer(terminal, ENTER)
-        assert terminal.code() == 1, terminal.text
-    assert "not verified: middle: readings of one point lie up to" in terminal.text
-    assert "not verified: no calibrated length was measured" in terminal.text
+    monkeypatch.setattr("bench.calibrate.arm.TryingArm", partial(TryingArm, accuracy_mm=3.0))
+    Person(monkeypatch, "Fix the divot", *["tip in the divot"] * 5)
+    why = said(1, f"arm verify {OWN} --homed --distances 1 --touches 5", out).err
+    assert "not verified: middle: readings of one point lie up to" in why
+    assert "not verified: no calibrated length was measured" in why
     assert "passed = false" in out.read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("limit", [[], ["--residual-limit-mm", "10"]])
-def test_a_frame_whose_check_point_is_off_is_not_written(tmp_path: Path, limit: list[str]) -> None:
-    out = tmp_path / "frame.toml"
-    with in_hand("frame --out {} --homed {}", out, limit) as (trying, terminal):
-        for what in ("origin", "x axis", "plane", "check"):
-            terminal.expect("Touch" if what != "check" else "Check point")
-            trying.go(Step(what, 0, "", (120.0, 90.0, 6.0) if what == "check" else None))
-            answer(terminal, ENTER)
-        assert terminal.code() == (0 if limit else 1), terminal.text
-    if limit:
-        assert out.exists()
-        return
-    assert re.search(
-        r"a check point is [56]\.\d\d mm off, limit 1.5 mm; nothing was written", terminal.text
+@pytest.mark.parametrize("limit", ["", "--residual-limit-mm 10"])
+def test_a_frame_whose_check_point_is_off_is_not_written(
+    tmp_path: Path, monkeypatch: Patch, said: Said, limit: str
+) -> None:
+    out, go = tmp_path / "frame.toml", TryingArm.go
+    above = Step("check", 0, "", (120.0, 90.0, 6.0))
+    monkeypatch.setattr(
+        TryingArm, "go", lambda arm, step: go(arm, above if step.what == "check" else step)
     )
-    assert not out.exists()
+    Person(monkeypatch, "origin", "x axis", "plane", "Check point")
+    why = said(0 if limit else 1, f"arm frame {OWN} --homed {limit}", out).err
+    assert out.exists() == bool(limit)
+    assert limit or re.search(
+        r"a check point is [56]\.\d\d mm off, limit 1.5 mm; nothing was written", why
+    )
 
 
 @pytest.mark.slow
-def test_watch_shows_tip_pedals_and_rate_live() -> None:
-    with in_hand("watch --homed --seconds 3") as (trying, terminal):
-        terminal.expect("left up, right up")
-        trying.emulator.buttons = 1
-        terminal.expect("left up, right DOWN")
-        trying.emulator.buttons = 2
-        terminal.expect("left DOWN, right up")
-        trying.go(Step("origin", 0, ""))
-        x, y, z = PLACED.inverse().apply([0.0, 0.0, 0.0])
-        assert terminal.code() == 0, terminal.text
-    seen = re.findall(r"tip +(-?[\d.]+) +(-?[\d.]+) +(-?[\d.]+) mm", terminal.text)
-    tips = [tuple(map(float, found)) for found in seen]
-    assert math.dist(tips[-1], (x, y, z)) < 2.0
+def test_watch_shows_tip_pedals_and_rate_live_until_ctrl_c(monkeypatch: Patch) -> None:
+    with closing(RealClock()) as clock, TryingArm(clock) as trying:
+        acts = {
+            "left up, right up": lambda: setattr(trying.emulator, "buttons", 1),
+            "left up, right DOWN": lambda: setattr(trying.emulator, "buttons", 2),
+            "left DOWN, right up": lambda: trying.go(Step("origin", 0, "")),
+        }
+        there = PLACED.inverse().apply([0.0, 0.0, 0.0])
+        tips: list[tuple[float, ...]] = []
+
+        class Watching(Person):
+            def write(self, text: str) -> int:
+                written = super().write(text)
+                if found := re.match(r"tip +(-?[\d.]+) +(-?[\d.]+) +(-?[\d.]+) mm", text):
+                    tips.append(tuple(map(float, found.groups())))
+                    for words in [one for one in acts if one in text]:
+                        acts.pop(words)()
+                    if math.dist(tips[-1], there) < 2.0:
+                        signal.raise_signal(signal.SIGINT)
+                return written
+
+        person = Watching(monkeypatch)
+        # the command waits for a processor, never for the arm
+        assert teatbench("arm watch --homed --answer-s 60 --port {}", trying.url) == 0
+    assert not acts
     assert math.dist(tips[0], (54.2, -51.8, 212.2)) < 0.1
-    rates = [float(v) for v in re.findall(r"([\d.]+) packets/s", terminal.text)]
-    assert max(rates) > 50.0
+    assert person.text.count("\rtip") == len(tips) - 1, "one line, written over"
+    assert max(float(v) for v in re.findall(r"([\d.]+) packets/s", person.text)) > 50.0
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
-def test_ctrl_c_is_how_watching_ends() -> None:
-    with started(words("arm watch --port emulator: --homed")) as child:
-        assert child.stdout is not None
-        assert "packets/s" in child.stdout.readline()
-        child.send_signal(signal.SIGINT)
-        output, _ = child.communicate(timeout=60)
-    assert child.returncode == 0, output
-    assert "Traceback" not in output
-
-
-@pytest.mark.slow
-def test_home_asks_for_the_peg_first() -> None:
-    with in_hand("home") as (_, terminal):
-        answer_all(terminal, "Put the arm's stylus on its peg and let go of it.")
-    assert "Homed. The tip stands at 54.20, -51.84, 212.20 mm" in terminal.text
-
-
-# For other programs
+def test_home_asks_for_the_peg_first(monkeypatch: Patch) -> None:
+    person = Person(monkeypatch, "Put the arm's stylus on its peg and let go of it.")
+    assert teatbench("arm home --port emulator:") == 0
+    assert "Homed. The tip stands at 54.20, -51.84, 212.20 mm" in person.text
 
 
 def test_read_gives_one_json_object(said: Said) -> None:
-    """The arm on its peg: some 75 mm from the base axis and 212 mm above the origin (the fact
-    sheet, One real arm).
-    """
+    """On its peg: 75 mm from the base axis, 212 mm up (the fact sheet, One real arm)."""
     (text,) = said(0, "arm read --port emulator: --homed --json").out.strip().split("\n")
     line = json.loads(text)
     assert set(line) == {"serial_number", "tip_mm", "spread_mm", "axis", "packets", "counts"}
@@ -214,39 +169,32 @@ def test_read_gives_one_json_object(said: Said) -> None:
     assert line["serial_number"] == "40937"
 
 
-@pytest.mark.slow
-def test_read_in_the_world_uses_the_frame_of_this_arm_only(tmp_path: Path, said: Said) -> None:
+def test_read_in_the_world_uses_the_frame_of_this_arm_only(
+    tmp_path: Path, monkeypatch: Patch, said: Said
+) -> None:
     out = tmp_path / "frame.toml"
     out.write_text("old", encoding="utf-8")
-    with arm(f"frame {OWN} --out {{}} --homed --plane-checks 0 --replace", out) as terminal:
-        answer_all(terminal, *TOUCHES)
-    assert "No check point was touched" in terminal.text
+    with monkeypatch.context() as patch:
+        person = Person(patch, "origin", "x axis", "plane")
+        assert teatbench(f"arm frame {OWN} --homed --plane-checks 0 --replace", out) == 0
+    assert "No check point was touched" in person.text
     line = json.loads(said(0, "arm read --port emulator: --homed --json --frame {}", out).out)
     assert line["world_mm"] == pytest.approx(PLACED.apply(line["tip_mm"]).tolist(), abs=1.5)
     out.write_text(out.read_text(encoding="utf-8").replace('"40937"', '"11111"'), encoding="utf-8")
     seen = said(2, "arm read --port emulator: --homed --frame {}", out).err
-    assert (
-        f"{out}:5: serial_number: this file is of the arm 11111, but the arm that answers is 40937"
-        in seen
-    )
+    why = "this file is of the arm 11111, but the arm that answers is 40937"
+    assert f"{out}:5: serial_number: {why}" in seen
 
 
-# The page for the lab
-
-GUIDE = (ROOT / "docs" / "rig.md").read_text(encoding="utf-8")
-
-
-def test_the_guides_pieces_of_files_are_right() -> None:
-    blocks = [tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", GUIDE, re.DOTALL)]
+def test_the_pieces_of_files_in_the_labs_page_are_right() -> None:
+    guide = (ROOT / "docs" / "rig.md").read_text(encoding="utf-8")
+    blocks = [tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", guide, re.DOTALL)]
     (script,) = (block for block in blocks if "requirements" in block)
     rigs = [block["arm"] for block in blocks if "arm" in block]
     assert [Arm.model_validate(rig).accuracy_mm for rig in rigs] == [0.03]
     (rule,) = script["requirements"]
     note = ArmRequirement.model_validate(rule)
     assert set(rule) | {"source"} == set(ArmRequirement.model_fields)
-    (shipped,) = [
-        r
-        for r in load_script(find_script(None)).script.requirements
-        if isinstance(r, ArmRequirement)
-    ]
+    requirements = load_script(find_script(None)).script.requirements
+    (shipped,) = (one for one in requirements if isinstance(one, ArmRequirement))
     assert note.model_copy(update={"source": shipped.source}) == shipped

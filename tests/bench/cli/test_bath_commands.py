@@ -1,22 +1,21 @@
-"""`bath read|set|watch|standby|acknowledge` on an emulated bath of another thread, with good and
-bad input.
-"""
+"""`teatbench bath …` on an emulated bath of another thread."""
 
 from __future__ import annotations
 
 import io
 import json
 import re
-import threading
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from bench.cli.bath import (
+    HEIGHT,
+    WIDTH,
     BathView,
     open_bath,
     output_strip,
@@ -31,10 +30,8 @@ from instruments.bath.emulator import BathEmulator
 from instruments.bath.line_emulator import LineEmulator
 from instruments.bath.profile import SHIPPED, LineProfile, load_profile, load_register_profile
 from instruments.bath.reading import BathReading
-from instruments.clock import RealClock
-from instruments.listener import Listener
 from instruments.world.plant import Plant
-from tests.bench.commands import Said, teatbench
+from tests.bench.commands import Said, served, teatbench
 
 
 @dataclass
@@ -47,18 +44,10 @@ class Served:
 @pytest.fixture
 def bath() -> Iterator[Served]:
     """``at`` are the arguments that lead to it."""
-    clock, plant = RealClock(), Plant(1, start_c=25.0)
-    emulator = BathEmulator(plant, load_register_profile("julabo-presto"), clock)
-    listener = Listener(emulator, clock, lock=threading.RLock(), name="bath")
-    try:
-        yield Served(
-            plant,
-            emulator,
-            ["--port", listener.url.replace("socket://", "tcp://"), "--profile", "julabo-presto"],
-        )
-    finally:
-        listener.close()
-        clock.close()
+    plant, profile = Plant(1, start_c=25.0), load_register_profile("julabo-presto")
+    with served(lambda clock: BathEmulator(plant, profile, clock)) as (emulator, url):
+        at = ["--port", url.replace("socket", "tcp"), "--profile", "julabo-presto"]
+        yield Served(plant, emulator, at)
 
 
 def test_read_says_everything_with_units(bath: Served, said: Said) -> None:
@@ -70,31 +59,24 @@ def test_read_says_everything_with_units(bath: Served, said: Said) -> None:
     lines = dict(line.split(": ", 1) for line in shown.split("\n"))
     assert list(lines) == list(note)
     assert lines["family"] == "JULABO PRESTO"
-
-
-def test_read_leaves_a_hot_bath_as_it_is(bath: Served, said: Said) -> None:
     bath.plant.run(33.0)
     assert json.loads(said(0, "bath read {} --json", bath.at).out)["run"] == "started"
-    assert bath.plant.running
+    assert bath.plant.running, "reading leaves a hot bath as it is"
 
 
 @pytest.mark.slow
 def test_learn_says_row_by_row_what_answered_and_writes_nothing(tmp_path: Path, said: Said) -> None:
     """A profile with one wrong command and one wrong form, on a JULABO that heats."""
-    profile, clock, plant = load_profile("julabo-ascii"), RealClock(), Plant(1, start_c=25.0)
+    profile, plant = load_profile("julabo-ascii"), Plant(1, start_c=25.0)
     assert isinstance(profile, LineProfile)
     text = (SHIPPED / "julabo-ascii.toml").read_text(encoding="utf-8")
     text = text.replace('ask = "in_pv_01"', 'ask = "in_pv_99"')
     text = text.replace('reply = "<number> <text>"', 'reply = "<number>"')
     mine = tmp_path / "mine.toml"
     mine.write_text(text.replace("timeout_s = 1.0", "timeout_s = 0.3"), encoding="utf-8")
-    device = LineEmulator(plant, profile, clock)
     plant.run(33.0)
-    with (
-        closing(clock),
-        closing(Listener(device, clock, lock=threading.RLock(), name="bath")) as listener,
-    ):
-        at = ["--port", listener.url.replace("socket", "tcp"), "--profile", str(mine)]
+    with served(lambda clock: LineEmulator(plant, profile, clock)) as (_, url):
+        at = ["--port", url.replace("socket", "tcp"), "--profile", str(mine)]
         out = said(0, "bath learn {}", at).out
         rows = {one["row"]: one for one in json.loads(said(0, "bath learn {} --json", at).out)}
     lines = {line.split()[1]: line for line in out.splitlines()}
@@ -138,9 +120,7 @@ def test_watch_prints_a_line_a_second_without_a_terminal(bath: Served, said: Sai
 
 
 class ExpectedScene(io.StringIO):
-    """A terminal at which somebody presses Ctrl-C when it has been drawn anew after each of three
-    readings.
-    """
+    """A terminal at which somebody presses Ctrl-C after three readings."""
 
     pressed = False
 
@@ -161,7 +141,7 @@ def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
         open_bath(bath.at[1], profile_of("julabo-presto")) as (driver, clock),
         pytest.raises(KeyboardInterrupt),
     ):
-        watch_bath(driver, clock, console)
+        watch_bath(driver, clock, console, 600.0)
     frames = shown.getvalue().split("last ")
     last = frames[-2] + frames[-1]
     assert "33.00 ─" in last, "the set point is a line"
@@ -173,7 +153,7 @@ def test_watch_on_a_terminal_is_a_live_plot_of_everything(bath: Served) -> None:
 
 
 def test_a_stable_bath_says_so_and_one_on_its_way_says_when() -> None:
-    view = BathView(StabilityGate(33.0, window_s=60.0))
+    view = BathView(StabilityGate(33.0, window_s=60.0), attrgetter("raw"))
     lines = []
     for t in range(200):
         temp_c = min(33.0, 31.0 + t * 0.04) + 0.004 * (t % 2)
@@ -182,30 +162,16 @@ def test_a_stable_bath_says_so_and_one_on_its_way_says_when() -> None:
     assert "stable in 1:36 min at the earliest" in lines[10], lines[10]
     assert "settling, stable in 0:" in lines[80]
     assert lines[-1].endswith("stable, stable now")
-    strip = output_strip(
-        [a_reading(float(t), 33.0, 100.0 if t < 36 else 3.0) for t in range(72)], width=72
-    )
+    strip = output_strip([a_reading(float(t), 33.0, 100.0 if t < 36 else 3.0) for t in range(72)])
     assert (strip.count("█"), strip.count("▁")) == (35, 36), "one column is that of now"
-
-
-def test_an_output_that_is_not_told_has_no_strip() -> None:
-    assert output_strip([a_reading(0.0, 33.0, None)]) == ""
+    assert output_strip([a_reading(0.0, 33.0, None)]) == "", "an output that is not told"
 
 
 def a_reading(
     t_s: float, temp_c: float, output_percent: float | None, alarm: int = 0
 ) -> BathReading:
-    return BathReading(
-        t_s=t_s,
-        temp_c=temp_c,
-        raw=(round(temp_c * 1000),),
-        external_c=None,
-        power_percent=output_percent,
-        safety_c=None,
-        alarm=alarm,
-        warning=0,
-        remote=True,
-    )
+    raw, others = (round(temp_c * 1000),), (None, alarm, 0, True)
+    return BathReading(t_s, temp_c, raw, None, output_percent, *others)
 
 
 def test_a_set_point_beyond_the_profile_is_refused_and_not_sent(bath: Served, said: Said) -> None:
@@ -218,24 +184,22 @@ def samples(at: dict[float, float]) -> list[BathReading]:
 
 
 def test_the_plot_has_the_set_point_as_a_line_and_the_bath_as_points() -> None:
-    lines = plot(samples({float(t): 20.0 + t / 10 for t in range(131)}), 33.0, width=40, height=10)
-    assert len(lines) == 11
-    assert {len(line) for line in lines[:10]} == {48}
+    lines = plot(samples({float(t): 20.0 + t / 10 for t in range(131)}), 33.0)
+    assert len(lines) == HEIGHT + 1
+    assert {len(line) for line in lines[:-1]} == {8 + WIDTH}
     (line,) = [text for text in lines if "33.00" in text]
     assert "─" in line
     columns = [
-        next((i for i, text in enumerate(lines[:10]) if text[8 + x] == "•"), None)
-        for x in range(40)
+        next((i for i, text in enumerate(lines[:-1]) if text[8 + x] == "•"), None)
+        for x in range(WIDTH)
     ]
     assert None not in columns
     assert columns == sorted(columns, key=lambda row: -(row or 0)), "it rises from left to right"
 
 
 def test_a_steady_bath_does_not_fill_the_plot_with_its_noise() -> None:
-    lines = plot(
-        samples({float(t): 33.0 + 0.004 * (t % 2) for t in range(60)}), 33.0, width=40, height=11
-    )
-    assert sum("•" in line for line in lines[:11]) <= 2
+    lines = plot(samples({float(t): 33.0 + 0.004 * (t % 2) for t in range(60)}), 33.0)
+    assert sum("•" in line for line in lines[:-1]) <= 2
 
 
 @pytest.mark.parametrize(
@@ -263,7 +227,7 @@ def test_the_time_to_stable_is_way_and_window(
 
 
 def test_a_bath_that_cannot_be_read_is_reported_beside_its_last_reading() -> None:
-    view = BathView(StabilityGate(33.0))
+    view = BathView(StabilityGate(33.0), attrgetter("raw"))
     assert view.line() == "no reading yet"
     reading = a_reading(1.0, 24.0, None, alarm=3)
     view.add(reading, 33.0, started=True)

@@ -1,11 +1,10 @@
-"""The files that docs/scoring.md offers: its script judges a change, and both services are given what that
-script writes.
-"""
+"""docs/scoring.md's script judges a change; both services are given what it writes."""
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,8 +12,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.bench.commands import teatbench
 from tests.bench.small_recording import ENDS_MM, write_recording
-from tests.conftest import ROOT
+from tests.conftest import NO_FIGURE, ROOT
 
 CI = ROOT / "docs" / "ci"
 SCRIPT = (CI / "score.sh").read_text(encoding="utf-8")
@@ -30,11 +30,23 @@ for line in sys.stdin:
 """
 
 
+# the command, whose figures nobody looks at here
+PROGRAM = f"""#!{sys.executable}
+import sys
+from matplotlib.figure import Figure
+Figure.savefig = lambda _, file, **__: file.write({NO_FIGURE!r})
+from bench.cli.main import main
+sys.exit(main())
+"""
+
+
 def sh(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    names = {f"GIT_{who}_NAME": "a" for who in ("AUTHOR", "COMMITTER")}
-    names |= {f"GIT_{who}_EMAIL": "a@b" for who in ("AUTHOR", "COMMITTER")}
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = {**os.environ, **names, "PATH": path}
+    environment = {f"GIT_{who}_NAME": "a" for who in ("AUTHOR", "COMMITTER")}
+    environment |= {f"GIT_{who}_EMAIL": "a@b" for who in ("AUTHOR", "COMMITTER")}
+    path = os.pathsep.join(
+        (str(folder / "bin"), str(Path(sys.executable).parent), os.environ["PATH"])
+    )
+    environment = {**os.environ, **environment, "PATH": path, "PYTHONPATH": str(ROOT)}
     return subprocess.run(
         ["bash", "-c", command],
         cwd=folder,
@@ -47,27 +59,29 @@ def sh(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="the services' machines of the page are Linux")
-@pytest.mark.parametrize(("off_mm", "gate"), [(0.0, 4), (12.0, 1)])
 def test_the_script_tells_a_worse_detector_from_one_that_few_poses_cannot_judge(
-    off_mm: float, gate: int, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     """A recording of five poses: an equal detector is inconclusive there, as the page says."""
     write_recording(tmp_path / "recordings" / "lab")
-    before, after = (DETECTOR.format(off_mm=off, ends=ENDS_MM) for off in (0.0, off_mm))
+    (tmp_path / "bin").mkdir()
+    before, after = (DETECTOR.format(off_mm=off, ends=ENDS_MM) for off in (0.0, 12.0))
     declared = f'command = [{json.dumps(sys.executable)}, "detector.py"]\n'
     for name, text in (
         ("score.sh", SCRIPT),
         ("detector.toml", declared),
         ("detector.py", before),
+        ("bin/teatbench", PROGRAM),
     ):
         (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "bin" / "teatbench").chmod(0o755)
     began = sh("git init -q -b main && git add . && git commit -q -m before", tmp_path)
-    (tmp_path / "detector.py").write_text(f"{after}# changed\n", encoding="utf-8")
+    (tmp_path / "detector.py").write_text(after, encoding="utf-8")
     changed = sh("git checkout -q -b change && git commit -q -a -m after", tmp_path)
     assert (began.returncode, changed.returncode) == (0, 0)
     (tmp_path / "before").mkdir()  # what a job left behind is in nobody's way
     done = sh("bash score.sh main", tmp_path)
-    assert done.returncode == gate, done.stdout + done.stderr
+    assert done.returncode == 1, done.stdout + done.stderr
     assert (tmp_path / "difference" / "index.html").is_file()
     (github,) = (
         step["with"] for step in GITHUB["jobs"]["score"]["steps"] if "junit" in step.get("uses", "")
@@ -75,6 +89,8 @@ def test_the_script_tells_a_worse_detector_from_one_that_few_poses_cannot_judge(
     for pattern in (github["report_paths"], GITLAB["score"]["artifacts"]["reports"]["junit"]):
         (junit,) = tmp_path.glob(pattern)
         assert "<testcase" in junit.read_text(encoding="utf-8")
+    (old,) = (tmp_path / "old").iterdir()
+    assert teatbench("compare {} {} --gate", old, shutil.copytree(old, tmp_path / "equal")) == 4
     assert sh("bash score.sh no-such-branch", tmp_path).returncode not in (0, 1, 4)
 
 

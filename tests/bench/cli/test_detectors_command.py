@@ -1,17 +1,30 @@
-"""`detectors new` writes a detector that answers; `detectors try` says what is wrong with one."""
+"""`detectors new` writes a detector that answers, a learned one too; `detectors try` says what is
+wrong with one; docs/first-detector.md, followed word by word, makes one, and docs/detectors.md names
+the thesis's variants and failures.
+"""
 
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import onnxruntime
 import pytest
 
-from tests.bench.commands import Said
+from bench.config import read_config
+from bench.record.reader import read_run
+from bench.results.thesis_figures import thesis
+from bench.script.detectors import DetectorFile
+from detector.external import Limits
+from detector.registry import available
+from tests.bench.commands import Said, teatbench
 from tests.bench.small_recording import write_recording
+from tests.conftest import ROOT
 
 READY = "print('{\"ready\": true}', flush=True)\n"
 ANSWER = READY + "import json, sys\nfor line in sys.stdin:\n    frame = json.loads(line)['frame']\n"
@@ -90,3 +103,108 @@ def test_each_fault_is_explained(
     ).err
     assert why in seen
     assert what_to_do in seen
+
+
+MOST_BYTES = 300_000
+
+
+@pytest.mark.slow
+def test_it_finds_ends_that_it_was_not_trained_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    written = said(0, "detectors new onnx --name mine --out .").out
+    assert "pip install onnxruntime" in written
+    tried = said(0, "detectors try mine.toml").out
+    assert "detector mine on cpu, frame ideal-0020" in tried  # 0 to 19 are of its training
+    assert "; 4 can be seen" in tried
+    names = ["mine.find.onnx", "mine.place.onnx"]
+    assert all(Path(name).stat().st_size < MOST_BYTES for name in names)
+    find = onnxruntime.InferenceSession(names[0], providers=["CPUExecutionProvider"])
+    trained = json.loads(find.get_modelmeta().custom_metadata_map["trained_on"])
+    assert trained["ideal"] == [[0, 19]]
+    mine = ["--detector", f'exec:"{sys.executable}" mine.py {" ".join(names)}']
+    held_out = "scene record --seeds 1 --first 7000 --out held --situation"
+    for family in ("ideal", "non_vertical"):
+        said(0, f"{held_out} {family}")
+    assert teatbench("score held {} --out runs", mine) in (0, 1, 4)  # 2 poses show no rate
+    (folder,) = Path("runs").iterdir()
+    run = read_run(folder)
+    found = [trial.scores["exec-mine"] for trial in run.trials]
+    errors = [mm for score in found for mm in score.match.distances_mm]
+    assert sum(len(trial.truth) for trial in run.trials) == 8
+    assert np.count_nonzero(np.array(errors) < 10.0) >= 7
+    rows = [row for trial in run.trials for row in trial.detections]
+    assert [row["cold"] for row in rows] == [1, 0]
+    assert [row["wall_start_up_s"] is not None for row in rows] == [True, False]
+    item = run.facts["items"]["exec-mine"]
+    assert item["device"] == "cpu"
+    assert json.loads(item["configuration"])["files_sha256"].keys() >= set(names)
+    refused = said(2, "campaign run --family ideal --scenes 2 --first 19 --out c {}", mine).err
+    assert "detector exec-mine says that it was trained on ideal 19" in refused
+
+
+TUTORIAL, PAGE = (
+    (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    for name in ("first-detector", "detectors")
+)
+
+
+def block(language: str) -> str:
+    found = re.search(rf"```{language}\n(.*?)```", TUTORIAL, re.DOTALL)
+    assert found
+    return found[1]
+
+
+@pytest.mark.slow
+def test_the_tutorial_word_by_word(
+    tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = block("python")
+    assert len(program.strip().splitlines()) <= 20
+    monkeypatch.chdir(tmp_path)
+    for name, text in (("my_detector.py", program), ("mine.toml", block("toml"))):
+        assert f"`{name}`" in TUTORIAL
+        text = text.replace('"python3"', json.dumps(sys.executable))
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    record, detect, score = (
+        line.removeprefix("teatbench ") for line in block("sh").strip().splitlines()
+    )
+    said(0, record)
+    lines = [json.loads(line) for line in said(0, detect).out.strip().splitlines()]
+    assert len(lines) == 2
+    for line in lines:
+        assert (line["detector"], line["hidden"], line.get("reason")) == ("mine", 2, None)
+        in_space, in_pixels = line["teats"]
+        assert in_space["world_mm"] == [-160.0, 205.0, 136.0]
+        assert in_space["covariance_mm2"][1][1] == 0.4
+        assert np.abs(in_pixels["world_mm"]).max() < 1000
+    table = said(1, score).out
+    assert "mine" in table
+    assert "fused" in table
+    (run,) = (tmp_path / "runs").iterdir()
+    assert (run / "report" / "index.html").is_file()
+
+
+def test_the_file_shows_the_defaults(tmp_path: Path) -> None:
+    (tmp_path / "example.toml").write_text(block("toml"), encoding="utf-8")
+    shown, usual = read_config(tmp_path / "example.toml", DetectorFile), Limits()
+    assert (shown.start_limit_s, shown.time_limit_s, shown.memory_limit_mib) == (
+        usual.start_s,
+        usual.answer_s,
+        usual.memory_mib,
+    )
+    assert (shown.restarts, shown.faults_in_a_row) == (usual.restarts, usual.in_a_row)
+
+
+def test_every_variant_of_the_thesis_is_reported() -> None:
+    for name in available([]):
+        assert f"`{name}`" in PAGE, name
+
+
+def test_the_published_failures_are_reported() -> None:
+    text = re.findall(r"^\| `(\w+)` \| (\d) \|", PAGE, re.MULTILINE)
+    assert [(name, int(found)) for name, found in text] == [
+        (one.name, one.found) for one in thesis().situations
+    ]
+    assert {one.present for one in thesis().situations} == {4}

@@ -1,6 +1,4 @@
-"""`run --dry-run`: what it says and exits with, on emulated and real rigs, and that it leaves
-nothing behind.
-"""
+"""`run --dry-run` on emulated and real rigs: words, exit codes, nothing left behind."""
 
 from __future__ import annotations
 
@@ -16,7 +14,10 @@ from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import EmulatedStage
 from bench.script.model import find_script
 from instruments.clock import RealClock
+from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said, lab_rig
+
+DRY = "run {} --dry-run --out {}"
 
 
 @pytest.mark.slow
@@ -26,7 +27,8 @@ def test_the_command_says_what_and_exits_with_2(tmp_path: Path, said: Said) -> N
     text = text.replace("cycles = 30", "cycles = 2")
     path = tmp_path / "wide.toml"
     path.write_text(text, encoding="utf-8")
-    seen = said(2, "run {} --dry-run --out {}", path, tmp_path / "runs").out
+    given = path, tmp_path / "runs", write_small_rig(tmp_path)
+    seen = said(2, f"{DRY} --rig {{}}", *given).out
     for note in (
         "p-2: limits: x +160 mm, y +96 mm needs the stage's X axis at 10, which goes from -300 to 0",
         "10 trials at 5 poses: 1 problem. Nothing was moved.",
@@ -40,9 +42,8 @@ def test_the_command_says_what_and_exits_with_2(tmp_path: Path, said: Said) -> N
 
 @pytest.mark.slow
 def test_a_clean_script_exits_with_0(short_script: Path, tmp_path: Path, said: Said) -> None:
-    gone_through, first, time, room = said(
-        0, "run {} --dry-run --out {}", short_script, tmp_path / "runs"
-    ).out.splitlines()
+    given = short_script, tmp_path / "runs", write_small_rig(tmp_path)
+    gone_through, first, time, room = said(0, f"{DRY} --rig {{}}", *given).out.splitlines()
     assert gone_through.startswith(
         "gone through on emulators, in virtual time: 6 of 6 trials; frames of 6 were rendered and"
         " checked"
@@ -62,7 +63,6 @@ SCRIPT["requirements"] = [{"kind": "bath_in_band", "name": "bath", "band_k": 0.5
 def trials():
     yield {"name": "one", "situation": "ideal", "layout": "single", "set_up": "One teat."POSE}
 """
-DRY = "run {} --dry-run --out {}"
 NO_STAGE = "/dev/tty-there-is-none"
 
 

@@ -1,20 +1,12 @@
-"""Text from files, detectors and the wire that would steer a terminal, break XML or be a formula:
-shown everywhere, doing nothing.
-"""
+"""Text that would steer a terminal, break XML or be a formula is shown, doing nothing."""
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import json
-import os
 import re
-import shutil
-import socket
-import subprocess
 import sys
-import threading
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -24,12 +16,13 @@ from hypothesis import strategies as st
 from rich.text import Text
 
 from bench.cli.terminal import Terminal
-from bench.rig.loading import RIGS
 from bench.script.model import TRIALS
+from instruments.listener import Connection
 from reports.sanitize import csv_text, sanitized
-from tests.bench.commands import Said, teatbench
+from tests.bench.calibrate.arm_terminal import at_terminal
+from tests.bench.campaign.small_campaign import write_small_rig
+from tests.bench.commands import Said, served, teatbench
 from tests.bench.small_recording import write_recording
-from tests.conftest import ROOT
 
 HOSTILE = "\x1b[2J\x1b]0;owned\x07\x9b31m\x00\u202edlrow\u2066 [/red][link=http://evil]here"
 UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
@@ -49,34 +42,6 @@ for number, line in enumerate(sys.stdin):
         sys.exit(3)
     print(json.dumps({{"frame": asked["frame"], "teats": [], "reason": "@" + hostile}}), flush=True)
 """
-
-
-def on_a_terminal(folder: Path, *arguments: str) -> tuple[int, str]:
-    """A command's exit code, and all that it wrote to a pseudo-terminal."""
-    near, far = os.openpty()
-    command = [sys.executable, "-m", "bench.cli", *arguments]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm-256color", "COLUMNS": "100"}
-    with subprocess.Popen(
-        command,
-        cwd=folder,
-        env=environment,
-        stdin=far,
-        stdout=far,
-        stderr=far,
-        start_new_session=True,
-    ) as process:
-        os.close(far)
-        written = b""
-        while True:
-            try:
-                data = os.read(near, 1 << 16)
-            except OSError:  # EIO: nobody has the other end any more
-                data = b""
-            if not data:
-                break
-            written += data
-        os.close(near)
-    return process.returncode, written.decode("utf-8")
 
 
 def check_terminal(text: str) -> None:
@@ -100,32 +65,21 @@ def check_files(run: Path) -> None:
 
 def check_cells(table: Path) -> None:
     """No cell steers anything or begins a formula; a number may begin with its sign."""
-    cells = [
-        cell
-        for row in csv.reader(io.StringIO(table.read_bytes().decode(), newline=""))
-        for cell in row
-    ]
+    rows = csv.reader(io.StringIO(table.read_bytes().decode(), newline=""))
+    cells = [cell for row in rows for cell in row]
     assert UNSAFE.findall("".join(cells)) == []
-    assert [
-        cell
-        for cell in cells
-        if cell.startswith(("=", "+", "@", "-")) and not re.fullmatch(r"[-+][\d.e+-]+", cell)
-    ] == []
+    formulas = (cell for cell in cells if cell.startswith(("=", "+", "@", "-")))
+    assert [one for one in formulas if not re.fullmatch(r"[-+][\d.e+-]+", one)] == []
 
 
 @pytest.mark.slow
 def test_names_of_a_recording_and_words_of_a_detector(tmp_path: Path, said: Said) -> None:
-    recording = write_recording(
-        tmp_path
-        / f"five{'' if sys.platform == 'win32' else HOSTILE.replace('/', '').translate({0: None})}"
-    )
+    hostile = HOSTILE.replace("\x00", "")
+    of_a_file = "" if sys.platform == "win32" else hostile.replace("/", "")
+    recording = write_recording(tmp_path / f"five{of_a_file}")
     truth = recording / "truth.csv"
-    named = (
-        truth.read_text(encoding="utf-8")
-        .replace(",calm,", f",=calm{HOSTILE},".replace("\x00", ""))
-        .replace(",windy,", ",-windy,")
-    )
-    truth.write_text(named, encoding="utf-8")
+    named = truth.read_text(encoding="utf-8").replace(",calm,", f",=calm{hostile},")
+    truth.write_text(named.replace(",windy,", ",-windy,"), encoding="utf-8")
     (tmp_path / "mine.py").write_text(PROGRAM, encoding="utf-8")
     declared = f"version = {TOML}\ncommand = [{json.dumps(sys.executable)}, 'mine.py']\n"
     (tmp_path / "mine.toml").write_text(declared, encoding="utf-8")
@@ -143,56 +97,51 @@ def test_names_of_a_recording_and_words_of_a_detector(tmp_path: Path, said: Said
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 def test_a_script_and_a_rig_on_a_real_terminal(tmp_path: Path) -> None:
     script = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
     head, _, trials = script.partition("[[trials]]")
-    head = head.replace('title = "Six situations"', f"title = {TOML}").replace(
-        'name = "reliability"', f"name = {TOML}"
-    )
-    head = head.replace("repeats = 3", "repeats = 1").replace("about =", "about = " + TOML + " #")
+    for old, new in {
+        'title = "Six situations"': f"title = {TOML}",
+        'name = "reliability"': f"name = {TOML}",
+        "repeats = 3": "repeats = 1",
+        "about =": f"about = {TOML} #",
+    }.items():
+        head = head.replace(old, new)
     first = re.sub("set_up = .*", lambda _: f"set_up = {TOML}", trials.partition("[[trials]]")[0])
     (tmp_path / "script.toml").write_text(f"{head}[[trials]]{first}", encoding="utf-8")
-    shutil.copy(RIGS / "calibration.toml", tmp_path)
-    rig = (RIGS / "emulated.toml").read_text(encoding="utf-8").replace('"emulated rig"', TOML)
-    (tmp_path / "rig.toml").write_text(
-        rig.replace('"emulator:"', '"script:answers.txt"', 1), encoding="utf-8"
-    )
+    rig = write_small_rig(tmp_path)
+    text = rig.read_text(encoding="utf-8").replace('"emulated rig"', TOML)
+    rig.write_text(text.replace('"emulator:"', '"script:answers.txt"', 1), encoding="utf-8")
     kinds = ("homing", "check point", "set up", "touch")
-    (tmp_path / "answers.txt").write_text(
-        "".join(f"otherwise {kind}: go\n" for kind in kinds), encoding="utf-8"
-    )
-    code, said = on_a_terminal(tmp_path, "run", "script.toml", "--rig", "rig.toml", "--out", "runs")
-    assert code in (1, 4), said
-    check_terminal(said)
-    (run,) = (tmp_path / "runs").iterdir()
-    check_files(run)
-    code, said = on_a_terminal(tmp_path, "trials", "show", "script.toml")
-    assert code == 0
-    check_terminal(said)
+    answers = "".join(f"otherwise {kind}: go\n" for kind in kinds)
+    (tmp_path / "answers.txt").write_text(answers, encoding="utf-8")
+    run = "run script.toml --rig rig.toml --out runs"
+    for command, codes in ((run, (1, 4)), ("trials show script.toml", (0,))):
+        with at_terminal(command.split(), 100, tmp_path) as terminal:
+            assert terminal.code() in codes, terminal.text
+        check_terminal(terminal.text)
+    (folder,) = (tmp_path / "runs").iterdir()
+    check_files(folder)
+
+
+class Board:
+    """Welcomes as Grbl does, and has a version that would clear the screen."""
+
+    def connect(self, connection: Connection) -> None:
+        connection.send(b"\r\nGrbl 1.1h ['$' for help]\r\n")
+
+    def receive(self, connection: Connection, data: bytes) -> None:
+        hostile = HOSTILE[:13]
+        connection.send(f"$13={hostile}\r\n[VER:1.1h.20190825:{hostile}]\r\nok\r\n".encode())
+
+    def disconnect(self, connection: Connection) -> None: ...
 
 
 @pytest.mark.slow
-def test_words_on_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
-    """A board that welcomes as Grbl does, and answers whatever it is asked with a version that
-    would clear the screen.
-    """
-    with socket.create_server(("127.0.0.1", 0)) as server:
-
-        def serve() -> None:
-            with contextlib.suppress(OSError), server.accept()[0] as connection:
-                connection.sendall(b"\r\nGrbl 1.1h ['$' for help]\r\n")
-                while connection.recv(1024):
-                    connection.sendall(
-                        f"$13={HOSTILE[:13]}\r\n[VER:1.1h.20190825:{HOSTILE[:13]}]\r\nok\r\n".encode()
-                    )
-
-        board = threading.Thread(target=serve)
-        board.start()
-        code = teatbench("stage status --port {}", f"socket://127.0.0.1:{server.getsockname()[1]}")
-        board.join()
-    seen = "".join(capsys.readouterr())
-    assert (code, UNSAFE.findall(seen)) == (3, [])
+def test_words_on_the_wire(said: Said) -> None:
+    with served(lambda _: Board()) as (_, url):
+        seen = "".join(said(3, "stage status --port {}", url))
+    assert UNSAFE.findall(seen) == []
     assert "[2J" in seen
 
 

@@ -1,6 +1,4 @@
-"""`init`: what stands at ports is found without anything moved, heated or set; the file that is
-written can be checked, and says what is missing.
-"""
+"""`init` finds instruments without moving, heating or setting any, and writes a rig."""
 
 from __future__ import annotations
 
@@ -47,22 +45,32 @@ def typed(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(lines) + "\n"))
 
 
+@pytest.fixture
+def sent(monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
+    """What was written to each link, by its URL."""
+    bytes_of: dict[str, bytes] = {}
+    write = Link.write
+
+    def noted(link: Link, data: bytes) -> None:
+        bytes_of[link.url] = bytes_of.get(link.url, b"") + data
+        write(link, data)
+
+    monkeypatch.setattr(Link, "write", noted)
+    return bytes_of
+
+
 def rig_of(path: Path) -> Rig:
     return load_rig(path).rig
 
 
 @pytest.mark.slow
 def test_instruments_are_found_and_nothing_of_them_changes(
-    twin: EmulatedRig, tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
+    twin: EmulatedRig,
+    tmp_path: Path,
+    said: Said,
+    monkeypatch: pytest.MonkeyPatch,
+    sent: dict[str, bytes],
 ) -> None:
-    sent: dict[str, bytes] = {}
-    write = Link.write
-
-    def noted(link: Link, data: bytes) -> None:
-        sent[link.url] = sent.get(link.url, b"") + data
-        write(link, data)
-
-    monkeypatch.setattr(Link, "write", noted)
     urls: Mapping[str, str] = {name: twin.urls[name] for name in ("arm", "bath", "stage")}
     plant, stage = twin.world.plant, twin.stage
     assert stage
@@ -118,6 +126,7 @@ def test_stages_of_every_firmware_are_found_by_questions_alone(
     tmp_path: Path,
     said: Said,
     monkeypatch: pytest.MonkeyPatch,
+    sent: dict[str, bytes],
     dialect: Dialect,
     answers: list[str],
     expected: dict[str, object],
@@ -125,13 +134,6 @@ def test_stages_of_every_firmware_are_found_by_questions_alone(
 ) -> None:
     clock = Clock()
     stage = StageEmulator(clock, dialect=dialect)
-    sent, write = bytearray(), Link.write
-
-    def noted(link: Link, data: bytes) -> None:
-        sent.extend(data)
-        write(link, data)
-
-    monkeypatch.setattr(Link, "write", noted)
     monkeypatch.setattr("bench.cli.init.RealClock", lambda: clock)
     typed(monkeypatch, "lab", "XY", *answers, "", "", "")
     before = tuple(stage.position_mm())
@@ -147,7 +149,7 @@ def test_stages_of_every_firmware_are_found_by_questions_alone(
     assert found
     assert {key: getattr(found, key) for key in expected} == expected
     assert f"{listener.url}: stage, {dialect.name}" in text
-    assert set(sent) <= set(allowed)
+    assert set(b"".join(sent.values())) <= set(allowed)
     assert tuple(stage.position_mm()) == before
 
 

@@ -1,6 +1,4 @@
-"""`teatbench scene sheet` and `scene record`: what they write, that it can be scored, and what they
-refuse.
-"""
+"""`teatbench scene …`: what is written, that it can be scored, and what is refused."""
 
 from __future__ import annotations
 
@@ -26,13 +24,10 @@ from tests.bench.commands import Said, teatbench, words
 def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
     tmp_path: Path, said: Said
 ) -> None:
-    out = tmp_path / "situations"
-    seen = words(
-        "scene record --situation overlapping --situation missing_or_hidden --seeds 2 --first 3"
-    )
-    assert "4 frames in" in said(0, "{} --out {}", seen, out).out
+    out, names = tmp_path / "situations", ("missing_or_hidden", "overlapping")
+    seen = "scene record --situation overlapping --situation missing_or_hidden --seeds 2 --first 3"
+    assert "4 frames in" in said(0, f"{seen} --out {{}}", out).out
     recording = Recording(out)
-    names = ("missing_or_hidden", "overlapping")
     assert recording.frames == tuple(f"{name}-000{seed}" for name in names for seed in (3, 4))
     renderer = rig_renderer(load_rig(find_rig(None)), 1)
     for name in names:
@@ -47,15 +42,13 @@ def test_a_recording_of_situations_can_be_read_and_has_exact_truth(
     assert frames.left.shape == (1024, 1360)
     assert frames.thermal_ck is not None
     assert frames.thermal_ck.shape == (120, 160)
-    assert (
-        load_rig(find_rig(None)).calibration_path.read_bytes()
-        == (out / "calibration.toml").read_bytes()
-    )
+    calibration = load_rig(find_rig(None)).calibration_path.read_bytes()
+    assert calibration == (out / "calibration.toml").read_bytes()
 
 
 @pytest.mark.slow
 def test_a_frame_is_the_same_whatever_else_is_recorded(tmp_path: Path) -> None:
-    rig = load_rig(find_rig(None))
+    rig = load_rig(write_small_rig(tmp_path))
     for folder, seeds in (("one", [5]), ("two", [4, 5])):
         list(record(rig, ["dim_light"], seeds, tmp_path / folder, seed=1))
     files = [
@@ -155,10 +148,8 @@ def test_a_sheet_has_a_row_for_each_member(tmp_path: Path, said: Said) -> None:
 def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path, said: Said) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     for command, why in (("record", "can't be written"), ("sheet", "there is no folder")):
-        refusal = said(
-            2, "scene {} --situation ideal --seeds 1 --out {}", command, tmp_path / "file" / "x"
-        ).err
-        assert why in refusal
+        scene = f"scene {command} --situation ideal --seeds 1 --out {{}}"
+        assert why in said(2, scene, tmp_path / "file" / "x").err
     refused = said(2, "scene sheet --out {}", tmp_path / "typo" / "sheet.png").err
     assert f"there is no folder {tmp_path / 'typo'}; name a file in a folder" in refused
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
@@ -173,24 +164,19 @@ def test_all_families_are_chosen_by_naming_none() -> None:
 
 @pytest.mark.slow
 def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
-    text = find_rig(None).read_text(encoding="utf-8")
-    (tmp_path / "calibration.toml").write_bytes(
-        load_rig(find_rig(None)).calibration_path.read_bytes()
-    )
-    rig = tmp_path / "rig.toml"
-    more = "\n[emulation.optical]\nread_noise_e = 9.0\naperture_mm = 3.0\n"
-    more += (
-        "\n[emulation.thermal]\nsensor_size = [80, 60]\nnetd_k = 0.05\nflat_field_every_s = 60.0\n"
-    )
-    rig.write_text(text + more, encoding="utf-8")
+    rig = write_small_rig(tmp_path)
+    text = rig.read_text(encoding="utf-8")
+    optical = "\n[emulation.optical]\nread_noise_e = 9.0\naperture_mm = 3.0\n"
+    thermal = "[emulation.thermal]\nsensor_size = [80, 60]\nnetd_k = 0.05\n"
+    rig.write_text(f"{text}{optical}{thermal}flat_field_every_s = 60.0\n", encoding="utf-8")
     said = read_config(rig, Rig).emulation
     renderer = rig_renderer(load_rig(rig), 1)
     assert said.optical.sensor() == renderer.left.readout.sensor
     assert renderer.left.readout.sensor.read_noise_e == 9.0
     assert renderer.left.readout.sensor.focus.aperture_mm == 3.0
-    thermal = renderer.thermal.readout.sensor
-    assert (thermal.width_px, thermal.height_px) == (80, 60)
-    assert (thermal.netd_k, thermal.drift.every_s) == (0.05, 60.0)
+    found = renderer.thermal.readout.sensor
+    assert (found.width_px, found.height_px) == (80, 60)
+    assert (found.netd_k, found.drift.every_s) == (0.05, 60.0)
     assert EmulatedThermal().sensor({}).width_px == 160
     assert EmulatedOptical().sensor().full_well_e == 13000.0
     rig.write_text(text + "\n[emulation.thermal]\nnetd = 0.05\n", encoding="utf-8")
@@ -200,9 +186,7 @@ def test_sensors_follow_the_rig_file(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_boards_are_found_in_their_pictures(tmp_path: Path, said: Said) -> None:
-    """The shipped chessboard, drawn by the scene, is what OpenCV's finder sees; it is whole in both
-    pictures.
-    """
+    """OpenCV's finder sees the whole shipped chessboard in both pictures."""
     shown = said(0, "scene boards chessboard-9x6-40 --poses 2 --out {}", tmp_path / "boards").out
     assert "2 frames in" in shown
     recording = Recording(tmp_path / "boards")
@@ -215,10 +199,10 @@ def test_boards_are_found_in_their_pictures(tmp_path: Path, said: Said) -> None:
 
 @pytest.mark.slow
 def test_a_heated_board_of_circles_fits_the_thermal_view(tmp_path: Path) -> None:
-    said = words(
-        "scene boards heated-circles-7x5-18 --warmer-k 14 --poses 1 --out {}", tmp_path / "boards"
+    boards = "scene boards heated-circles-7x5-18 --warmer-k 14 --poses 1"
+    assert (
+        teatbench(f"{boards} --camera thermal --camera left --out {{}}", tmp_path / "boards") == 0
     )
-    assert teatbench("{} --camera thermal --camera left", said) == 0
     warmth = Recording(tmp_path / "boards").load("pose-00").thermal_ck
     assert warmth is not None
     spots, _ = cv2.connectedComponents((warmth > 29315 + 500).astype(np.uint8))

@@ -1,5 +1,6 @@
-"""What a person sees of a run at a terminal: the screen as a terminal emulator shows it, not the
-bytes that were written.
+"""What a person sees at a terminal: the screen as a terminal emulator shows it, not the bytes that
+were written. What takes longer than two seconds shows a bar: on standard error, only where both
+streams are terminals, and never in what the command writes.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.bench.calibrate.arm_terminal import at_terminal
+from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import Said
 from tests.bench.operated_runs import SCRIPT, files, run_of
 
@@ -67,10 +69,26 @@ def test_a_bar_is_there_while_something_goes_on_and_gone_after_it(
     tmp_path: Path, short_script: Path, said: Said
 ) -> None:
     words = "going through the script on emulators"
-    dry = ["run", str(short_script), "--dry-run", "--out", str(tmp_path)]
-    with at_terminal(dry) as terminal:
+    dry = f"run {short_script} --dry-run --rig {write_small_rig(tmp_path)} --out {tmp_path}"
+    with at_terminal(dry.split()) as terminal:
         terminal.expect(words)
         assert terminal.code() == 0
     assert not any(words in row for row in terminal.screen.rows)
-    unseen = said(0, "run {} --dry-run --out {}", short_script, tmp_path)
+    unseen = said(0, dry)
     assert words not in unseen.out + unseen.err
+
+
+@pytest.mark.slow
+def test_a_terminal_has_a_bar_that_counts_and_a_pipe_has_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
+) -> None:
+    rig = write_small_rig(tmp_path)
+    record = f"scene record --rig {rig} --situation overlapping --seeds 1 --out {{}}"
+    piped, nothing = said(0, record, tmp_path / "a")
+    assert (piped.splitlines()[0], nothing) == ("overlapping-0000", "")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes it for a terminal
+    written, shown = said(0, record, tmp_path / "b")
+    assert written.splitlines()[0] == "overlapping-0000"
+    assert "rendering the scenes" in shown
+    assert "1/1" in shown
+    assert "reading the runs" in said(0, "runs {}", tmp_path).err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import sys
 import webbrowser
@@ -26,8 +27,10 @@ def test_the_demo_shows_ten_members_of_each_situation() -> None:
 
 @pytest.mark.slow
 def test_the_bench_comes_first_and_no_detector_spoils_another(
-    said: Said, short_script: Path, tmp_path: Path
+    said: Said, short_script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    quarters = itertools.count(0.0, 0.25)  # whatever the machine takes
+    monkeypatch.setattr("bench.results.answers.stopwatch_s", lambda: next(quarters))
     head, *trials = short_script.read_text(encoding="utf-8").split("[[trials]]")
     script = tmp_path / "two.toml"
     script.write_text("[[trials]]".join([head, *trials[4:]]), encoding="utf-8")

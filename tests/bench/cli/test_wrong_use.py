@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from bench.script.model import TRIALS
-from instruments.clock import RealClock
-from instruments.listener import Connection, Listener
-from tests.bench.commands import Said
+from instruments.listener import Connection
+from tests.bench.commands import Said, served
 
 EMULATED = "--port emulator:"
 NO_BATH = "--port tcp://127.0.0.1:1 --profile julabo-presto"
@@ -164,13 +163,8 @@ class Chatter(Silent):
 @pytest.mark.slow
 @pytest.mark.parametrize(("device", "word"), [(Silent(), "switched on"), (Chatter(), "not")])
 def test_what_does_not_answer_as_an_arm_is_named(device: Silent, word: str, said: Said) -> None:
-    clock = RealClock()
-    listener = Listener(device, clock, lock=threading.RLock(), name="other")
-    try:
-        refused = said(3, "arm read --port {} --homed", listener.url).err
-    finally:
-        listener.close()
-        clock.close()
+    with served(lambda _: device) as (_, url):
+        refused = said(3, "arm read --port {} --homed", url).err
     assert refused.startswith("teatbench: ")
     assert "arm" in refused
     assert word in refused

@@ -17,7 +17,7 @@ from bench.scoring.decisions import Verdict
 from bench.scoring.guard_band import acceptance_limit_mm, leak
 from bench.scoring.stated_u import StatedCheck
 from bench.script.model import ArmRequirement, find_script, load_script
-from tests.bench.calibrate.test_arm_verification import CROSS, SWUNG
+from tests.bench.calibrate.test_arm_dialogues import CROSS, SWUNG
 
 RULE = ArmRequirement(
     kind="arm_verified",

@@ -33,7 +33,7 @@ from bench.rig.arm_files import (
 )
 from bench.toml import toml_text
 from tests.bench.calibrate.arm_rig import MADE
-from tests.bench.calibrate.test_arm_verification import CROSS, SWUNG
+from tests.bench.calibrate.test_arm_dialogues import CROSS, SWUNG
 
 NEAR_MM = np.array([200.0, 0.0, 20.0])
 FRAME = TableFrame.from_touches(

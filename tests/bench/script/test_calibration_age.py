@@ -1,9 +1,8 @@
-"""How old a calibration may be, and whose cameras it is of:
-refused before a run, judged after it.
-"""
+"""How old a calibration may be, and whose cameras it is of: refused before a run, judged after."""
 
 from __future__ import annotations
 
+import shutil
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import date
@@ -11,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
 from bench.config import ConfigError
-from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
+from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.script.calibration_age import (
     CALIBRATION_FACT,
     calibration_fact,
@@ -24,6 +22,7 @@ from bench.script.calibration_age import (
 from bench.script.model import TRIALS, CalibrationRequirement, LoadedScript, load_script
 from detector.calibration import Calibration, Record, dump_calibration, load_calibration
 from instruments.errors import LimitError
+from tests.bench.commands import Said, lab_rig
 
 TODAY = date(2026, 11, 20)
 RULE = CalibrationRequirement(kind="calibration_fresh", name="calibration fresh", max_age_days=30)
@@ -44,11 +43,6 @@ def script(tmp_path: Path) -> LoadedScript:
     return load_script(path)
 
 
-@pytest.fixture
-def real() -> LoadedRig:
-    return load_rig(find_rig("lab.example"))
-
-
 @pytest.mark.parametrize(
     ("day", "said"),
     [
@@ -58,35 +52,30 @@ def real() -> LoadedRig:
         (None, r"no \[record\] that says when it was made"),
     ],
 )
-def test_the_age_that_a_script_allows(
-    day: str | None, said: str, real: LoadedRig, script: LoadedScript
-) -> None:
+def test_the_age_that_a_script_allows(day: str | None, said: str, script: LoadedScript) -> None:
+    real = load_rig(find_rig("lab.example"))
     rig = replace(real, made_calibration=made(day)) if day else real
     with pytest.raises(ConfigError, match=said) if said else nullcontext():
         refuse_old_calibration(rig, script, TODAY)
 
 
-class TestBeforeARun:
-    def test_a_script_that_asks_for_nothing_gets_any(self, real: LoadedRig) -> None:
-        refuse_old_calibration(real, load_script(TRIALS / "six-situations.toml"), TODAY)
+def test_who_asks_for_nothing_gets_any_and_emulated_cameras_are_made_from_theirs(
+    script: LoadedScript,
+) -> None:
+    any_age = load_script(TRIALS / "six-situations.toml")
+    for rig, asked in (("lab.example", any_age), (None, script)):
+        refuse_old_calibration(load_rig(find_rig(rig)), asked, TODAY)
 
-    def test_emulated_cameras_are_made_from_theirs(self, script: LoadedScript) -> None:
-        refuse_old_calibration(load_rig(find_rig(None)), script, TODAY)
 
-    def test_by_command_nothing_is_opened_and_the_exit_code_is_2(
-        self, tmp_path: Path, script: LoadedScript, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        (tmp_path / "calibration.toml").write_text(
-            dump_calibration(made("2020-01-01")), encoding="utf-8"
-        )
-        text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
-        (tmp_path / "lab.toml").write_text(text, encoding="utf-8")
-        out = str(tmp_path / "runs")
-        assert (
-            main(["run", str(script.path), "--rig", str(tmp_path / "lab.toml"), "--out", out]) == 2
-        )
-        assert "was made on 2020-01-01" in capsys.readouterr().err
-        assert not (tmp_path / "runs").exists()
+def test_by_command_nothing_is_opened_and_the_exit_code_is_2(
+    tmp_path: Path, script: LoadedScript, said: Said
+) -> None:
+    rig = lab_rig(tmp_path, {})
+    old = dump_calibration(made("2020-01-01"))
+    (tmp_path / "calibration.toml").write_text(old, encoding="utf-8")
+    run = "run {} --rig {} --out {}"
+    assert "was made on 2020-01-01" in said(2, run, script.path, rig, tmp_path / "runs").err
+    assert not (tmp_path / "runs").exists()
 
 
 SEEN = {
@@ -95,40 +84,35 @@ SEEN = {
 }
 
 
-class TestCameras:
-    @pytest.mark.parametrize(
-        "calibration",
-        [
-            made("2026-11-01", left="21876543", right="21876544"),
-            load_calibration(RIGS / "calibration.toml"),
-            made("2026-11-01", thermal="FLIR 7"),
-        ],
-        ids=["a serial number is enough", "no record", "a camera that is not there"],
-    )
-    def test_cameras_that_are_taken(self, calibration: Calibration) -> None:
-        refuse_other_cameras(calibration.record, SEEN)
+@pytest.mark.parametrize(
+    "calibration",
+    [
+        made("2026-11-01", left="21876543", right="21876544"),
+        load_calibration(RIGS / "calibration.toml"),
+        made("2026-11-01", thermal="FLIR 7"),
+    ],
+    ids=["a serial number is enough", "no record", "a camera that is not there"],
+)
+def test_cameras_that_are_taken(calibration: Calibration) -> None:
+    refuse_other_cameras(calibration.record, SEEN)
 
-    def test_cables_that_were_swapped(self) -> None:
-        said = r"made for the left camera '21876544', but the one that answers is 'Basler .*543'"
-        with pytest.raises(LimitError, match=said):
-            refuse_other_cameras(made("2026-11-01", left="21876544", right="21876543").record, SEEN)
 
-    @pytest.mark.slow
-    def test_in_a_run_it_is_an_instruments_fault(
-        self, tmp_path: Path, short_script: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        text = dump_calibration(made("2026-11-01", left="emulated 640 x 480"))
-        (tmp_path / "calibration.toml").write_text(text, encoding="utf-8")
-        (tmp_path / "rig.toml").write_text(
-            (RIGS / "emulated.toml").read_text(encoding="utf-8"), encoding="utf-8"
-        )
-        rig, out = str(tmp_path / "rig.toml"), str(tmp_path / "runs")
-        assert main(["run", str(short_script), "--rig", rig, "--out", out]) == 3
-        said = " ".join(capsys.readouterr().out.split())  # the terminal breaks lines
-        assert (
-            "made for the left camera 'emulated 640 x 480', but the one that answers is 'emulated"
-            " 1360 x 1024'" in said
-        )
+def test_cables_that_were_swapped() -> None:
+    said = r"made for the left camera '21876544', but the one that answers is 'Basler .*543'"
+    with pytest.raises(LimitError, match=said):
+        refuse_other_cameras(made("2026-11-01", left="21876544", right="21876543").record, SEEN)
+
+
+@pytest.mark.slow
+def test_in_a_run_other_cameras_are_an_instruments_fault(
+    tmp_path: Path, short_script: Path, said: Said
+) -> None:
+    text = dump_calibration(made("2026-11-01", left="emulated 640 x 480"))
+    (tmp_path / "calibration.toml").write_text(text, encoding="utf-8")
+    rig = shutil.copy(RIGS / "emulated.toml", tmp_path)
+    seen = said(3, "run {} --rig {} --out {}", short_script, rig, tmp_path / "runs").out
+    why = "'emulated 640 x 480', but the one that answers is 'emulated 1360 x 1024'"
+    assert f"made for the left camera {why}" in " ".join(seen.split())  # a terminal breaks lines
 
 
 @pytest.mark.parametrize(
@@ -146,7 +130,4 @@ def test_the_requirement(day: str | None, emulated: bool, verdict: str) -> None:
     calibration = made(day) if day else load_calibration(RIGS / "calibration.toml")
     facts = {CALIBRATION_FACT: calibration_fact(calibration, TODAY, emulated=emulated)}
     assert decide_calibration(RULE, facts).verdict == verdict
-
-
-def test_a_run_that_kept_nothing_of_it_is_not_measured() -> None:
     assert decide_calibration(RULE, {}).verdict == "not measured"

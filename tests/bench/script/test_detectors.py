@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
-from bench.cli.main import main
 from bench.config import ConfigError
 from bench.record.reader import read_run
 from bench.rig.loading import find_rig, load_rig
@@ -24,18 +25,20 @@ from tests.detector.children import NO_TEATS, answering, ask
 COMMAND = f"command = [{json.dumps(sys.executable)}, 'x.py']\n"
 
 
+def write(folder: Path, texts: Mapping[str, str]) -> None:
+    """These files in ``folder``, by name."""
+    for name, text in texts.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
+
+
 def test_names_commands_and_files_are_all_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "detectors").mkdir()
-    (tmp_path / "detectors" / "barn.toml").write_text(
-        f'about = "of the barn"\n{COMMAND}', encoding="utf-8"
-    )
-    (tmp_path / "far.toml").write_text(
-        f'name = "other"\nversion = "9"\ntime_limit_s = 2\n{COMMAND}', encoding="utf-8"
-    )
-    (tmp_path / "my detector.py").write_text("", encoding="utf-8")
+    barn, far = 'about = "of the barn"', 'name = "other"\nversion = "9"\ntime_limit_s = 2'
+    files = {"detectors/barn.toml": f"{barn}\n{COMMAND}", "far.toml": f"{far}\n{COMMAND}"}
+    write(tmp_path, files | {"my detector.py": ""})
     quoted = f'exec:"{sys.executable}" "my detector.py" --fast'
     made = make_detectors(["thesis", quoted, "far.toml", "barn", "thesis"])
     assert [detector.name for detector in made] == ["thesis", "exec-my-detector", "other", "barn"]
@@ -48,15 +51,10 @@ def test_names_commands_and_files_are_all_taken(
 
 
 def test_commands_are_taken_apart_as_each_system_writes_them() -> None:
-    assert taken_apart(r"python 'my detector.py' a\ b", windows=False) == [
-        "python",
-        "my detector.py",
-        "a b",
-    ]
-    assert taken_apart(r'"C:\Program Files\x.exe" C:\my\det.py', windows=True) == [
-        r"C:\Program Files\x.exe",
-        r"C:\my\det.py",
-    ]
+    posix = taken_apart(r"python 'my detector.py' a\ b", windows=False)
+    assert posix == ["python", "my detector.py", "a b"]
+    windows = taken_apart(r'"C:\Program Files\x.exe" C:\my\det.py', windows=True)
+    assert windows == [r"C:\Program Files\x.exe", r"C:\my\det.py"]
 
 
 @pytest.mark.slow
@@ -94,10 +92,9 @@ def test_it_is_not_scored_on_what_it_was_trained_on(
 
 
 def test_its_version_follows_its_files(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(COMMAND, encoding="utf-8")
     versions = set()
     for text in ("a", "b", "a"):
-        (tmp_path / "x.py").write_text(text, encoding="utf-8")
+        write(tmp_path, {"mine.toml": COMMAND, "x.py": text})
         versions.add(make_detectors(["mine.toml"], tmp_path)[0].version)
     assert len(versions) == 2
 
@@ -114,72 +111,55 @@ def test_its_version_follows_its_files(tmp_path: Path) -> None:
         ("lost.toml", "no program 'no-such-program-at-all'"),
         ("thesis.toml", '"thesis" is the name of a detector that ships'),
         ("name.toml", "name"),
+        ("one.toml two.toml", 'two detectors are called "same"'),
     ],
 )
 def test_what_cannot_be_used_is_reported(tmp_path: Path, name: str, note: str) -> None:
-    for file, text in {
+    files = {
         "bad.toml": "comand = ['x']",
         "lost.toml": "command = ['no-such-program-at-all']",
         "thesis.toml": COMMAND,
         "name.toml": f'name = "../up"\n{COMMAND}',
-    }.items():
-        (tmp_path / file).write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
-        make_detectors([name], tmp_path)
-    assert note in str(caught.value)
-
-
-def test_two_of_one_name_are_refused(tmp_path: Path) -> None:
-    for file in ("one.toml", "two.toml"):
-        (tmp_path / file).write_text(f'name = "same"\n{COMMAND}', encoding="utf-8")
-    with pytest.raises(ConfigError, match='two detectors are called "same"'):
-        make_detectors(["one.toml", "two.toml"], tmp_path)
+    }
+    write(tmp_path, files | dict.fromkeys(("one.toml", "two.toml"), f'name = "same"\n{COMMAND}'))
+    names = [name] if name.startswith("exec:") else name.split()
+    with pytest.raises(ConfigError, match=re.escape(note)):
+        make_detectors(names, tmp_path)
 
 
 def test_a_script_names_them_as_a_command_does(tmp_path: Path) -> None:
-    text = (
-        (TRIALS / "six-situations.toml")
-        .read_text(encoding="utf-8")
-        .replace('["thesis"]', '["thesis", "mine.toml", "exec:x"]')
-    )
-    (tmp_path / "trials.toml").write_text(text, encoding="utf-8")
-    (tmp_path / "mine.toml").write_text(COMMAND, encoding="utf-8")
+    text = (TRIALS / "six-situations.toml").read_text(encoding="utf-8")
+    text = text.replace('["thesis"]', '["thesis", "mine.toml", "exec:x"]')
+    write(tmp_path, {"trials.toml": text, "mine.toml": COMMAND})
     script = load_script(tmp_path / "trials.toml")
     (mine,) = make_detectors(script.script.detectors[1:2], script.path.parent)
     assert isinstance(mine, ExternalDetector)
-    (tmp_path / "trials.toml").write_text(
-        text.replace('"thesis", ', '"thesys", '), encoding="utf-8"
-    )
+    write(tmp_path, {"trials.toml": text.replace('"thesis", ', '"thesys", ')})
     with pytest.raises(ConfigError, match=r"no detector 'thesys'; did you mean \"thesis\""):
         load_script(tmp_path / "trials.toml")
     check_named(["exec:whatever", "what/ever.toml"])
 
 
 def test_the_list_tells_a_faulty_file_and_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: Said
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "detectors").mkdir()
-    (tmp_path / "detectors" / "bad.toml").write_text("command = 5", encoding="utf-8")
-    assert main(["detectors"]) == 0
-    said = capsys.readouterr().out
-    assert "bad: BROKEN: " in said
-    assert "thesis: " in said
+    write(tmp_path, {"detectors/bad.toml": "command = 5"})
+    listed = said(0, "detectors").out
+    assert "bad: BROKEN: " in listed
+    assert "thesis: " in listed
 
 
 def test_a_program_sees_the_variables_of_the_list_and_those_that_its_file_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("LAB_TOKEN", "secret")
-    monkeypatch.setenv("LAB_MODEL", "heavy")
-    monkeypatch.setenv("LANG", "C.UTF-8")
+    for name, value in {"LAB_TOKEN": "secret", "LAB_MODEL": "heavy", "LANG": "C.UTF-8"}.items():
+        monkeypatch.setenv(name, value)
     says = 'say({"frame": asked["frame"], "teats": [], "reason": json.dumps(dict(os.environ))})'
-    (tmp_path / "mine.py").write_text(answering(says), encoding="utf-8")
-    command = f"command = [{sys.executable!r}, 'mine.py']\n"
-    (tmp_path / "plain.toml").write_text(command, encoding="utf-8")
-    (tmp_path / "more.toml").write_text(
-        f"{command}environment = ['LAB_MODEL', 'NOT_THERE']\n", encoding="utf-8"
-    )
+    command = f"command = [{sys.executable!r}, 'mine.py']\nenvironment = "
+    files = {"mine.py": answering(says), "plain.toml": f"{command}[]"}
+    files["more.toml"] = f"{command}['LAB_MODEL', 'NOT_THERE']"
+    write(tmp_path, files | {"wrong.toml": f"{command}['A=B']"})
     seen = {}
     for detector in make_detectors(["plain.toml", "more.toml"], tmp_path):
         assert isinstance(detector, ExternalDetector)
@@ -194,6 +174,5 @@ def test_a_program_sees_the_variables_of_the_list_and_those_that_its_file_names(
     assert set(seen["plain"]) <= {*ENVIRONMENT, MARK}
     assert seen["more"].keys() - seen["plain"].keys() == {"LAB_MODEL"}
     assert seen["more"]["LAB_MODEL"] == "heavy"
-    (tmp_path / "wrong.toml").write_text(f"{command}environment = ['A=B']\n", encoding="utf-8")
     with pytest.raises(ConfigError, match=r"environment\[1\]"):
         make_detectors(["wrong.toml"], tmp_path)

@@ -1,9 +1,8 @@
-"""Phantom description files: what ships is what the sources say, what is drawn keeps to its
-envelope, what is wrong is explained.
-"""
+"""Phantom files: what ships is as published, drawn udders keep to their envelope."""
 
 from __future__ import annotations
 
+import re
 import tomllib
 from itertools import combinations
 from pathlib import Path
@@ -39,24 +38,14 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_table_5_1_is_the_published_one(shared_data: Path) -> None:
-    published = tomllib.loads(
-        (shared_data.parent / "seed" / "published.toml").read_text(encoding="utf-8")
-    )
-    assert shipped_phantom("table-5-1").ends_mm == pytest.approx(
-        np.array(published["table_5_1"]["teat_ends_mm"]), abs=1e-9
-    )
+    path = shared_data.parent / "seed" / "published.toml"
+    published = tomllib.loads(path.read_text(encoding="utf-8"))["table_5_1"]["teat_ends_mm"]
+    assert shipped_phantom("table-5-1").ends_mm == pytest.approx(np.array(published), abs=1e-9)
 
 
 def test_what_ships() -> None:
-    assert layout_names() == [
-        "narrow-rear",
-        "non-vertical",
-        "overlapping",
-        "random-udder",
-        "single",
-        "table-5-1",
-        "widest",
-    ]
+    names = "narrow-rear non-vertical overlapping random-udder single table-5-1 widest"
+    assert layout_names() == names.split()
     for name in layout_names():
         phantom = load_layout(find_layout(name)).phantom(1)
         assert phantom.name == name
@@ -137,21 +126,15 @@ def test_the_paint_of_the_file_is_the_paint_of_the_scene(tmp_path: Path) -> None
 def test_a_wrong_file_says_what_and_where(
     tmp_path: Path, text: str, line: int, message: str
 ) -> None:
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigError, match=rf"mine\.toml:{line}: (.|\n)*{re.escape(message)}"):
         load_layout(written(tmp_path, text))
-    assert message in str(caught.value)
-    assert f"mine.toml:{line}:" in str(caught.value)
 
 
 @pytest.mark.slow
 def test_an_envelope_in_which_no_udder_fits_is_refused(tmp_path: Path) -> None:
-    spans = (
-        "front_spacing_mm = [20.0, 21.0]\nrear_spacing_mm = [20.0, 21.0]\nfront_to_rear_mm = [20.0,"
-        " 21.0]\n"
-    )
-    path = written(tmp_path, f'about = "x"\n[envelope]\nmiddle_mm = [0.0, 0.0]\n{spans}')
+    text = re.sub(r"(spacing_mm|rear_mm) = .*", r"\1 = [20.0, 21.0]", ENVELOPE)
     with pytest.raises(ConfigError, match="widen the spacings"):
-        load_layout(path)
+        load_layout(written(tmp_path, text))
 
 
 def test_a_layout_that_is_not_there_lists_what_is(tmp_path: Path) -> None:

@@ -1,6 +1,4 @@
-"""A trial script as a Python file: its generator says which trials there are, the engine does the
-rest.
-"""
+"""A trial script in Python: its generator says which trials there are."""
 
 from __future__ import annotations
 
@@ -51,12 +49,13 @@ def test_its_trials_are_those_of_a_toml_script(tmp_path: Path) -> None:
 
 
 def test_numbers_of_numpy_are_numbers(tmp_path: Path) -> None:
-    text = PYTHON.replace(
-        "for number in range(2):", "import numpy\n    for number in numpy.linspace(0, 1, 2):"
-    )
-    text = text.replace('f"step-{number}"', 'f"step-{number:.0f}"').replace(
-        "-3.5", "numpy.int64(-3)"
-    )
+    text = PYTHON
+    for old, new in {
+        "for number in range(2):": "import numpy\n    for number in numpy.linspace(0, 1, 2):",
+        'f"step-{number}"': 'f"step-{number:.0f}"',
+        "-3.5": "numpy.int64(-3)",
+    }.items():
+        text = text.replace(old, new)
     script = load_script(written(tmp_path, text))
     assert places(script) == [(0, 0), (0, -3), (10, 0), (0, -3)]
 
