@@ -131,7 +131,7 @@ def _killed(
 
     process = multiprocessing.get_context("fork").Process(target=dying)
     process.start()
-    process.join(120)
+    process.join(240)
     return process.exitcode == -signal.SIGKILL
 
 
