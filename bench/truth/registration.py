@@ -32,7 +32,7 @@ from pydantic import AwareDatetime, Field
 from scipy.special import chdtrc
 
 from bench.config import Section, located, read_config, read_text
-from bench.rig.arm_files import NotNegative, Number, Three, refuse_changed, write_file
+from bench.rig.arm_files import NotNegative, Three, refuse_changed, write_file
 from bench.toml import toml_text
 from bench.truth.uncertainty import Floats, Triple
 from detector.calibration.rigid import (
@@ -350,20 +350,6 @@ class _Station(Section):
     residual_mm: NotNegative
 
 
-class _Diagnostic(Section):
-    name: str
-    value: Number
-    u: NotNegative
-    significant: bool
-
-
-class _Fit(Section):
-    model: str
-    fre_mm: NotNegative
-    held_out_mm: NotNegative | None = None
-    singular_values: Three
-
-
 class _RegistrationFile(Section):
     made: AwareDatetime
     serial_number: str
@@ -377,8 +363,9 @@ class _RegistrationFile(Section):
     p_value: Annotated[float, Field(ge=0, le=1)]
     stated: _Stated
     stations: Annotated[tuple[_Station, ...], Field(min_length=3)]
-    diagnostics: tuple[_Diagnostic, ...]
-    fits: tuple[_Fit, ...]
+    # for people: they follow from the touches
+    diagnostics: tuple[dict[str, Any], ...]
+    fits: tuple[dict[str, Any], ...]
 
 
 def as_dict(registration: Registration) -> dict[str, Any]:
