@@ -152,6 +152,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
         stage=operated_runs.STAGE,
         check_point=operated_runs.CHECK_POINT,
         emulation="faults = []",
+        whole=True,
     )
     # calibration.toml is what the reader makes
     (folder / "calibration.toml").rename(folder / "as-delivered.toml")

@@ -14,10 +14,10 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
+from starlette.concurrency import run_in_threadpool as _off
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
@@ -42,8 +42,6 @@ REPORT_POLICY = (
     " script-src {0} 'unsafe-inline'; style-src {0} 'unsafe-inline'; font-src {0} data:"
 )
 
-Answer = TypeVar("Answer")
-
 
 @dataclass(slots=True)
 class Lease:
@@ -60,7 +58,6 @@ class Lease:
         return bool(client) and self.client == client
 
     def take(self, client: str, name: str) -> None:
-        """``client`` has it from now on."""
         self.client, self.name = client, name or "a browser"
         self.since = wall_time().isoformat(timespec="seconds")
 
@@ -80,7 +77,6 @@ class Console:
     tickets: dict[str, Path] = field(default_factory=dict)
 
     def routes(self) -> list[Route | Mount]:
-        """All of them."""
         one = "/api/runs/{run}"
         return [
             Route("/", partial(_file, STATIC / "index.html")),
@@ -105,7 +101,7 @@ class Console:
         ]
 
     async def listed(self, _: Request) -> Response:
-        return JSONResponse({"runs": await run_in_threadpool(watching.listed, self.runs)})
+        return JSONResponse({"runs": await _off(watching.listed, self.runs)})
 
     async def snapshot(self, request: Request) -> Response:
         found = await _off(watching.snapshot, self._folder(request))
@@ -216,7 +212,8 @@ class Console:
         return JSONResponse(self.lease.as_seen_by(client))
 
     async def choices(self, _: Request) -> Response:
-        return JSONResponse(_plain(await _off(starting.choices, self.rigs)))
+        found = asdict(await _off(starting.choices, self.rigs))
+        return JSONResponse({kind: list(names) for kind, names in found.items()})
 
     async def dry_run(self, request: Request) -> Response:
         arguments = await self._chosen(await _body(request))
@@ -269,14 +266,8 @@ class Console:
 
 
 def make_app(console: Console, token: str, hosts: list[str]) -> ASGIApp:
-    """The program that a server serves."""
-    handlers: dict[Any, Any] = {
-        watching.NoRunError: _said(404),
-        starting.NotStartedError: _said(422),
-        BadBodyError: _said(422),
-        ConfigError: _said(422),
-        OSError: _said(500),
-    }
+    handlers: dict[Any, Any] = {watching.NoRunError: _said(404), OSError: _said(500)}
+    handlers |= dict.fromkeys((starting.NotStartedError, BadBodyError, ConfigError), _said(422))
     return Guard(Starlette(routes=console.routes(), exception_handlers=handlers), token, hosts)
 
 
@@ -293,11 +284,6 @@ def _said(code: int) -> Callable[[Request, Exception], Response]:
 
 def _refused(code: int, why: str) -> JSONResponse:
     return JSONResponse({"error": why}, code)
-
-
-async def _off(work: Callable[..., Answer], *given: Any) -> Answer:
-    """Reading and writing files, beside what else the program does."""
-    return await run_in_threadpool(work, *given)
 
 
 async def _file(path: Path, _: Request) -> Response:
@@ -329,14 +315,6 @@ def _text(given: Mapping[str, Any], name: str) -> str:
     if not isinstance(found, str) or len(found) > LONGEST:
         raise BadBodyError(f'"{name}" is a text of at most {LONGEST} characters')
     return " ".join(found.split())
-
-
-def _plain(found: starting.Choices) -> dict[str, list[str]]:
-    return {
-        "rigs": list(found.rigs),
-        "scripts": list(found.scripts),
-        "detectors": list(found.detectors),
-    }
 
 
 def _sse(kind: str, value: Any, number: int | None = None) -> bytes:

@@ -134,7 +134,6 @@ def set_up_picture(folder: Path) -> Path | None:
 
 
 def under_way(folder: Path) -> bool:
-    """Whether a bench works on the run."""
     return bool(holder_of(folder))
 
 

@@ -404,7 +404,6 @@ class StandInCameras:
 
     @property
     def identity(self) -> Mapping[str, str]:
-        """As the cameras report it."""
         return self._cameras.identity
 
     def capture(self) -> FrameSet:

@@ -38,7 +38,6 @@ class Head:
 
 
 def head_of(db: sqlite3.Connection) -> Head:
-    """The last link in ``db``."""
     row = db.execute(
         "SELECT number, digest, wall_digest FROM chain ORDER BY number DESC LIMIT 1"
     ).fetchone()

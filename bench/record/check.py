@@ -30,8 +30,6 @@ SHOWN = 5  # damages of a run, in one message
 
 
 class Weight(StrEnum):
-    """Of a finding."""
-
     DAMAGE = "damage"  # not as it was written
     NOTE = "note"
 
@@ -57,7 +55,6 @@ class Checked:
 
     @property
     def whole(self) -> bool:
-        """Nothing is damaged."""
         return not any(finding.weight is Weight.DAMAGE for finding in self.findings)
 
 
@@ -122,7 +119,6 @@ def checked_first(folders: Sequence[Path], *, despite_damage: bool) -> Iterator[
 
 
 def shortened(damage: Sequence[str]) -> str:
-    """The first few."""
     more = [f"and {len(damage) - SHOWN} more"] if len(damage) > SHOWN else []
     return "; ".join([*damage[:SHOWN], *more]) + "."
 

@@ -43,7 +43,7 @@ from mcap_protobuf.writer import Writer
 from scipy.spatial.transform import Rotation
 
 from bench.config import ConfigError, read_calibration
-from bench.record.reader import opened
+from bench.record.reader import HEADS, opened
 from bench.record.schema import Row
 from detector.calibration.values import Calibration
 from detector.geometry import Camera
@@ -142,26 +142,22 @@ def frames_of_reference(at: Timestamp, known: Calibration) -> FrameTransforms:
 
 
 def point(at: Timestamp, frame: str, at_mm: Sequence[float]) -> PoseInFrame:
-    """One place in ``frame``."""
     pose = Pose(position=_metres(at_mm), orientation=NO_TURN)
     return PoseInFrame(timestamp=at, frame_id=frame, pose=pose)
 
 
 def points(at: Timestamp, frame: str, rows: Sequence[Row]) -> PosesInFrame:
-    """Places in ``frame``, of rows with x_mm, y_mm, z_mm."""
     places = [_metres((row["x_mm"], row["y_mm"], row["z_mm"])) for row in rows]
     poses = [Pose(position=place, orientation=NO_TURN) for place in places]
     return PosesInFrame(timestamp=at, frame_id=frame, poses=poses)
 
 
 def log(at: Timestamp, row: Row) -> Log:
-    """A row of ``events``."""
     level = LEVELS.get(row["kind"], Log.INFO)
     return Log(timestamp=at, level=level, message=row["text"], name=row["kind"])
 
 
 def bath(at: Timestamp, row: Row) -> Message:
-    """A row of ``bath``."""
     figures = {key: _number(row[key]) for key in ("temp_c", "external_c", "power_percent")}
     return Bath(timestamp=at, **figures, state=row["state"])  # type: ignore[no-any-return]
 
@@ -181,7 +177,6 @@ def answer(at: Timestamp, row: Row, score: Row | None) -> Message:
 
 
 def trial(at: Timestamp, row: Row) -> Message:
-    """A row of ``trials``."""
     return Trial(  # type: ignore[no-any-return]
         timestamp=at,
         **{key: row[key] for key in ("id", "number", "name", "situation", "repeat")},
@@ -265,11 +260,7 @@ def _run_messages(db: sqlite3.Connection, run: Path, times: _Times) -> Iterator[
         for row in db.execute(f"SELECT * FROM {table}"):  # noqa: S608 - our names
             at = times.of(row["session"], row["t_s"], row["wall_time"])
             yield TimedMessage(at, f"/{table}", partial(make, row=row))
-    query = (
-        "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON"
-        " invalidated.trial = trials.id"
-    )
-    for head in db.execute(query).fetchall():
+    for head in db.execute(HEADS).fetchall():
         captured = times.of(head["session"], head["captured_s"], head["wall_time"])
         yield TimedMessage(captured, "/trial", partial(trial, row=head))
         if head["stage_mm"]:

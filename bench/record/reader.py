@@ -28,6 +28,11 @@ from bench.record.schema import (
 )
 from bench.scoring.scene import SceneScore, scene_from_dict
 
+HEADS = (
+    "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON"
+    " invalidated.trial = trials.id ORDER BY trials.number"
+)
+
 
 @contextmanager
 def opened(folder: Path) -> Iterator[sqlite3.Connection]:
@@ -199,7 +204,6 @@ class RunRecord:
 
     @property
     def detectors(self) -> tuple[str, ...]:
-        """Names of the detectors under test."""
         return tuple(self.facts["detectors"])
 
 
@@ -260,11 +264,7 @@ def _trials(db: sqlite3.Connection) -> Iterator[TrialRecord]:
     for table, grouped in by_table.items():
         for row in db.execute(f"SELECT * FROM {table} ORDER BY rowid"):  # noqa: S608 - our own names
             grouped.setdefault(row["trial"], []).append(dict(row))
-    heads = (
-        "SELECT trials.*, invalidated.reason AS invalid FROM trials LEFT JOIN invalidated ON"
-        " invalidated.trial = trials.id"
-    )
-    for head in db.execute(f"{heads} ORDER BY trials.number"):
+    for head in db.execute(HEADS):
         rows = {table: tuple(grouped.get(head["id"], ())) for table, grouped in by_table.items()}
         scores = {
             row["detector"]: scene_from_dict(

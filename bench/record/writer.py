@@ -149,7 +149,6 @@ class Store:
         self._say(LATER_WORD, row, urgent=not self._steps)
 
     def event(self, t_s: float | None, kind: str, text: str, wall_time: datetime) -> None:
-        """Write down what happened."""
         now = wall_time.isoformat(timespec="milliseconds")
         row = {"session": self.session, "t_s": t_s, "kind": kind, "text": text, "wall_time": now}
         self._say("events", row, urgent=not self._steps or kind in URGENT)
@@ -185,7 +184,6 @@ class Store:
         self._write([("trials", [head]), *rows, ("scores", done.score_rows)])
 
     def skipped(self, row: Row) -> None:
-        """Write down a trial that was not done, durable at once."""
         self._write([("skipped", [{**row, "session": self.session, "wall_time": self._now()}])])
 
     def checked(self, touches: Sequence[Row], invalid: Sequence[str], reason: str) -> None:

@@ -99,7 +99,6 @@ class TableFrame:
 
     @property
     def residual_mm(self) -> float | None:
-        """The largest residual; None without a check point."""
         return max(self.residuals_mm.values(), default=None)
 
     @property
@@ -183,7 +182,6 @@ class LocationTest:
 
     @property
     def centre_mm(self) -> Floats:
-        """The mean of the readings (3,)."""
         return np.asarray(self.tips_mm.mean(axis=0))
 
     @property
@@ -230,7 +228,6 @@ class LengthTest:
 
     @property
     def error_mm(self) -> float:
-        """Measured less calibrated."""
         return self.measured_mm - self.calibrated_mm
 
 
@@ -244,8 +241,6 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verification:
-    """What one arm showed on one day."""
-
     made: datetime
     serial_number: str
     locations: tuple[LocationTest, ...]

@@ -116,7 +116,6 @@ def run_lengths(mask: NDArray[np.bool_]) -> list[int]:
 
 
 def ranges(numbers: list[int]) -> list[list[int]]:
-    """Numbers as [first, last] of each run of neighbours."""
     found: list[list[int]] = []
     for number in sorted(set(numbers)):
         if found and number == found[-1][1] + 1:

@@ -28,7 +28,6 @@ from instruments.stage.emulator import Mounting, StageEmulator
 from instruments.stage.emulator.board import LATE_S, LOST_MM
 from instruments.stage.emulator.board import Fault as StageFault
 from instruments.world.phantom import PlatePose
-from instruments.world.plant import Plant
 from instruments.world.world import World
 
 AS_A_PTY = "?parity=N&bytesize=8&handshake=none"  # a pseudo-terminal has no other frames
@@ -104,7 +103,11 @@ class EmulatedRig:
             tremor_mm=emulation.hand_tremor_mm,
         )
         plant, r, relay = self.world.plant, rig.rig, rig.relay
-        self.bath = self._bath(plant, rig.profile)
+        self.bath: BathEmulator | LineEmulator
+        if isinstance(known := rig.profile, LineProfile):
+            self.bath = LineEmulator(plant, known, clock)
+        elif isinstance(known, RegisterProfile):
+            self.bath = BathEmulator(plant, known, clock, framing=self._framing(known))
         # on a port of its own; without one, and with a controller that turns none, the pump stands
         framing = self._framing(relay) if relay else None
         self.pump = RelayEmulator(plant, relay, clock, framing=framing) if relay else None
@@ -128,15 +131,6 @@ class EmulatedRig:
         except BaseException:
             self.close()
             raise
-
-    def _bath(self, plant: Plant, profile: Profile) -> BathEmulator | LineEmulator:
-        match profile:
-            case LineProfile():
-                return LineEmulator(plant, profile, self._clock)
-            case RegisterProfile():
-                framing = self._framing(profile)
-                return BathEmulator(plant, profile, self._clock, framing=framing)
-        raise TypeError(f"{profile.family} can't be emulated")
 
     def _framing(self, profile: RegisterProfile | RelayProfile) -> Framing | None:
         return "rtu" if self._pty and "rtu" in profile.transports else None

@@ -32,19 +32,6 @@ CLEARLY = 1.25  # the exchanged pictures must fit so much better
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
-    """Correlation of the edges at the best disparity, as they are and exchanged, 0 to 1."""
-
-    as_is: float
-    exchanged: float
-
-    @property
-    def swapped(self) -> bool:
-        """The pictures fit clearly better when exchanged."""
-        return self.exchanged > LEAST_FIT and self.exchanged > CLEARLY * max(self.as_is, 0.0)
-
-
 class StereoOrder:
     """Whether left and right are exchanged, by the calibration: rectified both ways, rows of edges
     fit with one at a disparity in front of the cameras. Pictures of the calibration's size.
@@ -69,11 +56,18 @@ class StereoOrder:
             _maps(K[1], D[1], R2, scale @ P2[:, :3], reduced),
         )
 
-    def judge(self, left: Grey, right: Grey) -> Order:
-        return Order(self._fit(left, right), self._fit(right, left))
+    def swapped(self, left: Grey, right: Grey) -> str:
+        """What says that they fit clearly better when exchanged; empty where they don't."""
+        as_is, exchanged = self._fit(left, right), self._fit(right, left)
+        if exchanged <= LEAST_FIT or exchanged <= CLEARLY * max(as_is, 0.0):
+            return ""
+        fits = f"the calibration fits {exchanged:.2f} when they are changed back, {as_is:.2f} as"
+        return f"exchanged with the right one: {fits} they are"
 
     def _fit(self, left: Grey, right: Grey) -> float:
-        """Normalised correlation of the edges, over all rows, at the best disparity in front."""
+        """Normalised correlation of the edges, over all rows, at the best disparity in front, 0 to
+        1.
+        """
         edges = [*map(self._edges, (left, right), self._maps)]
         size = 2 * edges[0].shape[1]
         spectra = [np.fft.rfft(edge, size, axis=1) for edge in edges]
@@ -233,12 +227,7 @@ class FrameChecks:
     def _swapped(self, frames: FrameSet) -> Iterator[FrameProblem]:
         if self._calibration and not self._order:
             self._order = StereoOrder(self._calibration)
-        order = self._order.judge(frames.left, frames.right) if self._order else Order(0.0, 0.0)
-        if order.swapped:
-            said = (
-                f"exchanged with the right one: the calibration fits {order.exchanged:.2f} when"
-                f" they are changed back, {order.as_is:.2f} as they are"
-            )
+        if self._order and (said := self._order.swapped(frames.left, frames.right)):
             yield FrameProblem(FrameFault.SWAPPED, "left", said)
 
 

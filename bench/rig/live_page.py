@@ -28,7 +28,7 @@ figure {{ margin: 0 }} img {{ width: 100%; display: block; background: #333 }}
 1 % white. The terminal has the same figures; Ctrl-C there ends it.</p>
 <main>{figures}</main></body></html>"""
 FIGURE = '<figure><figcaption>{0}</figcaption><img src="{1}.mjpg" alt="{0} camera, live"></figure>'
-DARK, BRIGHT = 0, 255
+DARK, BRIGHT, FONT = 0, 255, cv2.FONT_HERSHEY_SIMPLEX
 
 
 class LivePage:
@@ -84,14 +84,6 @@ def annotated(picture: Grey, line: str) -> Grey:
     for row, text in enumerate((f"blur: {line.partition(' #')[0]}", figures), start=1):
         place = (int(16 * scale), int(40 * scale * row))
         for grey, thick in ((DARK, 6), (BRIGHT, 2)):
-            cv2.putText(
-                drawn,
-                text,
-                place,
-                cv2.FONT_HERSHEY_SIMPLEX,
-                scale,
-                grey,
-                max(1, round(thick * scale)),
-                cv2.LINE_AA,
-            )
+            thick_px = max(1, round(thick * scale))
+            cv2.putText(drawn, text, place, FONT, scale, grey, thick_px, cv2.LINE_AA)
     return drawn

@@ -31,12 +31,8 @@ from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
 from instruments.world.boards import Pattern
 
 RIGS = Path(__file__).parents[1] / "rigs"
-NO_RIGS = (
-    "calibration",
-    "thesis-calibration",
-    "depth-calibration",
-    "lab.example",
-)  # what lies there and can't be run
+# what lies there and can't be run
+NO_RIGS = ("calibration", "thesis-calibration", "depth-calibration", "lab.example")
 T = TypeVar("T")
 TO_COPY = RIGS / "lab.example.toml"
 
@@ -145,12 +141,8 @@ def load_rig(path: Path) -> LoadedRig:
     emulated_stage = rig.stage if rig.stage and rig.stage.url == EMULATED else None
     if emulated_stage and (wrong := rig.emulation.stage.fault(emulated_stage)):
         raise refuse(wrong, ("stage", "axes"))
-    there, faults = (
-        {*rig.urls, "pump" if rig.bath.pump_url else ""},
-        enumerate(rig.emulation.faults),
-    )
-    absent = [i for i, fault in faults if fault.instrument not in there]
-    if absent:
+    there, faults = {*rig.urls, "pump" if rig.bath.pump_url else ""}, rig.emulation.faults
+    if absent := [i for i, fault in enumerate(faults) if fault.instrument not in there]:
         keys = [("emulation", "faults", i, "instrument") for i in absent]
         raise refuse("this rig has no such instrument", *keys)
     frame = load_frame(folder / rig.arm.frame) if rig.arm.frame else None
@@ -264,7 +256,6 @@ def find_board(name: str | None) -> tuple[Board, tuple[Path, ...]]:
 
 
 def load_board(path: Path) -> BoardFile:
-    """The board described at ``path``. Raises ConfigError with all its faults."""
     return read_config(path, BoardFile)
 
 

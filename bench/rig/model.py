@@ -500,8 +500,6 @@ LATE_ANSWER = "late answer"  # of a bath or a relay; its amount is in seconds
 
 
 class EmulatedOptical(Section):
-    """``[emulation.optical]``: both optical cameras."""
-
     full_well_e: Annotated[float, Field(ge=100, le=1e6)] | None = None
     read_noise_e: Annotated[float, Field(ge=0, le=1e4)] | None = None
     dark_e_per_s: Annotated[float, Field(ge=0, le=1e6)] | None = None
@@ -521,8 +519,6 @@ class EmulatedOptical(Section):
 
 
 class EmulatedThermal(Section):
-    """``[emulation.thermal]``: the thermal camera."""
-
     sensor_size: tuple[_Count, _Count] | None = None
     netd_k: _Kelvin | None = None
     row_flicker_k: _Kelvin | None = None
@@ -606,7 +602,6 @@ class EmulatedStage(Section):
     backlash_deg: _Play = 0.0
 
     def firmware(self, stage: Stage) -> str:
-        """The name of the emulated firmware."""
         if stage.dialect != "grbl":
             return stage.dialect.capitalize()
         return "Grbl" if self.dialect == "grbl" else self.dialect

@@ -220,7 +220,6 @@ def _answerer(
 def _openers(
     rig: LoadedRig, clock: Clock, twin: EmulatedRig | None, capture: Captures, *, identify: bool
 ) -> dict[str, Callable[[], Any]]:
-    """What opens each instrument's driver; each may raise InstrumentError."""
     r = rig.rig
     urls = twin.urls if twin else r.urls
 

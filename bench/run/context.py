@@ -145,7 +145,6 @@ class RunContext:
         self._pulse.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
 
     def note(self, text: str) -> None:
-        """Tell the operator, and the record."""
         self.events.state(text)
         self.event("state", text)
 

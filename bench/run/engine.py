@@ -45,8 +45,6 @@ WISHES = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
 
 
 class Ending(StrEnum):
-    """How a run ended."""
-
     FINISHED = "finished"
     ABORTED = "aborted"
     FAULTED = "faulted"

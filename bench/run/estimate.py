@@ -108,7 +108,6 @@ class TimeEstimate:
 
     @property
     def total_s(self) -> float:
-        """All of it."""
         return float(sum(asdict(self).values()))
 
     def each_s(self, trials: int) -> float:
@@ -138,7 +137,6 @@ def estimate(
 
 
 def gate_of(script: LoadedScript) -> StabilityGate:
-    """The stability gate that ``script`` asks for."""
     return StabilityGate(**script.script.bath.model_dump(exclude={"timeout_s"}))
 
 
@@ -169,7 +167,6 @@ def _touches(rig: LoadedRig, script: LoadedScript) -> list[int]:
 
 
 def assumed_text() -> str:
-    """What was assumed, as a sentence."""
     each = (f"{what} {value:g} {UNITS.get(what, 's')}" for what, value in ASSUMED.items())
     return f"Assumed: {', '.join(each)}."
 
@@ -215,7 +212,6 @@ class Forecast:
 
     @property
     def prompts(self) -> int:
-        """All of them."""
         return sum(self.asked.values())
 
 

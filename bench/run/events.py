@@ -31,8 +31,6 @@ EVENT = "run state"  # the kind of a change of state, in the record
 
 
 class RunState(StrEnum):
-    """Where a run is."""
-
     PLANNED = "planned"
     PREPARING = "preparing"
     SETTLING = "settling"

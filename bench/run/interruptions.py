@@ -61,27 +61,17 @@ POLICIES: Mapping[tuple[str, str], Policy] = {
 }
 
 
-def instrument_of(fault: InstrumentError) -> str | None:
-    """Whose fault it is, by who the error names; None where it is no instrument's."""
+def diagnosis(fault: InstrumentError) -> tuple[str, str]:
+    """Whose fault it is, by who the error names, and whether that is gone, garbled or refuses; ""
+    for no instrument's, and for what no second try can cure.
+    """
     who = fault.who.lower()
-    if "camera" in who:
-        return "cameras"
-    first = who.replace(":", " ").split()[0] if who.split() else ""
-    return {"pump": "bath"}.get(first, first if first in INSTRUMENTS else None)
-
-
-def kind_of(fault: InstrumentError) -> str | None:
-    """Gone, garbled or refuses; None for what no second try can cure."""
-    if isinstance(fault, AnotherArmError | UnusableArmError):
-        return None
-    kinds = ((LinkError, GONE), (ProtocolError, GARBLED), (DeviceError, REFUSES))
-    return next((kind for error, kind in kinds if isinstance(fault, error)), None)
-
-
-def policy_for(fault: InstrumentError) -> Policy | None:
-    """What to do about ``fault``; None to end the run."""
-    instrument, kind = instrument_of(fault), kind_of(fault)
-    return POLICIES.get((instrument, kind)) if instrument and kind else None
+    first = (who.replace(":", " ").split() or [""])[0]
+    instrument = "cameras" if "camera" in who else "bath" if first == "pump" else first
+    kinds: dict[type[InstrumentError], str] = {AnotherArmError: "", UnusableArmError: ""}
+    kinds |= {LinkError: GONE, ProtocolError: GARBLED, DeviceError: REFUSES}
+    kind = next((kind for error, kind in kinds.items() if isinstance(fault, error)), "")
+    return instrument if instrument in INSTRUMENTS else "", kind
 
 
 EVERY_S = 2.0  # between attempts to reach it
@@ -114,8 +104,8 @@ class Recovery:
             except InstrumentError as fault:
                 # a stage that a trip has braked is not to be homed again
                 self._ctx.watch.check()
-                policy = policy_for(fault)
-                kind = f"{instrument_of(fault)} {kind_of(fault)}"
+                policy = POLICIES.get(diagnosis(fault))
+                kind = " ".join(diagnosis(fault))
                 tried[kind] += 1
                 if policy is None or tried[kind] > policy.times:
                     raise
@@ -124,7 +114,7 @@ class Recovery:
 
     def _pause(self, what: str, fault: InstrumentError, policy: Policy, count: str) -> None:
         """Until the instrument is back. Raises ``fault`` where it stays away."""
-        ctx, name = self._ctx, str(instrument_of(fault))
+        ctx, name = self._ctx, diagnosis(fault)[0]
         are = "are" if name == "cameras" else "is"
         self._missing = (fault, policy)
         ctx.away = name

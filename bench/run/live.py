@@ -55,7 +55,6 @@ class Live:
         self._names = tuple(map(ends.called, range(1, len(ends.expected_mm) + 1)))
 
     def frames(self, frames: FrameSet) -> None:
-        """Pictures of a frame set."""
         with suppress(OSError, cv2.error):
             for name in CAMERAS:
                 if (image := getattr(frames, name)) is not None:
@@ -123,15 +122,7 @@ def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:
 
 def interlock_states(watch: BathMonitor) -> list[dict[str, Any]]:
     """Each interlock: "armed", "asleep" (the bath doesn't tell what it needs) or "tripped"."""
-    tripped, asleep = getattr(watch.tripped, "rule", ""), watch.interlocks.inactive
-    return [
-        {
-            "name": rule.name,
-            "state": "tripped"
-            if rule.name == tripped
-            else "asleep"
-            if rule.name in asleep
-            else "armed",
-        }
-        for rule in RULES
-    ]
+    states = {rule.name: "armed" for rule in RULES}
+    states |= dict.fromkeys(watch.interlocks.inactive, "asleep")
+    states[getattr(watch.tripped, "rule", "")] = "tripped"
+    return [{"name": rule.name, "state": states[rule.name]} for rule in RULES]

@@ -118,7 +118,11 @@ def locked(
 
 
 def _holder(path: Path) -> dict[str, Any]:
-    """What the text says; a folder of an older bench may have it padded with zeros."""
+    """What the text says; a folder of an older bench may have it padded with zeros, one of a scored
+    recording has none.
+    """
+    if not path.is_file():
+        return {}
     try:
         holder = json.loads(path.read_bytes().rstrip(b"\0 ") or b"{}")
     except ValueError:

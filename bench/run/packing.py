@@ -236,9 +236,7 @@ def _description(record: RunRecord, folder: Path, title: str, licence: str) -> s
         "created": record.facts.get("wall_started"),
         "licenses": [{"name": licence}] if licence else [],
         "emulated": record.facts.get("kind") == "emulated",
-        "sources": [
-            {"title": record.folder.name, "wall_digest": digest},
-        ],
+        "sources": [{"title": record.folder.name, "wall_digest": digest}],
         "resources": [_resource(folder, name) for name in _files(folder)],
     }
     return json.dumps(package, indent=1, ensure_ascii=False) + "\n"
@@ -254,13 +252,10 @@ def _resource(folder: Path, name: str) -> Mapping[str, Any]:
     }
     if path.suffix == ".csv":
         columns = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+        kinds = {name: "number" if name in NUMBERS else "string" for name in columns}
         fields = [
-            {
-                "name": column,
-                "type": "number" if column in NUMBERS else "string",
-                "description": FIELDS[column],
-            }
-            for column in columns
+            {"name": name, "type": kind, "description": FIELDS[name]}
+            for name, kind in kinds.items()
         ]
         known |= {"profile": "tabular-data-resource", "schema": {"fields": fields}}
     return known

@@ -179,7 +179,6 @@ def _json_line(frame: str, answer: Answer) -> dict[str, Any]:
 
 
 def _sentence(frame: str, answer: Answer) -> str:
-    """The same for a person."""
     detection = answer.detection
     places = "; ".join(", ".join(f"{v:.1f}" for v in teat.world_mm) for teat in detection.teats)
     head = f"{frame} {answer.detector}: {len(detection.teats)} teats, {detection.hidden} hidden"

@@ -48,10 +48,6 @@ def frame_rows(
     return store.frames(trial_id, there, exposed_s)
 
 
-def _place(xyz_mm: Any) -> Row:
-    return {f"{axis}_mm": float(value) for axis, value in zip("xyz", xyz_mm, strict=True)}
-
-
 def detection_tables(trial_id: str, answers: Sequence[Answer]) -> tuple[list[Row], list[Row]]:
     """The rows of the tables ``detections`` and ``found`` for all answers on one frame set."""
     rows = [detection_rows(trial_id, answer) for answer in answers]
@@ -89,7 +85,7 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
         {
             **whose,
             "number": number,
-            **_place(teat.world_mm),
+            **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, teat.world_mm), strict=True)),
             "covariance_mm2": _json(teat.covariance_mm2),
             "left_px": _json(teat.left_px),
             "right_px": _json(teat.right_px),

@@ -437,5 +437,4 @@ class TrialRun:
 
 
 def _head(trial: PlannedTrial) -> dict[str, object]:
-    """Which trial a row is of."""
     return {name: getattr(trial, name) for name in ("id", "number", "name", "situation", "repeat")}

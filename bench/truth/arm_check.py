@@ -64,7 +64,6 @@ def shift_mm(fact: Mapping[str, Any]) -> float:
 
 
 def check_text(fact: Mapping[str, Any], when: str) -> str:
-    """The sentence for the events."""
     test = location_of(fact, when)
     return (
         f"arm check {when} the trials: {test.n} touches within {test.largest_mm:.2f} mm of their"

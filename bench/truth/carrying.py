@@ -67,7 +67,6 @@ class Reference:
 
 
 def reference_from_dict(stored: Mapping[str, Any]) -> Reference:
-    """A reference from what `Reference.as_dict` gave."""
     points = tuple(
         TruthPoint(
             triple(end["point_mm"]),

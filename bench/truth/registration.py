@@ -32,7 +32,7 @@ from pydantic import AwareDatetime, Field
 from scipy.special import chdtrc
 
 from bench.config import Section, located, read_config, read_text
-from bench.rig.arm_files import NotNegative, Number, Three, refuse_changed, write_file
+from bench.rig.arm_files import NotNegative, Three, refuse_changed, write_file
 from bench.toml import toml_text
 from bench.truth.uncertainty import Floats, Triple
 from detector.calibration.rigid import (
@@ -185,7 +185,6 @@ class Registration:
 
     @property
     def stage_mm(self) -> Floats:
-        """Stage positions (n, 3)."""
         return np.array([s.stage_mm for s in self.stations])
 
     @property
@@ -195,7 +194,6 @@ class Registration:
 
     @cached_property
     def comparison(self) -> Comparison:
-        """Rigid, similarity and affine fit side by side."""
         return compare(self.touched_mm, self.stage_mm)
 
     @property
@@ -242,7 +240,6 @@ class Registration:
 
     @property
     def contradicted(self) -> bool:
-        """Whether the axes are worse than stated."""
         return self.p_value < ALPHA
 
     def carry_covariance_mm2(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
@@ -261,8 +258,7 @@ class Registration:
 
     def carry_mm(self, stage_from_mm: ArrayLike, stage_to_mm: ArrayLike) -> Floats:
         """By how much (3,) every teat end moves in the world."""
-        way = np.subtract(stage_to_mm, stage_from_mm)
-        return np.asarray(self.world_from_stage.R @ way)
+        return np.asarray(self.world_from_stage.R @ np.subtract(stage_to_mm, stage_from_mm))
 
     def target_error_mm(self, stage_mm: ArrayLike) -> float:
         """Expected error at a stage position, from the touches alone (Fitzpatrick's formula)."""
@@ -354,20 +350,6 @@ class _Station(Section):
     residual_mm: NotNegative
 
 
-class _Diagnostic(Section):
-    name: str
-    value: Number
-    u: NotNegative
-    significant: bool
-
-
-class _Fit(Section):
-    model: str
-    fre_mm: NotNegative
-    held_out_mm: NotNegative | None = None
-    singular_values: Three
-
-
 class _RegistrationFile(Section):
     made: AwareDatetime
     serial_number: str
@@ -381,8 +363,9 @@ class _RegistrationFile(Section):
     p_value: Annotated[float, Field(ge=0, le=1)]
     stated: _Stated
     stations: Annotated[tuple[_Station, ...], Field(min_length=3)]
-    diagnostics: tuple[_Diagnostic, ...]
-    fits: tuple[_Fit, ...]
+    # for people: they follow from the touches
+    diagnostics: tuple[dict[str, Any], ...]
+    fits: tuple[dict[str, Any], ...]
 
 
 def as_dict(registration: Registration) -> dict[str, Any]:
@@ -427,7 +410,6 @@ def as_facts(registration: Registration) -> dict[str, Any]:
 
 
 def registration_text(registration: Registration) -> str:
-    """The text of its file."""
     return toml_text(as_dict(registration), HEADING)
 
 

@@ -58,17 +58,6 @@ SAME_SHARE = 0.25
 class NoTruthError(DeviceError):
     """A teat end could not be touched well; the trial has no truth."""
 
-    @classmethod
-    def after(cls, teat: str, most: int, reasons: list[str]) -> NoTruthError:
-        """Of these ``reasons`` not one of ``most`` touches is left."""
-        return cls(
-            "truth",
-            f"{teat}: {len(reasons)} of {most} touches could not be used; the last one:"
-            f" {reasons[-1]}",
-            hint="Is the teat loose, does the phantom stand where the script says, and are its"
-            " teats counted as the layout counts them?",
-        )
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ends:
@@ -88,8 +77,6 @@ class Ends:
 
 
 class ReadableArm(Protocol):
-    """The driver's part that is used."""
-
     @property
     def identity(self) -> Identity: ...
     def read(self, n: int = 8, max_spread_mm: float = 1.0) -> Reading: ...
@@ -117,12 +104,10 @@ class TipReader:
             raise LimitError("arm", what, hint=hint)
 
     def read(self) -> Reading:
-        """One reading of a still arm, in the world. Raises as the driver does."""
         settings = self._settings
         return self.in_world(self._arm.read(settings.packets, settings.max_spread_mm))
 
     def in_world(self, seen: Reading) -> Reading:
-        """A reading of the arm's own frame in the world."""
         if self._frame is None:
             return seen
         motion = self._frame.world_from_arm
@@ -185,7 +170,13 @@ class Toucher:
         while (missing := self.readings - len(kept := _kept(taken))) > 0:
             if len(taken) + len(moves) >= (most := self.readings + SPARE):
                 reasons = [str(row["refused"]) for _, row in taken if row["refused"]] + moves
-                raise NoTruthError.after(ends.called(teat), most, reasons)
+                raise NoTruthError(
+                    "truth",
+                    f"{ends.called(teat)}: {len(reasons)} of {most} touches could not be used; the"
+                    f" last one: {reasons[-1]}",
+                    hint="Is the teat loose, does the phantom stand where the script says, and are"
+                    " its teats counted as the layout counts them?",
+                )
             self._check()
             number = self.readings - missing + 1
             self._ask(Touch(teat, len(ends.expected_mm), number, self.readings, again))
@@ -215,9 +206,8 @@ class Toucher:
                 far = outliers(np.array([end for end, _ in kept]), reading_u_mm(self._arm))
                 for at, reason in far.items():
                     kept[at][1]["refused"] = reason
-                    again = (
-                        again or f"A touch of {ends.called(teat)} is refused: {reason}. Once more."
-                    )
+                    note = f"A touch of {ends.called(teat)} is refused: {reason}. Once more."
+                    again = again or note
         points = np.array([end for end, _ in kept])
         u_mm = self.tip.u_registration_mm(points.mean(axis=0))
         return touched(points, self._arm, registration_mm=u_mm), [row for _, row in taken]

@@ -71,8 +71,6 @@ Triple = tuple[float, float, float]
 
 
 class How(StrEnum):
-    """How a truth was had."""
-
     TOUCHED = "touched"
     CARRIED = "carried"
 
@@ -103,6 +101,5 @@ class TruthPoint:
 
 
 def triple(vector: Iterable[float]) -> Triple:
-    """A vector (3,) as three plain numbers."""
     x, y, z = (float(v) for v in vector)
     return x, y, z

@@ -19,12 +19,10 @@ from unittest.mock import patch
 from bench.record.reader import RunRecord, read_run
 from bench.rig.devices import Devices
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.loading import load_rig
 from bench.rig.model import EmulatedFault, fault_names
 from bench.run.events import EVENT, Events
-from bench.run.start import RunOptions, run_script
-from bench.script.model import load_script
-from tests.bench.killed_runs import Silent
+from bench.run.start import RunOptions
+from tests.bench.killed_runs import Person, start
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files
 from tests.conftest import ROOT
 
@@ -53,16 +51,14 @@ stands in [safety](safety.md#interlocks). Made by `python -m tests.bench.fault_c
 """
 
 
-class Bringer(Silent):
+class Bringer(Person):
     """Puts the fault in when the run comes into ``state``; asks for a pause where that is the
     state.
     """
 
     def __init__(self, state: str, fault: EmulatedFault) -> None:
-        super().__init__()
+        super().__init__("place-2", ["pause", *[""] * 40, "go on"] if state == "paused" else [])
         self._state, self._fault = state, fault
-        self._lines = ["pause", *[""] * 40, "go on"] if state == "paused" else []
-        self._there = False
         self.twin: EmulatedRig | None = None
 
     def event(self, kind: str, text: str) -> None:
@@ -74,25 +70,16 @@ class Bringer(Silent):
             self.twin._plan(self._fault)
             self.twin = None
 
-    def trial(self, done: int, total: int, name: str) -> None:
-        self._there = self._there or name == "place-2"
-
-    def typed(self) -> str | None:
-        return self._lines.pop(0) if self._there and self._lines else None
-
 
 def what_happens(instrument: str, name: str, state: str, folder: Path) -> RunRecord:
     """The run with that fault in that state."""
     script = SCRIPT.replace("window_s = 2.0", "window_s = 20.0")
     files(folder, stage=STAGE, check_point=CHECK_POINT, emulation="prompt_s = 2.0", script=script)
-    rig = load_rig(folder / "rig.toml")
     bringer = Bringer(state, EmulatedFault(instrument=instrument, name=name, for_s=FOR_S))
     with known_to(bringer):
         progress = Events(bringer)
         with patch.object(progress, "event", bringer.event):
-            how = RunOptions(typed=bringer.typed)
-            loaded = load_script(folder / "script.toml")
-            run, _ = run_script(rig, loaded, folder / "runs", progress, how)
+            run, _ = start(folder, progress=progress, how=RunOptions(typed=bringer.typed))
     return read_run(run)
 
 

@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import signal
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing, nullcontext
 from itertools import count
 from pathlib import Path
@@ -19,7 +19,7 @@ from bench.record.schema import DATABASE
 from bench.rig.loading import load_rig
 from bench.run.engine import Ending
 from bench.run.events import Progress
-from bench.run.start import resume_run, run_script
+from bench.run.start import RunOptions, resume_run, run_script
 from bench.script.model import load_script
 from instruments.clock import VirtualClock
 
@@ -46,15 +46,42 @@ class Silent:
         return nullcontext()
 
 
-def start(folder: Path, out: str = "runs", progress: Progress | None = None) -> tuple[Path, Ending]:
-    """The script in ``folder`` on the rig there, from the beginning."""
-    rig = load_rig(folder / "rig.toml")
-    return run_script(
-        rig,
-        load_script(folder / "script.toml", rig.rig.limits.set_point_c),
-        folder / out,
-        progress or Silent(),
-    )
+class Person(Silent):
+    """Types ``lines``, one at each look, once ``since`` is the name of the next trial or stood in a
+    warning ("": from the beginning).
+    """
+
+    def __init__(self, since: str, lines: Sequence[str]) -> None:
+        super().__init__()
+        self._since, self._lines, self._seen = since, [*lines], ""
+        self.states: list[str] = []
+
+    def state(self, text: str) -> None:
+        self.states.append(text)
+
+    def trial(self, done: int, total: int, name: str) -> None:
+        self._seen += name
+
+    def warn(self, text: str) -> None:
+        super().warn(text)
+        self._seen += text
+
+    def typed(self) -> str | None:
+        return self._lines.pop(0) if self._lines and self._since in self._seen else None
+
+
+def start(
+    folder: Path,
+    out: str = "runs",
+    progress: Progress | None = None,
+    how: RunOptions | None = None,
+) -> tuple[Path, Ending]:
+    """The script in ``folder`` on the rig there, from the beginning; a `Person` types too."""
+    rig, shown = load_rig(folder / "rig.toml"), progress or Silent()
+    script = load_script(folder / "script.toml", rig.rig.limits.set_point_c)
+    if isinstance(shown, Person):
+        how = RunOptions(typed=shown.typed)
+    return run_script(rig, script, folder / out, shown, how)
 
 
 def only_run(folder: Path, out: str) -> Path:
@@ -104,7 +131,7 @@ def _killed(
 
     process = multiprocessing.get_context("fork").Process(target=dying)
     process.start()
-    process.join(120)
+    process.join(240)
     return process.exitcode == -signal.SIGKILL
 
 

@@ -1,14 +1,20 @@
-"""Short runs on an emulated rig whose operator, stage and emulation are the test's choice."""
+"""Short runs on an emulated rig whose operator, stage and emulation are the test's choice, and whose
+optical cameras have a quarter of the pixels along each axis.
+"""
 
 from __future__ import annotations
 
-import shutil
+import json
+import re
 from pathlib import Path
+from typing import Any
 
 from bench.cli.main import main
 from bench.record.reader import RunRecord, read_run
 from bench.rig.loading import RIGS
+from bench.run.events import Progress
 from tests.bench.commands import words
+from tests.bench.killed_runs import start
 
 SCRIPT = """
 title = "Short"
@@ -62,6 +68,7 @@ bath_start_c = 33.0
 {emulation}
 """
 
+SMALLER = 4.0
 STAGE = '[stage]\nurl = "emulator:"'
 CHECK_POINT = "check_point_mm = [-190.0, 120.0, 15.0]\ncheck_touches = 2"
 
@@ -77,11 +84,12 @@ def files(
     emulation: str = "",
     script: str = SCRIPT,
     answers: str = "",
+    whole: bool = False,
 ) -> list[str]:
     """Rig, script and answers in ``folder``; gives back the arguments of the command that runs
-    them.
+    them. ``whole``: with all pixels.
     """
-    shutil.copy(RIGS / "calibration.toml", folder)
+    write_calibration(folder, whole=whole)
     (folder / "answers.txt").write_text(answers, encoding="utf-8")
     figures = {
         "operator": operator,
@@ -96,6 +104,30 @@ def files(
     return words("run {} --rig {} --out {}", *places)
 
 
+def write_calibration(folder: Path, *, whole: bool = False) -> Path:
+    """The shipped cameras' calibration; unless ``whole`` the optical ones have fewer pixels, of
+    which drawing and reading takes most of the time.
+    """
+
+    def fewer(found: re.Match[str]) -> str:
+        values = [value / SMALLER for value in json.loads(found[2])]
+        return f"{found[1]} = {[int(v) for v in values] if found[1] == 'image_size' else values}"
+
+    def onto_fewer(found: re.Match[str]) -> str:
+        *rows, last = json.loads(found[2])
+        return f"{found[1]} = {[*([value / SMALLER for value in row] for row in rows), last]}"
+
+    text, path = (
+        (RIGS / "calibration.toml").read_text(encoding="utf-8"),
+        folder / "calibration.toml",
+    )
+    optical, thermal, others = text.partition("[cameras.thermal]")
+    optical = re.sub(r"^(image_size|fc|cc) = (\[.*\])", fewer, optical, flags=re.MULTILINE)
+    others = re.sub(r"^(left|right) = (\[\[.*\]\])", onto_fewer, others, flags=re.MULTILINE)
+    path.write_text(text if whole else f"{optical}{thermal}{others}", encoding="utf-8")
+    return path
+
+
 def run_of(folder: Path) -> RunRecord:
     """The one run in ``folder``."""
     (run,) = folder_with_runs(folder)
@@ -108,8 +140,27 @@ def folder_with_runs(folder: Path) -> list[Path]:
 
 
 def run(arguments: list[str], folder: Path) -> tuple[int, RunRecord]:
-    """The command's exit code, and what it left."""
+    """The command's exit code, and what it left: also a report, which takes most of its time."""
     return main(arguments), run_of(folder)
+
+
+def record_of(folder: Path, progress: Progress | None = None, **more: Any) -> RunRecord:
+    """What a run with these files leaves, without a report."""
+    files(folder, **more)
+    return read_run(start(folder, progress=progress)[0])
+
+
+def shipped_rig(folder: Path, arm: str = "", emulation: str = "", *, whole: bool = False) -> Path:
+    """The emulated rig as it ships, with more lines in two of its tables; ``whole``: with all
+    pixels.
+    """
+    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
+    assert "[arm]\n" in text
+    assert "[emulation]" not in text
+    write_calibration(folder, whole=whole)
+    text = text.replace("[arm]\n", f"[arm]\n{arm}\n") + f"\n[emulation]\n{emulation}"
+    (folder / "rig.toml").write_text(text, encoding="utf-8")
+    return folder / "rig.toml"
 
 
 def texts(record: RunRecord, kind: str) -> list[str]:

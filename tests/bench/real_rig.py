@@ -9,23 +9,23 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bench.rig.emulated_rig import EmulatedRig
-from bench.rig.loading import RIGS, LoadedRig, find_rig, load_rig
+from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.script.phantom import shipped_phantom
 from instruments.camera.recording import RecordingWriter
 from instruments.clock import RealClock
 from instruments.operators.operator import Arrangement, Touch
 from tests.bench.commands import words
+from tests.bench.operated_runs import write_calibration
 from tests.conftest import ROOT
 
 SCRIPT = """
@@ -141,7 +141,7 @@ def real_rig(
     whatever has a serial port is on a pseudo-terminal.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    shutil.copy(RIGS / "calibration.toml", folder)
+    write_calibration(folder)
     (folder / "recording").symlink_to(recording, target_is_directory=True)
     with (
         closing(RealClock()) as clock,
@@ -173,9 +173,10 @@ def at_set_point(folder: Path, start_c: float, profile: str, *, pump: bool) -> L
 
 def record_one(folder: Path, frames: int = 3) -> Path:
     """A recording of the emulated scene, for cameras that play it."""
-    with EmulatedRig(load_rig(find_rig(None)), clock := RealClock(), 3) as twin:
+    writer = RecordingWriter(folder)
+    rig = replace(load_rig(find_rig(None)), calibration_path=write_calibration(folder))
+    with EmulatedRig(rig, clock := RealClock(), 3) as twin:
         twin.operator.ask(Arrangement("ideal", shipped_phantom("table-5-1"), (), ""))
-        writer = RecordingWriter(folder)
         for number in range(frames):
             writer.add(f"{number:03d}", twin.cameras.capture())
     clock.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from bench.config import ConfigError, find_places, nearest, read_config
 from bench.rig.loading import RIGS, find_rig, load_rig
 from bench.rig.scripted_answers import load_answers
 from bench.script.model import TRIALS, Script, find_script, load_script
+from tests.bench.operated_runs import write_calibration
 
 
 def refused(load: Callable[..., object], *given: object) -> ConfigError:
@@ -29,7 +29,7 @@ def rig_with(tmp_path: Path, change: dict[str, str]) -> Path:
         text = text.replace(old, new)
     path = tmp_path / "rig.toml"
     path.write_text(text, encoding="utf-8")
-    shutil.copy(RIGS / "calibration.toml", tmp_path)
+    write_calibration(tmp_path)
     return path
 
 

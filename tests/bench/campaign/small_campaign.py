@@ -5,6 +5,7 @@ time; and an executor without processes.
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -15,10 +16,21 @@ from typing import Any
 from bench.campaign.chunk import Rows, run_chunk
 from bench.campaign.plan import Chunk, Job, Plan
 from bench.rig.loading import RIGS
-from tests.bench.small_run import smaller
 from tests.conftest import ROOT
 
 KILLS = os.environ.get("TEATBENCH_KILLS")
+
+
+def smaller(calibration: str) -> str:
+    """The same cameras with a quarter of the pixels along each axis."""
+
+    def scaled(found: re.Match[str]) -> str:
+        values = [float(value) / 4.0 for value in found[2].split(",")]
+        return f"{found[1]} = {[int(v) for v in values] if found[1].endswith('size') else values}"
+
+    return re.sub(
+        r"^(image_size|fc|cc|sensor_size) = \[(.*)\]", scaled, calibration, flags=re.MULTILINE
+    )
 
 
 def write_small_rig(folder: Path) -> Path:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import shutil
 import socket
 import time
 from pathlib import Path
@@ -21,7 +22,7 @@ from bench.run.events import EVENTS_FILE
 from instruments.operators.mailbox import read_answer
 from tests.bench.console import served
 from tests.bench.operated_runs import SCRIPT
-from tests.bench.small_run import write_small_run
+from tests.bench.small_run import KEPT
 
 KILLS = int(os.environ.get("TEATBENCH_KILLS", "3"))  # 50 by hand
 Floats = NDArray[np.float64]
@@ -114,7 +115,7 @@ def nothing_before_its_truth(one: served.Served, at: str, folder: Path) -> None:
 def test_a_watcher_that_stops_reading_costs_bounded_memory_and_delays_no_one(
     tmp_path: Path,
 ) -> None:
-    folder = write_small_run(tmp_path)
+    folder = Path(shutil.copytree(KEPT, tmp_path / "runs" / "kept"))
     with served.console(tmp_path / "runs", tmp_path) as one:
         path, port = f"/api/runs/{folder.name}/stream", one.port
         request = f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n"

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
 from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +17,7 @@ from starlette.routing import Mount, Route
 from bench.console.app import Console, make_app
 from instruments.operators import operator as op
 from instruments.operators.mailbox import Mailbox
-from tests.bench.small_run import write_small_run
+from tests.bench.small_run import KEPT
 
 TOKEN, HOST, TICKET = "right-token", "127.0.0.1:8421", "ticket"
 GOOD = {"host": HOST, "authorization": f"Bearer {TOKEN}", "content-type": "application/json"}
@@ -25,11 +27,8 @@ NAMES = ("..", "%2e%2e", "run/../run", "/etc", "C:\\", "", "<script>", "\x00", "
 @pytest.fixture(scope="module")
 def console(tmp_path_factory: pytest.TempPathFactory) -> Console:
     here = tmp_path_factory.mktemp("here")
-    folder = write_small_run(here)
+    folder = Path(shutil.copytree(KEPT, here / "runs" / "kept"))
     Mailbox(folder).open(op.Prompt("touch", "Touch it."))
-    for path in (here / "runs").iterdir():  # beside runs: a folder of settings
-        if path != folder:
-            path.unlink()
     return Console(here / "runs", here, f"http://{HOST}")
 
 

@@ -21,15 +21,14 @@ from bench.cli.main import main, parser
 from bench.cli.store import DAMAGED
 from bench.record.check import NOT_AS_WRITTEN, PRINTED
 from bench.record.reader import read_run
-from bench.record.schema import DATABASE, SCHEMA_VERSION
+from bench.record.schema import DATABASE
 from bench.run.engine import Ending
 from tests.bench.commands import Output, Said, teatbench, words
 from tests.bench.killed_runs import Silent, start
 from tests.bench.operated_runs import files
 from tests.bench.record.test_record import Damage, flipped, sql
-from tests.conftest import ROOT
+from tests.bench.small_run import KEPT
 
-KEPT = ROOT / "tests" / "bench" / "record" / "kept" / f"schema-{SCHEMA_VERSION}"
 OF_A_TRIAL = ("frames", "touches", "truth", "found", "scores", "detections")
 EXPORTS = ("csv", "parquet", "mcap")
 FRAME = Path("frames") / "001-place-1"

@@ -21,6 +21,9 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import Message
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from mcap_protobuf.schema import build_file_descriptor_set
 from scipy.spatial.transform import Rotation
 
@@ -32,9 +35,7 @@ from bench.record.writer import Store
 from bench.rig.loading import RIGS
 from bench.scoring.scene import score_scene
 from instruments.clock import wall_time
-from tests.bench import mcap_reading
 from tests.bench.commands import Said, teatbench
-from tests.bench.mcap_reading import messages_of
 from tests.bench.record.test_record import facts, trial
 
 RADIOMETRIC = np.arange(29_300, 29_312, dtype=np.uint16).reshape(3, 4)
@@ -106,10 +107,29 @@ def test_parquet_keeps_types_and_nulls_and_names_its_run(run: RunRecord, tmp_pat
 
 @pytest.fixture(scope="module")
 def log(run: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> Messages:
-    reader = pytest.importorskip("mcap.reader", reason="the extra 'export' is not installed")
     out = exported(run, "mcap", tmp_path_factory.mktemp("mcap"))
     assert [path.name for path in out.iterdir()] == ["run.mcap"]
-    return messages_of(out / "run.mcap", reader)
+    return messages_of(out / "run.mcap")
+
+
+def messages_of(path: Path) -> Messages:
+    """All messages of an MCAP file, each read by the description that the file brings along."""
+    found: Messages = {}
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, content in reader.iter_decoded_messages():
+            assert schema is not None
+            assert (schema.encoding, channel.message_encoding) == ("protobuf", "protobuf")
+            row = (schema.name, message.log_time, plain(content))
+            found.setdefault(channel.topic, []).append(row)
+    return found
+
+
+def plain(value: Any) -> Any:
+    """A message by field, a repeated field as a list."""
+    if isinstance(value, Message):
+        return {field.name: plain(getattr(value, field.name)) for field in value.DESCRIPTOR.fields}
+    return value if isinstance(value, str | bytes | int | float) else [plain(one) for one in value]
 
 
 def test_mcap_has_every_schema(log: Messages) -> None:
@@ -203,7 +223,6 @@ def test_mcap_events_answers_and_trials_say_what_the_record_says(log: Messages) 
 
 
 def test_a_rotten_frame_is_not_exported(run: RunRecord, tmp_path: Path, said: Said) -> None:
-    pytest.importorskip("mcap", reason="the extra 'export' is not installed")
     copy = Path(shutil.copytree(run.folder, tmp_path / "run"))
     (copy / "frames" / "001-x-1" / "left.png").write_bytes(b"rot")
     wrong = said(2, f"{EXPORT} --despite-damage", copy, "mcap", tmp_path / "out").err
@@ -214,13 +233,12 @@ def test_a_rotten_frame_is_not_exported(run: RunRecord, tmp_path: Path, said: Sa
 def test_a_run_without_a_calibration_has_neither_ties_nor_lenses_and_pixels_have_16_bits(
     tmp_path: Path, said: Said
 ) -> None:
-    reader = pytest.importorskip("mcap.reader", reason="the extra 'export' is not installed")
     store = Store.create(tmp_path / "run", {})
     facts(store)
     done = trial(store, 1)
     store.finished(done)
     said(0, EXPORT, store.folder, "mcap", tmp_path)
-    assert {topic.split("/")[1] for topic in messages_of(tmp_path / "run.mcap", reader)} == {
+    assert {topic.split("/")[1] for topic in messages_of(tmp_path / "run.mcap")} == {
         "bath", "trial", "answers", "detections", "truth", "cameras",
     }  # fmt: skip
     other = trial(store, 2)
@@ -249,7 +267,9 @@ def test_a_missing_library_is_reported_with_what_to_do(
 
 SCHEMAS = {kind.DESCRIPTOR.full_name: kind for kind in MESSAGES}
 
+# typed from descriptor.proto
 KINDS = {"double": 1, "int64": 3, "int32": 5, "fixed32": 7, "string": 9, "bytes": 12, "uint32": 13}
+MESSAGE, ENUM, REPEATED = 11, 14, 3
 WHEN = "google.protobuf.Timestamp timestamp = 1"
 PUBLISHED = {
     "google.protobuf.Timestamp": "int64 seconds = 1; int32 nanos = 2",
@@ -272,19 +292,30 @@ PUBLISHED = {
 }
 
 
-def described(name: str) -> bytes:
-    """The schema as it stands in the file."""
-    return build_file_descriptor_set(SCHEMAS[name]).SerializeToString()
+# number -> name, kind, repeated, full name of what it holds
+Fields = dict[int, tuple[str, int, bool, str]]
 
 
-def fields(text: str) -> dict[int, tuple[str, int, bool, str]]:
-    """Lines of a .proto file as `mcap_reading` gives them."""
+def described(name: str) -> dict[str, Fields]:
+    """The messages of a schema as it stands in the file."""
+    return {
+        f"{file.package}.{message.name}": {
+            one.number: (one.name, one.type, one.label == REPEATED, one.type_name.lstrip("."))
+            for one in message.field
+        }
+        for file in build_file_descriptor_set(SCHEMAS[name]).file
+        for message in file.message_type
+    }
+
+
+def fields(text: str) -> Fields:
+    """Lines of a .proto file in the same form."""
     found = {}
     for line in text.split(";"):
         left, _, number = line.partition("=")
         words = left.split()
         kind, name = words[-2:]
-        code = mcap_reading.ENUM if "enum" in words else KINDS.get(kind, mcap_reading.MESSAGE)
+        code = ENUM if "enum" in words else KINDS.get(kind, MESSAGE)
         found[int(number)] = (name, code, "repeated" in words, "" if kind in KINDS else kind)
     return found
 
@@ -294,7 +325,7 @@ FOXGLOVES = sorted(name for name in SCHEMAS if name.startswith("foxglove."))
 
 @pytest.mark.parametrize("name", FOXGLOVES)
 def test_a_schema_is_field_by_field_what_foxglove_publishes(name: str) -> None:
-    ours = mcap_reading.described(described(name))
+    ours = described(name)
     assert name in ours
     assert ours == {one: fields(PUBLISHED[one]) for one in ours}
 
@@ -309,10 +340,10 @@ def test_our_own_hold_only_what_every_viewer_takes(name: str) -> None:
     """Lichtblick refuses JSON schemas with two types for a field, and gives an int64 as something
     that can't be plotted.
     """
-    ours = mcap_reading.described(described(name))[name]
-    assert ours.pop(1) == ("timestamp", mcap_reading.MESSAGE, False, "google.protobuf.Timestamp")
-    plain = {mcap_reading.DOUBLE, mcap_reading.STRING, mcap_reading.UINT32}
-    assert {kind for _, kind, _, _ in ours.values()} <= plain
+    ours = described(name)[name]
+    assert ours.pop(1) == ("timestamp", MESSAGE, False, "google.protobuf.Timestamp")
+    taken = {KINDS[kind] for kind in ("double", "string", "uint32")}
+    assert {kind for _, kind, _, _ in ours.values()} <= taken
 
 
 T = {"seconds": 1_700_000_000, "nanos": 5}
@@ -377,9 +408,8 @@ def test_descriptions_are_those_of_foxgloves_own_library(name: str) -> None:
         "foxglove.messages", reason="foxglove-sdk is not installed: nobody to compare with"
     )
     kind = getattr(theirs, name.removeprefix("foxglove."))
-    sets = [
-        FileDescriptorSet.FromString(data) for data in (kind.get_schema().data, described(name))
-    ]
+    ours = build_file_descriptor_set(SCHEMAS[name])
+    sets = [FileDescriptorSet.FromString(kind.get_schema().data), ours]
     for file in [file for files in sets for file in files.file]:
         file.ClearField("options")
         for field in [field for message in file.message_type for field in message.field]:

@@ -23,17 +23,13 @@ from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.unit import SHIPPED
 from instruments.stage.driver import Stage
-from tests.bench.test_config import rig_with
+from tests.bench.operated_runs import shipped_rig
 from tests.conftest import ROOT
 
 
 def with_emulation(folder: Path, *lines: str) -> Path:
     """A copy of the emulated rig whose emulation says ``lines``."""
-    path = rig_with(folder, {})
-    text = path.read_text(encoding="utf-8")
-    assert "[emulation]" not in text
-    path.write_text("\n".join([text, "[emulation]", *lines]), encoding="utf-8")
-    return path
+    return shipped_rig(folder, emulation="\n".join(lines))
 
 
 ARM, CAMERAS = 'instrument = "arm", name', 'instrument = "cameras", name'
@@ -199,4 +195,4 @@ def test_pseudo_terminals_where_there_are_none(
 @pytest.mark.parametrize("options", [{"paced": True}, {"pty": True}])
 def test_neither_goes_with_virtual_time(tmp_path: Path, options: dict[str, bool]) -> None:
     with pytest.raises(ValueError, match="under virtual time"):
-        EmulatedRig(load_rig(rig_with(tmp_path, {})), VirtualClock(), 1, **options)  # type: ignore[arg-type]
+        EmulatedRig(load_rig(shipped_rig(tmp_path)), VirtualClock(), 1, **options)  # type: ignore[arg-type]

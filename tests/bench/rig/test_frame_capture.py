@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from bench.record.reader import read_run
 from bench.rig.frame_capture import HINTS, FrameTaker
 from bench.rig.loading import find_rig, load_rig
 from bench.rig.model import Cameras as CamerasTable
@@ -18,8 +17,7 @@ from instruments.camera.emulator import FAULTS, EmulatedCameras
 from instruments.camera.frame import FrameFault, FrameSet
 from instruments.camera.recording import Recording, RecordingCameras, RecordingWriter
 from instruments.errors import DeviceError, LinkError
-from tests.bench.rig.test_emulated_faults import with_emulation
-from tests.bench.run.test_end_to_end import run_command
+from tests.bench.operated_runs import record_of, texts
 from tests.instruments.camera.small_world import GalleryWorld
 
 
@@ -111,42 +109,23 @@ def test_a_recording_is_asked_once_for_its_next_frame_is_another_trials(tmp_path
         taker.take()
 
 
-def record_of(folder: Path) -> tuple[list[str], dict[str, int], int]:
-    """Events of the cameras, counts of their faults, and how many trials are whole."""
-    run = read_run(folder)
-    events = [str(event["text"]) for event in run.events if event["kind"] == "camera"]
-    return events, run.facts.get("camera faults", {}), len(run.trials)
+@pytest.mark.slow
+def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(tmp_path: Path) -> None:
+    faults = """faults = [
+    { instrument = "cameras", name = "flat-field event", times = 2 },
+    { instrument = "cameras", name = "swapped", times = 1 },
+    ]"""
+    run = record_of(tmp_path, emulation=faults, whole=True)
+    assert (run.ending, len(run.trials)) == ("finished", 3)
+    assert run.facts["camera faults"] == {"thermal: flat-field event": 2, "left: swapped": 1}
+    assert len(texts(run, "camera")) == 2
 
 
 @pytest.mark.slow
-def test_a_run_goes_on_through_faults_that_pass_and_keeps_count_of_them(
-    tmp_path: Path, short_script: Path
-) -> None:
-    faults = [
-        '{ instrument = "cameras", name = "flat-field event", times = 2 }',
-        '{ instrument = "cameras", name = "swapped", times = 1 }',
-    ]
-    rig = with_emulation(tmp_path, f"faults = [{', '.join(faults)}]")
-    code, folder = run_command(["run", str(short_script), "--rig", str(rig)], tmp_path / "runs")
-    events, counts, trials = record_of(folder)
-    assert code in (0, 1, 4)
-    assert counts == {"thermal: flat-field event": 2, "left: swapped": 1}
-    assert len(events) == 2
-    assert trials == 6
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)  # a busy machine draws its report for minutes
-def test_a_run_ends_safely_when_a_fault_stays(tmp_path: Path, short_script: Path) -> None:
-    rig = with_emulation(
-        tmp_path, 'faults = [{ instrument = "cameras", name = "black", camera = "right" }]'
-    )
-    rig.write_text(
-        rig.read_text(encoding="utf-8") + "\n[limits]\naway_s = 20.0\n", encoding="utf-8"
-    )
-    code, folder = run_command(["run", str(short_script), "--rig", str(rig)], tmp_path / "runs")
-    events, counts, trials = record_of(folder)
-    assert code == 3
-    assert counts == {"right: black": 4}
-    assert events[-1].endswith("Refused.")
-    assert trials == 0
+def test_a_run_ends_safely_when_a_fault_stays(tmp_path: Path) -> None:
+    black = '{ instrument = "cameras", name = "black", camera = "right" }'
+    run = record_of(tmp_path, emulation=f"faults = [{black}]\n[limits]\naway_s = 20.0")
+    assert (run.ending, len(run.trials)) == ("faulted", 0)
+    assert run.facts["camera faults"] == {"right: black": 4}
+    assert texts(run, "camera")[-1].endswith("Refused.")
+    assert "bath is safe" in texts(run, "safe")

@@ -88,7 +88,7 @@ def test_no_false_alarm_in_what_a_path_tracer_rendered(shared_data: Path) -> Non
     for frame in recording.frames[::3]:  # one of each situation
         frames = recording.load(frame)
         assert looks.notice(frames) == [], frame
-        assert order.judge(frames.right, frames.left).swapped, frame
+        assert order.swapped(frames.right, frames.left), frame
     assert len({recording.truth[frame][0].situation for frame in recording.frames[::3]}) == 11
 
 

@@ -5,7 +5,6 @@ readings is found out.
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,6 @@ from bench.record.reader import RunRecord, read_run
 from bench.report.page import stored_rules
 from bench.results.verdicts import judge
 from bench.rig.arm_files import Limits, frame_text, verification_text, write_file
-from bench.rig.loading import RIGS
 from bench.rig.model import Arm
 from bench.scoring.decisions import Verdict
 from bench.truth.arm_check import check_arm, location_of, shift_mm
@@ -30,7 +28,7 @@ from instruments.clock import wall_time
 from instruments.operators.operator import CheckPoint, Request
 from tests.bench.calibrate.arm_rig import Follower, emulated
 from tests.bench.commands import Said, teatbench
-from tests.bench.operated_runs import texts
+from tests.bench.operated_runs import shipped_rig, texts
 
 pytestmark = pytest.mark.slow
 
@@ -72,17 +70,6 @@ class Done:
         )
 
 
-def rig_in(folder: Path, arm: str = "", emulation: str = "") -> Path:
-    """The shipped emulated rig with more lines in two of its tables."""
-    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
-    assert "[arm]\n" in text
-    assert "[emulation]" not in text
-    shutil.copy(RIGS / "calibration.toml", folder)
-    text = text.replace("[arm]\n", f"[arm]\n{arm}") + f"\n[emulation]\n{emulation}"
-    (folder / "rig.toml").write_text(text, encoding="utf-8")
-    return folder / "rig.toml"
-
-
 def done(rig: Path, script: Path, out: Path) -> Done:
     code = teatbench("run {} --rig {} --out {}", script, rig, out)
     (folder,) = out.iterdir()
@@ -103,7 +90,7 @@ def arm_files(folder: Path) -> None:
 @pytest.fixture(scope="module")
 def in_place(script: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
     folder = tmp_path_factory.mktemp("in-place")
-    return done(rig_in(folder), script, folder / "runs")
+    return done(shipped_rig(folder, whole=True), script, folder / "runs")
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +99,7 @@ def elsewhere(script: Path, tmp_path_factory: pytest.TempPathFactory) -> Done:
     arm_files(folder)
     keys = 'frame = "arm-frame.toml"\nverification = "arm-verification.toml"\n'
     placed = f"arm_placed = {{ om = {PLACED.om.tolist()}, T = {PLACED.T.tolist()} }}\n"
-    return done(rig_in(folder, keys, placed), script, folder / "runs")
+    return done(shipped_rig(folder, keys, placed, whole=True), script, folder / "runs")
 
 
 def test_an_arm_elsewhere_scores_like_one_in_its_place(in_place: Done, elsewhere: Done) -> None:
@@ -177,7 +164,7 @@ def test_an_arm_that_was_moved_is_found_out(script: Path, tmp_path: Path) -> Non
     """Elsewhere on the table, and nobody made a frame: every truth is wrong, and the requirement
     says so.
     """
-    rig = rig_in(tmp_path, emulation="arm_placed = { T = [3.0, 0.0, 0.0] }\n")
+    rig = shipped_rig(tmp_path, emulation="arm_placed = { T = [3.0, 0.0, 0.0] }\n")
     run = done(rig, script, tmp_path / "runs")
     assert run.verdict is Verdict.NOT_MET
     assert run.code == 1
@@ -186,7 +173,7 @@ def test_an_arm_that_was_moved_is_found_out(script: Path, tmp_path: Path) -> Non
 
 
 def test_a_rig_without_a_check_point_has_not_measured_it(script: Path, tmp_path: Path) -> None:
-    path = rig_in(tmp_path)
+    path = shipped_rig(tmp_path)
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
     kept = "".join(line for line in lines if not line.startswith("check_point_mm"))
     path.write_text(kept, encoding="utf-8")
@@ -202,7 +189,7 @@ def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(
     file = tmp_path / "arm-frame.toml"
     text = file.read_text(encoding="utf-8").replace('"40937"', '"40938"')
     file.write_text(text, encoding="utf-8")
-    run = done(rig_in(tmp_path, 'frame = "arm-frame.toml"\n'), script, tmp_path / "runs")
+    run = done(shipped_rig(tmp_path, 'frame = "arm-frame.toml"\n'), script, tmp_path / "runs")
     assert run.code == 3
     assert run.run.ending == "faulted"
     (fault,) = texts(run.run, "fault")
@@ -222,7 +209,7 @@ def test_the_frame_of_another_arm_ends_the_run_before_anything_is_heated(
 def test_wrong_keys_of_a_rig_are_shown(
     lines: str, message: str, script: Path, tmp_path: Path, said: Said
 ) -> None:
-    rig = rig_in(tmp_path, lines)
+    rig = shipped_rig(tmp_path, lines)
     assert message in said(2, "run {} --rig {} --out {}", script, rig, tmp_path / "runs").err
     assert not (tmp_path / "runs").exists()
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
-from dataclasses import replace
+from contextlib import redirect_stdout
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 
 from bench.cli.main import main
+from bench.record.reader import RunRecord
 from bench.rig.loading import LoadedRig, find_rig, load_rig
 from bench.rig.model import Operator
 from bench.run.estimate import (
@@ -27,8 +30,22 @@ from bench.script.model import LoadedScript, find_script, load_script
 from tests.bench.operated_runs import SCRIPT, files, run_of
 
 
-def heated_run(folder: Path, *more: str) -> tuple[LoadedRig, LoadedScript]:
+@dataclass(frozen=True)
+class Heated:
+    rig: LoadedRig
+    script: LoadedScript
+    folder: Path
+    said: str
+
+    @property
+    def run(self) -> RunRecord:
+        return run_of(self.folder)
+
+
+@pytest.fixture(scope="module")
+def heated(tmp_path_factory: pytest.TempPathFactory) -> Heated:
     """A run of some minutes: it heats by 5 K, and each prompt takes half a minute."""
+    folder, said = tmp_path_factory.mktemp("heated"), io.StringIO()
     script = SCRIPT.replace("window_s = 2.0", "window_s = 600.0")
     arguments = files(folder, emulation="prompt_s = 30.0", script=script)
     rig_file = folder / "rig.toml"
@@ -36,17 +53,14 @@ def heated_run(folder: Path, *more: str) -> tuple[LoadedRig, LoadedScript]:
         "bath_start_c = 33.0", "bath_start_c = 28.0"
     )
     rig_file.write_text(text, encoding="utf-8")
-    assert main([*arguments, *more]) in (0, 1, 4)
-    return load_rig(rig_file), load_script(folder / "script.toml")
+    with redirect_stdout(said):
+        assert main([*arguments, "--events", str(folder / "events.jsonl")]) in (0, 1, 4)
+    return Heated(load_rig(rig_file), load_script(folder / "script.toml"), folder, said.getvalue())
 
 
 @pytest.mark.slow
-def test_a_run_teaches_how_long_the_next_takes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rig, script = heated_run(tmp_path)
-    assert "min of the bench's time" in capsys.readouterr().out
-    run, folder = run_of(tmp_path), tmp_path / "runs"
+def test_a_run_teaches_how_long_the_next_takes(heated: Heated) -> None:
+    rig, script, run, folder = heated.rig, heated.script, heated.run, heated.folder / "runs"
     spent = took(run)
     first, second = (
         estimate(rig, script, {**ASSUMED, **known}).total_s
@@ -62,21 +76,20 @@ def test_a_run_teaches_how_long_the_next_takes(
 
 @pytest.mark.slow
 def test_an_emulated_run_takes_as_long_as_estimated_and_says_what_is_left_all_the_while(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    heated: Heated,
 ) -> None:
     """Of what is emulated nothing is assumed: hands take what the rig file says, and the bath is
     simulated, as by a dry run.
     """
-    rig, script = heated_run(tmp_path, "--events", str(tmp_path / "events.jsonl"))
-    run, expected = run_of(tmp_path), needs(rig, script).time
+    run, expected = heated.run, needs(heated.rig, heated.script).time
     spent, minutes = took(run), round(expected.total_s / 60)
     assert expected.total_s == pytest.approx(spent["total_s"], rel=0.05)
     assert expected.settling_s == pytest.approx(spent["settling_s"], rel=0.05)
-    said, took_min = capsys.readouterr().out, f"{spent['total_s'] / 60:.0f}"
+    said, took_min = heated.said, f"{spent['total_s'] / 60:.0f}"
     left = f"3 trials, about {minutes} min left of the bench's time."
     assert said.startswith(f"{left} Run folder: {run.folder}\n")
     assert f"It took {took_min} min of the bench's time; {minutes} min were expected." in said
-    lines = list(map(json.loads, (tmp_path / "events.jsonl").read_bytes().splitlines()))
+    lines = list(map(json.loads, (heated.folder / "events.jsonl").read_bytes().splitlines()))
     doing = [line for line in lines if line["what"] == "doing" and line["t_s"] is not None]
     assert all("left" in line for line in doing), "from the first second on"
     for line in doing:

@@ -15,7 +15,6 @@ from bench.config import ConfigError
 from bench.record.reader import RunRecord, read_run
 from bench.results.verdicts import latency_of
 from bench.rig.frame_capture import FrameTaker
-from bench.rig.loading import load_rig
 from bench.rig.model import EmulatedFault
 from bench.run.context import RunContext
 from bench.run.events import EVENT
@@ -26,15 +25,12 @@ from bench.run.interruptions import (
     POLICIES,
     REFUSES,
     Requests,
-    instrument_of,
+    diagnosis,
     leave_wish,
-    policy_for,
     read_wish,
     was_taken,
 )
-from bench.run.start import RunOptions, run_script
 from bench.run.trial import TrialRun
-from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
 from bench.truth.touching import ExpectedScene, TouchedTruth
 from instruments.camera.frame import FrameSet
@@ -46,8 +42,8 @@ from instruments.stage.driver import Stage
 from tests.bench.calibrate.arm_terminal import at_terminal
 from tests.bench.commands import Said
 from tests.bench.fault_catalogue import Bringer, known_to
-from tests.bench.killed_runs import Silent, only_run, start
-from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, run, run_of, texts
+from tests.bench.killed_runs import Person, only_run, start
+from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, record_of, run_of, texts
 
 TRIALS = ["001-place-1-1", "002-place-2-1", "003-place-3-1"]
 
@@ -59,8 +55,8 @@ def fault(instrument: str, name: str, at_s: float, for_s: float | None = None) -
     return f"prompt_s = 5.0\n[[emulation.faults]]\n{whose}\nat_s = {at_s}\n{lasts}"
 
 
-def faulty(folder: Path, emulation: str) -> tuple[int, RunRecord]:
-    return run(files(folder, stage=STAGE, emulation=emulation), folder)
+def faulty(folder: Path, emulation: str) -> RunRecord:
+    return record_of(folder, stage=STAGE, emulation=emulation)
 
 
 @pytest.mark.slow
@@ -68,8 +64,6 @@ def faulty(folder: Path, emulation: str) -> tuple[int, RunRecord]:
     ("instrument", "name", "at_s", "for_s"),
     [
         ("arm", "power loss", 60.0, 40.0),
-        ("arm", "silent", 60.0, 20.0),
-        ("stage", "silent", 45.0, 30.0),
         ("stage", "disconnect", 45.0, 30.0),
         ("cameras", "dropped", 30.0, 30.0),
     ],
@@ -77,7 +71,7 @@ def faulty(folder: Path, emulation: str) -> tuple[int, RunRecord]:
 def test_it_goes_on_when_the_instrument_is_back(
     instrument: str, name: str, at_s: float, for_s: float, tmp_path: Path
 ) -> None:
-    _, record = faulty(tmp_path, fault(instrument, name, at_s, for_s))
+    record = faulty(tmp_path, fault(instrument, name, at_s, for_s))
     assert record.ending == "finished", texts(record, "fault")
     assert [trial.id for trial in record.trials] == TRIALS
     are = "are" if instrument == "cameras" else "is"
@@ -90,27 +84,10 @@ def test_it_goes_on_when_the_instrument_is_back(
     )
 
 
-class Gives(Silent):
-    """Types ``words`` once the run waits for an instrument."""
-
-    def __init__(self, words: str) -> None:
-        super().__init__()
-        self._words: str | None = words
-
-    def typed(self) -> str | None:
-        if not any("The run is paused" in text for text in self.warned):
-            return None
-        words, self._words = self._words, None
-        return words
-
-
 def given(words: str, folder: Path, emulation: str) -> RunRecord:
     """A run whose operator types ``words`` while an instrument is away."""
-    files(folder, stage=STAGE, check_point=CHECK_POINT, emulation=emulation)
-    rig, script = load_rig(folder / "rig.toml"), load_script(folder / "script.toml")
-    person = Gives(words)
-    run_script(rig, script, folder / "runs", person, RunOptions(typed=person.typed))
-    return run_of(folder)
+    person = Person("The run is paused", [words])
+    return record_of(folder, person, stage=STAGE, check_point=CHECK_POINT, emulation=emulation)
 
 
 @pytest.mark.slow
@@ -217,8 +194,8 @@ def test_nothing_moves_in_a_trial_once_an_interlock_has_tripped(
 @pytest.mark.slow
 def test_one_that_stays_away_ends_the_run_after_the_rigs_patience(tmp_path: Path) -> None:
     lost = fault("arm", "power loss", 60.0)
-    code, record = faulty(tmp_path, f"{lost}[limits]\naway_s = 90.0")
-    assert (code, record.ending) == (3, "faulted")
+    record = faulty(tmp_path, f"{lost}[limits]\naway_s = 90.0")
+    assert record.ending == "faulted"
     (paused_s,) = [e["t_s"] for e in record.events if (e["kind"], e["text"]) == (EVENT, "paused")]
     (given_up_s,) = [event["t_s"] for event in record.events if event["kind"] == "given up"]
     assert 90.0 <= given_up_s - paused_s <= 110.0
@@ -274,8 +251,8 @@ def test_what_a_fault_is_and_whose() -> None:
         (DeviceError("truth", "no"), None),
     ]
     for case, key in cases:
-        assert policy_for(case) is (None if key is None else POLICIES[key]), case
-    assert instrument_of(LinkError("guardian", "gone")) is None
+        assert POLICIES.get(diagnosis(case)) is (None if key is None else POLICIES[key]), case
+    assert diagnosis(LinkError("guardian", "gone")) == ("", GONE)
 
 
 # a bath that leaves its band at once when its heater is dead for a while
@@ -285,8 +262,8 @@ NARROW = SCRIPT.replace("window_s = 2.0", "window_s = 60.0\nleave_k = 0.03\nmean
 @pytest.mark.slow
 def test_what_stands_there_waits_until_the_bath_is_stable_again(tmp_path: Path) -> None:
     dead = fault("bath", "dead heater", 855.0, 105.0).replace("prompt_s = 5.0", "prompt_s = 120.0")
-    code, record = run(files(tmp_path, script=NARROW, emulation=dead), tmp_path)
-    assert (code, record.ending, len(record.trials)) == (0, "finished", 3)
+    record = record_of(tmp_path, script=NARROW, emulation=dead)
+    assert (record.ending, len(record.trials)) == ("finished", 3)
     note = texts(record, "suspended")[0]
     assert "the bath left its band" in note
     (late,) = [trial for trial in record.trials if trial.head["note"]]
@@ -324,39 +301,16 @@ def test_a_bath_that_leaves_its_band_while_a_camera_is_late_costs_the_frames_and
     monkeypatch.setattr(FrameTaker, "take", late)
     monkeypatch.setattr(RunContext, "wait", noted)
     dead = fault("bath", "dead heater", 100.0, 105.0).removeprefix("prompt_s = 5.0\n")
-    code, record = run(files(tmp_path, script=NARROW, emulation=dead), tmp_path)
-    assert (code, record.ending) == (0, "finished")
+    record = record_of(tmp_path, script=NARROW, emulation=dead)
+    assert record.ending == "finished"
     assert [text.split(":")[0] for text in texts(record, "suspended")] == [TRIALS[0]]
     assert [trial.head["bath_state"] for trial in record.trials] == ["stable"] * 3
     assert len(taken) == 4, "the first trial's are taken again"
     assert len(record.trials[0].frames) == len(record.trials[1].frames)
 
 
-class Person(Silent):
-    """Types ``lines`` one by one, the first once trial ``at`` is next, another at each look after
-    it.
-    """
-
-    def __init__(self, at: str, lines: list[str]) -> None:
-        super().__init__()
-        self._at, self._lines, self._there = at, lines, False
-        self.states: list[str] = []
-
-    def state(self, text: str) -> None:
-        self.states.append(text)
-
-    def trial(self, done: int, total: int, name: str) -> None:
-        self._there = self._there or name == self._at
-
-    def typed(self) -> str | None:
-        return self._lines.pop(0) if self._there and self._lines else None
-
-
 def run_with(person: Person, folder: Path) -> RunRecord:
-    files(folder, emulation="prompt_s = 5.0")
-    rig, script = load_rig(folder / "rig.toml"), load_script(folder / "script.toml")
-    run_script(rig, script, folder / "runs", person, RunOptions(typed=person.typed))
-    return run_of(folder)
+    return record_of(folder, person, emulation="prompt_s = 5.0")
 
 
 @pytest.mark.slow
@@ -400,11 +354,7 @@ def test_a_trial_is_repeated_whole_and_another_skipped_each_with_its_reason(tmp_
 
 @pytest.mark.slow
 def test_an_abort_is_taken_before_the_first_trial_too(tmp_path: Path) -> None:
-    class Impatient(Person):
-        def typed(self) -> str | None:
-            return self._lines.pop(0) if self._lines else None
-
-    run = run_with(Impatient("", ["", "", "abort"]), tmp_path)
+    run = run_with(Person("", ["", "", "abort"]), tmp_path)
     assert (run.ending, len(run.trials)) == ("aborted", 0)
     assert texts(run, EVENT) == ["preparing", "safing", "aborted"]
 
@@ -458,7 +408,7 @@ def test_words_that_mean_nothing_are_reported_and_change_nothing(
     assert note[1].startswith("skip needs a reason")
     with pytest.raises(ConfigError, match="repeat needs a reason"):
         leave_wish(tmp_path, "repeat")
-    ended = run_with(Person("", []), tmp_path).folder
+    ended = record_of(tmp_path).folder
     assert "has ended (finished)" in said(2, "tell {} pause", ended).out
 
 

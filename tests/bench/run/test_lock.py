@@ -18,7 +18,7 @@ from filelock import FileLock
 
 from bench.config import ConfigError
 from bench.rig.loading import find_rig, load_rig
-from bench.run.lock import RigInUseError, lock_path, locked
+from bench.run.lock import RigInUseError, holder_of, lock_path, locked
 from tests.bench.commands import Said
 from tests.bench.operated_runs import files
 from tests.conftest import ROOT
@@ -98,6 +98,7 @@ def test_an_emulated_rig_needs_none_and_a_folder_that_is_not_there_is_reported(
     tmp_path: Path,
 ) -> None:
     assert lock_path(load_rig(find_rig(None))) is None
+    assert holder_of(tmp_path) == {}, "a scored recording never had one"
     with locked(None, "x", print):
         pass
     refused(tmp_path / "no" / "lab.lock.json", "the rig can't be locked", ConfigError)

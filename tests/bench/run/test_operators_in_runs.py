@@ -7,15 +7,17 @@ from __future__ import annotations
 import json
 from datetime import datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from bench.record.reader import RunRecord
+from bench.record.reader import RunRecord, read_run
+from bench.run.engine import Ending
+from bench.run.start import RunOptions
 from bench.script.phantom import shipped_phantom
 from instruments.world.phantom import PlatePose
-from tests.bench.operated_runs import CHECK_POINT, STAGE, files, run, texts
+from tests.bench.killed_runs import start
+from tests.bench.operated_runs import CHECK_POINT, STAGE, files, record_of, run, texts
 from tests.plain_text import plain_text
 
 WILLING = (
@@ -23,9 +25,12 @@ WILLING = (
 )
 
 
-def answered(folder: Path, answers: str, **more: Any) -> tuple[int, RunRecord]:
-    """A run whose operator is a script of ``answers``."""
-    return run(files(folder, operator="script:answers.txt", answers=answers, **more), folder)
+SCRIPTED = "script:answers.txt"
+
+
+def answered(folder: Path, answers: str) -> tuple[int, RunRecord]:
+    """A run whose operator is a script of ``answers``, with its exit code and its report."""
+    return run(files(folder, operator=SCRIPTED, answers=answers), folder)
 
 
 def page_of(record: RunRecord) -> str:
@@ -58,9 +63,8 @@ def test_a_run_of_which_all_was_skipped_has_no_verdict(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_trial_may_be_done_again_from_its_set_up(tmp_path: Path) -> None:
     answers = WILLING + "touch (trial 2 of 3, teat 3): repeat\nset up (trial 2 of 3): repeat\n"
-    code, record = answered(tmp_path, answers, stage=STAGE)
-    assert code == 0, texts(record, "fault")
-    assert len(record.trials) == 3
+    record = record_of(tmp_path, operator=SCRIPTED, answers=answers, stage=STAGE)
+    assert (record.ending, len(record.trials)) == ("finished", 3), texts(record, "fault")
     assert len(texts(record, "repeated")) == 2
 
 
@@ -88,16 +92,19 @@ def test_a_script_that_does_not_fit_the_run_faults_it(
 
 @pytest.mark.slow
 def test_an_answer_may_abort_the_run(tmp_path: Path) -> None:
-    code, record = answered(tmp_path, f"{WILLING}set up (trial 2 of 3): abort\n")
-    assert (code, record.ending, len(record.trials)) == (3, "aborted", 1)
+    answers = f"{WILLING}set up (trial 2 of 3): abort\n"
+    record = record_of(tmp_path, operator=SCRIPTED, answers=answers)
+    assert (record.ending, len(record.trials)) == ("aborted", 1)
     assert texts(record, "aborted") == ["the operator aborted the run"]
 
 
 @pytest.mark.slow
 def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path) -> None:
     """Under virtual time the wall's passes by a second or two."""
-    code, record = run([*files(tmp_path, emulation="prompt_s = 1.0"), "--realtime"], tmp_path)
-    assert code in (0, 1, 4)
+    files(tmp_path, emulation="prompt_s = 1.0")
+    folder, ending = start(tmp_path, how=RunOptions(realtime=True))
+    record = read_run(folder)
+    assert ending is Ending.FINISHED
     ends = (record.events[0], record.events[-1])
     bench_s = np.ptp([event["t_s"] for event in ends])
     wall_s = np.ptp([datetime.fromisoformat(event["wall_time"]).timestamp() for event in ends])
@@ -108,8 +115,8 @@ def test_in_real_time_the_clock_of_the_bench_is_that_of_the_wall(tmp_path: Path)
 @pytest.mark.slow
 def test_an_interlock_ends_a_prompt_of_the_emulated_operator(tmp_path: Path) -> None:
     fault = '[[emulation.faults]]\ninstrument = "bath"\nname = "silence"\nat_s = 100.0'
-    code, record = run(files(tmp_path, emulation=f"prompt_s = 600.0\n{fault}"), tmp_path)
-    assert (code, record.ending) == (3, "faulted")
+    record = record_of(tmp_path, emulation=f"prompt_s = 600.0\n{fault}")
+    assert record.ending == "faulted"
     assert record.facts["trip"]["rule"] == "communications lost"
     assert record.events[-1]["t_s"] < 300.0, (
         "long before the ten minutes that the operator would have taken"
@@ -137,20 +144,10 @@ def touched_ends(record: RunRecord) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_without_a_stage_the_emulated_operator_puts_the_plate_where_the_script_says(
-    tmp_path: Path,
-) -> None:
-    code, record = run(files(tmp_path), tmp_path)
-    assert code == 0, texts(record, "fault")
-    assert "stage" not in record.facts["identities"]
-    assert exact_ends(record) == pytest.approx(WANTED, abs=1e-6)
-
-
-@pytest.mark.slow
 def test_placement_errors_come_out_in_the_truth_and_not_as_errors_of_it(tmp_path: Path) -> None:
     emulation = "placement_error_mm = 2.0\nplacement_error_deg = 1.0\nhand_error_mm = 0.05"
-    code, record = run(files(tmp_path, emulation=emulation), tmp_path)
-    assert code == 0, texts(record, "fault")
+    record = record_of(tmp_path, emulation=emulation)
+    assert record.ending == "finished", texts(record, "fault")
     found = exact_ends(record)
     off = np.linalg.norm(found - WANTED, axis=2).max(axis=1)
     assert ((off > 0.1) & (off < 20.0)).all()
@@ -168,8 +165,8 @@ def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
         "set up (Move the plate to x -15 mm, y +0 mm, z +6 mm, yaw +4 deg): go\ntouch: go x4\n"
         "set up (x +0 mm, y +0 mm): go\ntouch: go x4\ncheck point: go x2\n"
     )
-    code, record = answered(tmp_path, answers, check_point=CHECK_POINT)
-    assert code == 0, texts(record, "fault")
+    record = record_of(tmp_path, operator=SCRIPTED, answers=answers, check_point=CHECK_POINT)
+    assert record.ending == "finished", texts(record, "fault")
     assert [row["visible"] for row in record.trials[0].truth] == [1, 0, 1, 0]
     assert exact_ends(record) == pytest.approx(WANTED, abs=1e-6)
     at = "[trial 2 of 3, teat 4 of 4, 1 of 4 touches left; less than a minute left]"
@@ -178,12 +175,10 @@ def test_without_a_stage_a_script_of_answers_is_asked_for_every_pose(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mistake", ["wrong teat", "forgotten teat"])
-def test_a_mistake_of_the_hand_is_noticed_and_does_not_get_into_the_truth(
-    mistake: str, tmp_path: Path
-) -> None:
-    code, record = run(files(tmp_path, emulation=f'mistakes = ["{mistake}"]'), tmp_path)
-    assert code == 0, texts(record, "fault")
+def test_a_mistake_of_the_hand_is_noticed_and_does_not_get_into_the_truth(tmp_path: Path) -> None:
+    """The wrong teat is tried with the truth (`test_truth_runs`)."""
+    record = record_of(tmp_path, emulation='mistakes = ["forgotten teat"]')
+    assert record.ending == "finished", texts(record, "fault")
     refused = [row for trial in record.trials for row in trial.touches if row["refused"]]
     assert [(row["trial"], row["teat"]) for row in refused] == [(record.trials[0].id, "2")]
     assert np.linalg.norm(touched_ends(record) - WANTED, axis=2).max() < 2.0

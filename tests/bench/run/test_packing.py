@@ -15,8 +15,8 @@ import pytest
 from bench.files import sha256_of
 from bench.record.reader import read_run
 from tests.bench.commands import Said
+from tests.bench.small_run import KEPT
 
-KEPT = Path(__file__).parents[1] / "record" / "kept" / "schema-5"
 PACK = "recording pack {} --out {} --licence CC-BY-4.0"
 
 

@@ -22,19 +22,18 @@ from bench.config import ConfigError
 from bench.record.check import check_run
 from bench.record.reader import RunRecord, read_run
 from bench.record.writer import Store
-from bench.rig.loading import load_rig
 from bench.run.engine import Ending
 from bench.run.events import EVENT
 from bench.run.lock import locked, run_lock
 from bench.run.recordings import RECORDED, Recorder
 from bench.run.resume import what_is_left
-from bench.run.start import RunOptions, run_script
+from bench.run.start import RunOptions
 from bench.run.trial import TrialRun
-from bench.script.model import load_script
 from bench.truth.carrying import REFERENCE_FACT, CarriedTruth
 from instruments.camera.recording import Recording, RecordingWriter
 from tests.bench.commands import Said
 from tests.bench.killed_runs import (
+    Person,
     Silent,
     killed_at,
     killed_while,
@@ -268,25 +267,9 @@ def test_killed_just_after_a_check_of_the_carried_truth(
     assert check_run(only_run(tmp_path, "runs")).whole
 
 
-def run_in(folder: Path, out: str, progress: Silent, how: RunOptions) -> tuple[Path, Ending]:
-    rig = load_rig(folder / "rig.toml")
-    script = load_script(folder / "script.toml", rig.rig.limits.set_point_c)
-    return run_script(rig, script, folder / out, progress, how)
-
-
 def test_a_run_that_somebody_ended_goes_on_too(tmp_path: Path) -> None:
-    class Leaves(Silent):
-        left = False
-
-        def trial(self, done: int, total: int, name: str) -> None:
-            self.left = name == "place-3"
-
-        def typed(self) -> str | None:
-            return "abort" if self.left else None
-
     files(tmp_path)
-    person = Leaves()
-    folder, ending = run_in(tmp_path, "runs", person, RunOptions(typed=person.typed))
+    folder, ending = start(tmp_path, progress=Person("place-3", ["abort"]))
     assert (ending, len(read_run(folder).trials)) == (Ending.ABORTED, 2)
     assert resume(tmp_path, "runs")[1] is Ending.FINISHED
     run = read_run(folder)
@@ -304,7 +287,7 @@ def recording(folder: Path, out: str) -> Path:
 def record(folder: Path, out: str, progress: Silent | None = None) -> Ending:
     """The script in ``folder``, recorded beside its run."""
     how = RunOptions(record=recording(folder, out))
-    return run_in(folder, out, progress or Silent(), how)[1]
+    return start(folder, out, progress, how)[1]
 
 
 def content(path: Path) -> dict[str, bytes]:

@@ -5,7 +5,6 @@ the emulated rig as planned.
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -37,6 +36,7 @@ from instruments.operators.operator import (
 from instruments.stage.driver import Stage
 from instruments.world.phantom import PIVOT_MM
 from tests.bench.killed_runs import Silent
+from tests.bench.operated_runs import write_calibration
 
 PLANNED = load_script(find_script(None)).planned[:5]
 
@@ -184,7 +184,7 @@ def rig(folder: Path, axes: str) -> LoadedRig:
     dialect = '\n[emulation.stage]\ndialect = "grblHAL"\n' if "A" in axes else ""
     text += f"\n[emulation]\nbath_start_c = 33.0\n{dialect}"
     (folder / "rig.toml").write_text(text, encoding="utf-8")
-    shutil.copy(RIGS / "calibration.toml", folder)
+    write_calibration(folder)
     return load_rig(folder / "rig.toml")
 
 
@@ -219,6 +219,7 @@ def test_the_phantom_stands_where_the_script_says(tmp_path: Path, axes: str) -> 
     moved = turned(STANDING_MM, 20.0) + np.array([-3.0, 0.0, 12.0])
     assert second == pytest.approx(moved, abs=0.05)
     assert [trial.pose for trial in record.trials] == ["one-1", "one-2"]
+    assert ("stage" in record.facts["identities"]) is bool(axes)
 
     assert (record.folder / "mine.toml").read_text(encoding="utf-8") == LAYOUT
     kept = record.facts["pose set"]

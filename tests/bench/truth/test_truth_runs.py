@@ -6,7 +6,6 @@ what can't be.
 from __future__ import annotations
 
 import json
-import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.record.schema import DATABASE, Row
 from bench.report.truth import deviation_parts
 from bench.results.verdicts import scored
-from bench.rig.loading import RIGS, load_rig
+from bench.rig.loading import load_rig
 from bench.run.trial import REGISTRATION_FILE, refuse_carry
 from bench.script.model import load_script
 from bench.script.planned_trials import PlannedTrial
@@ -33,6 +32,7 @@ from bench.truth.touching import NoTruthError
 from bench.truth.uncertainty import CHI2_95
 from reports.page import Notes
 from tests.bench.commands import Said, teatbench
+from tests.bench.operated_runs import shipped_rig
 from tests.bench.run.test_trial import PLANNED, Context, attempts
 from tests.bench.truth.touches import axes_turned, registered, stage_of
 from tests.plain_text import plain_text
@@ -99,16 +99,6 @@ def script_in(folder: Path, truth: str, poses: str = GRID) -> Path:
     return path
 
 
-def rig_in(folder: Path, *, arm: str = "", emulation: str = "") -> Path:
-    text = (RIGS / "emulated.toml").read_text(encoding="utf-8")
-    assert "[arm]\n" in text
-    shutil.copy(RIGS / "calibration.toml", folder)
-    path = folder / "rig.toml"
-    text = text.replace("[arm]\n", f"[arm]\n{arm}\n") + f"\n[emulation]\n{emulation}\n"
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def done(rig: Path, script: Path, folder: Path) -> Done:
     runs, recording = folder / "runs", folder / "recording"
     teatbench("run {} --rig {} --out {} --record {}", script, rig, runs, recording)
@@ -122,7 +112,7 @@ def carried(tmp_path_factory: pytest.TempPathFactory) -> Done:
     """Eight poses, touched at the first, on a stage whose axes are off as far as is usual."""
     folder = tmp_path_factory.mktemp("carried")
     errors = "scale_errors = [0.0005, -0.0004, 0.0, 0.0], squareness_rad = 0.0005, yaw_rad = 0.03"
-    rig = rig_in(folder, emulation=f"stage = {{ {errors} }}")
+    rig = shipped_rig(folder, emulation=f"stage = {{ {errors} }}")
     return done(rig, script_in(folder, CARRY), folder)
 
 
@@ -133,7 +123,7 @@ def slipped(carried: Done, tmp_path_factory: pytest.TempPathFactory) -> Done:
     # both runs take the same time: only places differ
     before_s = carried.run.trials[5].head["started_s"] - 0.2
     fault = f'instrument = "stage", name = "lost step", at_s = {before_s}, amount = 3.0'
-    rig = rig_in(folder, emulation=f"faults = [{{ {fault} }}]")
+    rig = shipped_rig(folder, emulation=f"faults = [{{ {fault} }}]")
     return done(rig, script_in(folder, CARRY), folder)
 
 
@@ -221,7 +211,7 @@ def test_what_was_invalidated_is_in_no_count_and_plain_to_see(slipped: Done) -> 
 
 def test_a_ball_tip_gives_the_same_ends(tmp_path: Path) -> None:
     ball = done(
-        rig_in(tmp_path, arm="tip_radius_mm = 3.0"),
+        shipped_rig(tmp_path, arm="tip_radius_mm = 3.0"),
         script_in(tmp_path, 'mode = "touch"\nreadings = 4', ""),
         tmp_path,
     )
@@ -232,7 +222,7 @@ def test_a_ball_tip_gives_the_same_ends(tmp_path: Path) -> None:
 
 def test_a_mistake_of_the_operator_is_noticed_and_put_right(tmp_path: Path) -> None:
     wrong = done(
-        rig_in(tmp_path, emulation='mistakes = ["wrong teat"]'),
+        shipped_rig(tmp_path, emulation='mistakes = ["wrong teat"]'),
         script_in(tmp_path, 'mode = "touch"', ""),
         tmp_path,
     )
@@ -243,7 +233,7 @@ def test_a_mistake_of_the_operator_is_noticed_and_put_right(tmp_path: Path) -> N
 
 
 def test_a_registration_of_the_command_serves_a_script(tmp_path: Path, said: Said) -> None:
-    rig = rig_in(tmp_path)
+    rig = shipped_rig(tmp_path)
     written = said(0, "calibrate stage --rig {} --out {}", rig, tmp_path / "stage.toml").out
     assert "rigid: residual" in written
     assert 'registration = "stage.toml"' in written
@@ -259,7 +249,7 @@ def test_a_registration_of_the_command_serves_a_script(tmp_path: Path, said: Sai
 
 
 def test_a_crooked_stage_is_written_down_and_complained_of(tmp_path: Path, said: Said) -> None:
-    rig = rig_in(tmp_path, emulation="stage = { scale_errors = [0.012, 0.0, 0.0, 0.0] }")
+    rig = shipped_rig(tmp_path, emulation="stage = { scale_errors = [0.012, 0.0, 0.0, 0.0] }")
     command, file = "calibrate stage --rig {} --out {}", tmp_path / "stage.toml"
     crooked = said(1, command, rig, file)
     assert "SIGNIFICANT" in crooked.out
@@ -290,7 +280,7 @@ def test_a_registration_of_another_arm_is_refused(tmp_path: Path) -> None:
     registration = replace(registered(stage_of(rng), rng), serial_number="55555")
     write_registration(tmp_path / "stage.toml", registration)
     run = done(
-        rig_in(tmp_path),
+        shipped_rig(tmp_path),
         script_in(tmp_path, 'mode = "carry"\nregistration = "stage.toml"', ""),
         tmp_path,
     ).run
@@ -345,7 +335,7 @@ def test_a_script_that_asks_for_what_can_t_be_is_refused(
 
 
 def test_carry_without_a_stage_is_refused_before_anything_is_opened(tmp_path: Path) -> None:
-    rig = rig_in(tmp_path)
+    rig = shipped_rig(tmp_path)
     text = rig.read_text(encoding="utf-8").replace('[stage]\nurl = "emulator:"\n', "")
     rig.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match="needs a stage"):
