@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from functools import _lru_cache_wrapper
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -26,9 +27,11 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 TRIM_MIB, GROWN_MIB, MOST_MIB = 700.0, 32.0, 1024.0
 NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"/>'
-# rooms whose tests run the bench and look at no figure
-UNDRAWN = tuple(
-    f"tests.bench.{room}." for room in ("cli", "dry_run", "record", "rig", "run", "safety", "truth")
+# rooms and files whose tests run the bench and look at no figure
+UNDRAWN = (
+    *(f"tests.bench.{room}." for room in ("cli", "dry_run", "record", "results", "rig", "run")),
+    *("tests.bench.safety.", "tests.bench.truth.", "tests.bench.campaign.test_campaign"),
+    "tests.test_docs",
 )
 
 
@@ -114,7 +117,15 @@ def figures_are_not_rendered(request: pytest.FixtureRequest) -> Iterator[None]:
         if request.module.__name__.startswith(UNDRAWN):
             from matplotlib.figure import Figure
 
-            patched.setattr(Figure, "savefig", lambda _, file, **__: file.write(NO_FIGURE))
+            render = Figure.savefig
+
+            def savefig(figure: Figure, file: Any, **how: Any) -> None:
+                if how["format"] == "svg":
+                    file.write(NO_FIGURE)
+                else:
+                    render(figure, file, **how)
+
+            patched.setattr(Figure, "savefig", savefig)
         yield
 
 
