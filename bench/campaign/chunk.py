@@ -11,15 +11,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from bench.campaign.perturbations import Applied
 from bench.campaign.quantities import AT, varied
 from bench.results.answers import Answer, examine, score_answer
-from bench.rig.loading import LoadedRig
-from bench.rig.scenes import Drawn, draw, rig_renderer, warm
+from bench.rig.scenes import Drawn, draw, warm
 from bench.scoring.scene import SceneScore
 from detector.calibration import Calibration, ParameterCovariance
 from detector.protocol import Detector, Outcome, Teat
@@ -68,21 +67,6 @@ class Bench:
     limit_mm: float = LIMIT_MM
     perturbations: Sequence[Applied] = ()
     exact: bool = False
-
-    @classmethod
-    def of_rig(
-        cls,
-        rig: LoadedRig,
-        detectors: Sequence[Detector],
-        seed: int,
-        *,
-        limit_mm: float = LIMIT_MM,
-        perturbations: Sequence[Applied] = (),
-    ) -> Bench:
-        """The emulated cameras of a rig file, detectors told what they are drawn by."""
-        renderer = rig_renderer(rig, seed)
-        exact = rig.calibration.covariance is None
-        return cls(renderer, rig.calibration, detectors, seed, limit_mm, perturbations, exact)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +143,8 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """What a chunk found. ``taken`` belongs to ``scenes``, row by row. ``cpu_s`` and ``seconds``
-    are of the whole chunk, drawing included.
+    """What some scenes gave. ``taken`` belongs to ``scenes``, row by row. ``cpu_s`` and ``seconds``
+    are of all of it, drawing included.
     """
 
     scenes: tuple[SceneRow, ...] = ()
@@ -170,25 +154,8 @@ class Rows:
     seconds: float = 0.0
 
     def __add__(self, other: Rows) -> Rows:
-        return Rows(
-            self.scenes + other.scenes,
-            self.teats + other.teats,
-            self.taken + other.taken,
-            self.cpu_s + other.cpu_s,
-            self.seconds + other.seconds,
-        )
-
-
-def run_chunk(bench: Bench, scenes: Iterable[Scene]) -> Rows:
-    """The rows of these scenes, in their order. Raises ValueError for a scene that can't be drawn
-    before these cameras.
-    """
-    started_s, used_before_s = stopwatch_s(), processor_s()
-    parts = [run_scene(bench, scene) for scene in scenes]
-    rows = tuple(row for part in parts for row in part.scenes)
-    teats = tuple(row for part in parts for row in part.teats)
-    taken = tuple(one for part in parts for one in part.taken)
-    return Rows(rows, teats, taken, processor_s() - used_before_s, stopwatch_s() - started_s)
+        names = [field.name for field in fields(self)]
+        return Rows(*(getattr(self, name) + getattr(other, name) for name in names))
 
 
 def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Rows:
@@ -206,23 +173,20 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
     if found is None:
         found, parameters = member_of(scene.family, scene.member)
     drawn, stated = draw_scene(bench, scene, found)
-    answers = [
-        examine(detector, drawn.frames, stated, timeout_s=math.inf) for detector in bench.detectors
-    ]
     digest, shares = digest_of_frames(drawn.frames), [_share(one) for one in parameters.values()]
-    scores = [
-        score_answer(answer, drawn.truth, limit_mm=bench.limit_mm, time_limit_s=math.inf)
-        for answer in answers
-    ]
-    found_by = list(zip(answers, scores, strict=True))
-    teats = [list(_teat_rows(scene, *one, drawn)) for one in found_by]
-    rows = tuple(
-        _scene_row(scene, *one, digest, ends, ",".join(parameters), shares)
-        for one, ends in zip(found_by, teats, strict=True)
-    )
-    every = tuple(row for ends in teats for row in ends)
-    taken = tuple(Taken(answer.seconds, answer.cpu_s, _reason(answer)) for answer in answers)
-    return Rows(rows, every, taken, processor_s() - used_before_s, stopwatch_s() - started_s)
+    rows: list[SceneRow] = []
+    teats: list[TeatRow] = []
+    taken: list[Taken] = []
+    for detector in bench.detectors:
+        answer = examine(detector, drawn.frames, stated, timeout_s=math.inf)
+        score = score_answer(answer, drawn.truth, limit_mm=bench.limit_mm, time_limit_s=math.inf)
+        ends = list(_teat_rows(scene, answer, score, drawn))
+        rows.append(_scene_row(scene, answer, score, digest, ends, ",".join(parameters), shares))
+        teats += ends
+        reason = None if answer.outcome is Outcome.ANSWERED else answer.detection.reason
+        taken.append(Taken(answer.seconds, answer.cpu_s, reason))
+    used_s, passed_s = processor_s() - used_before_s, stopwatch_s() - started_s
+    return Rows(tuple(rows), tuple(teats), tuple(taken), used_s, passed_s)
 
 
 def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[Drawn, Calibration]:
@@ -306,17 +270,12 @@ def _share(parameter: Parameter) -> int:
     return round(SHARES * (parameter.value - parameter.low) / width) if width else 0
 
 
-def _reason(answer: Answer) -> str | None:
-    return None if answer.outcome is Outcome.ANSWERED else answer.detection.reason
-
-
 def _failure(answer: Answer, score: SceneScore) -> str:
     if answer.outcome is not Outcome.ANSWERED:
         return str(answer.outcome.value)
-    counts = score.counts
-    if counts.false:
+    if score.counts.false:
         return "false"
-    if counts.missed:
+    if score.counts.missed:
         return "missed"
     return "" if score.success else "error"
 
@@ -340,10 +299,11 @@ def _teat_rows(scene: Scene, answer: Answer, score: SceneScore, drawn: Drawn) ->
 def _figures(teat: Teat, truth: TruthRow) -> tuple[float | None, ...]:
     """Error and sd along the three axes, and NEES."""
     error = np.asarray(teat.world_mm) - np.asarray(truth.xyz_mm)
+    stored = map(_stored, error.tolist())
     if teat.covariance_mm2 is None:
-        return tuple(_stored(value) for value in error.tolist())
+        return tuple(stored)
     nees = float(error @ np.linalg.solve(teat.covariance_mm2, error))
-    return (*(_stored(value) for value in error.tolist()), *_sd(teat), _stored(nees))
+    return (*stored, *_sd(teat), _stored(nees))
 
 
 def _sd(teat: Teat) -> tuple[float | None, ...]:

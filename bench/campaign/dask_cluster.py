@@ -8,15 +8,13 @@ that is left set aside. A cluster that does nothing any more is reached anew.
 
 from __future__ import annotations
 
-import statistics
 import threading
 import uuid
-from collections import Counter, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from types import TracebackType
 from typing import Any
 
 from distributed import Client, Future, KilledWorker, wait
@@ -24,16 +22,7 @@ from distributed import TimeoutError as DaskTimeoutError
 
 from bench.campaign.chunk import Rows, set_aside
 from bench.campaign.plan import Chunk, Job, of_program
-from bench.campaign.pool import (
-    AHEAD,
-    FIRST_LIMIT_S,
-    LEAST_LIMIT_S,
-    REMEMBERED,
-    USUAL_TIMES,
-    LocalPool,
-    PoolError,
-    Say,
-)
+from bench.campaign.pool import AHEAD, REMEMBERED, LocalPool, PoolError, Say, Whole, patience_s
 from instruments.clock import stopwatch_s
 
 LOST = 2  # of a chunk's workers, until it is halved
@@ -53,76 +42,50 @@ class Done:
     program: dict[str, str]
 
 
-class _Kept:
-    """The pools of a Dask worker's process: one a thread that has been busy at once."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._key = ""
-        self._idle: list[tuple[LocalPool, list[str]]] = []
-
-    @contextmanager
-    def pool(
-        self, key: str, job: Job, chunk_scenes: int, limit_s: float
-    ) -> Iterator[tuple[LocalPool, list[str]]]:
-        with self._lock:
-            others = [] if key == self._key else self._idle
-            if key != self._key:
-                self._key, self._idle = key, []
-            taken = self._idle.pop() if self._idle else None
-        for pool, _ in others:
-            pool.close()
-        if taken is None:
-            said: list[str] = []
-            made = LocalPool(job, 1, say=said.append, chunk_scenes=chunk_scenes, limit_s=limit_s)
-            taken = made, said
-        try:
-            yield taken
-        except BaseException:
-            taken[0].close()
-            raise
-        with self._lock:
-            if key == self._key:
-                self._idle.append(taken)
-                return
-        taken[0].close()
-
-    def close(self, key: str) -> None:
-        """End those of a client that has gone."""
-        with self._lock:
-            ended = self._idle if key == self._key else []
-            self._idle = [] if key == self._key else self._idle
-        for pool, _ in ended:
-            pool.close()
-
-
-_KEPT = _Kept()
-
-
-def clear(key: str) -> None:
-    """What is run on each Dask worker when a client goes."""
-    _KEPT.close(key)
+# of a Dask worker's process: pools that have nothing to do, by client
+_IDLE: defaultdict[str, list[LocalPool]] = defaultdict(list)
+_LOCK = threading.Lock()
 
 
 def work(key: str, job: Job, chunk: Chunk, chunk_scenes: int, limit_s: float) -> Done:
-    """What is run on a Dask worker: a chunk in a process beside it."""
-    with _KEPT.pool(key, job, chunk_scenes, limit_s) as (pool, said):
-        said.clear()
+    """What is run on a Dask worker: a chunk in a process beside it, which waits for the next one of
+    this client.
+    """
+    said: list[str] = []
+    with _LOCK:
+        gone = [one for other in list(_IDLE) if other != key for one in _IDLE.pop(other)]
+        pool = _IDLE[key].pop() if _IDLE[key] else None
+    for one in gone:
+        one.close()
+    if pool is None:
+        pool = LocalPool(job, 1, say=said.append, chunk_scenes=chunk_scenes, limit_s=limit_s)
+    pool.say = said.append
+    try:
         ((_, rows),) = pool.results(iter([chunk]))
-        return Done(rows, tuple(said), of_program())
+    except BaseException:
+        pool.close()
+        raise
+    with _LOCK:
+        wanted = key in _IDLE
+        if wanted:
+            _IDLE[key].append(pool)
+    if not wanted:
+        pool.close()
+    return Done(rows, tuple(said), of_program())
 
 
-@dataclass(slots=True)
-class _Open:
-    """A chunk that is not whole yet."""
-
-    chunk: Chunk
-    missing: int
-    rows: list[Rows]
+def clear(key: str) -> None:
+    """End the pools of a client that has gone; run on each Dask worker."""
+    with _LOCK:
+        ended = _IDLE.pop(key, [])
+    for pool in ended:
+        pool.close()
 
 
 class DaskPool:
-    """The cluster of a scheduler at ``address``; to be used with ``with``. As `LocalPool`."""
+    """The cluster of a scheduler at ``address``; to be closed. As `LocalPool`. Raises PoolError
+    where none answers.
+    """
 
     def __init__(
         self, job: Job, address: str, *, say: Say, chunk_scenes: int, limit_s: float = 0.0
@@ -133,35 +96,19 @@ class DaskPool:
         self._client: Client | None = None
         self._given: dict[Future[Done], Chunk] = {}
         self._again: deque[Chunk] = deque()
-        self._open: dict[str, _Open] = {}
+        self._open: dict[str, Whole] = {}
         self._lost: Counter[Chunk] = Counter()
         self._chunk_s: deque[float] = deque(maxlen=REMEMBERED)
-        self._submitted = self._renewed = 0
+        self._renewed = 0
         self._heard_s = stopwatch_s()
-
-    def __enter__(self) -> DaskPool:
         self._connect()
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Leave the cluster."""
         if self._client is not None and not self._given:
             with suppress(Exception):  # workers that went have nothing to clear
                 self._client.run(clear, self._key, nanny=False, on_error="ignore")
         self._disconnect()
-
-    @property
-    def limit_s(self) -> float:
-        """How long nothing may be heard from the cluster before that is told."""
-        if self._limit_s:
-            return self._limit_s
-        if not self._chunk_s:
-            return FIRST_LIMIT_S
-        return max(LEAST_LIMIT_S, USUAL_TIMES * statistics.median(self._chunk_s))
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
         """The rows of each chunk, as they are done. ``chunks`` is asked for one when there is room.
@@ -180,12 +127,13 @@ class DaskPool:
                 self._heard_s, self._renewed, told = stopwatch_s(), 0, False
                 continue
             silent_s = stopwatch_s() - self._heard_s
+            limit_s = patience_s(self._limit_s, self._chunk_s)
             dead = self._client is None or self._client.status != "running" or not self._threads()
-            if silent_s > self.limit_s and not told:
+            if silent_s > limit_s and not told:
                 told = True
                 self._say(f"no chunk was done for {silent_s:.0f} s by the cluster {self._address}")
-            if silent_s > self.limit_s * (1 if dead else PATIENCE):
-                self._renew()
+            if silent_s > limit_s * (1 if dead else PATIENCE):
+                self._renew(limit_s)
                 told = False
 
     def _fill(self, chunks: Iterator[Chunk]) -> None:
@@ -195,12 +143,11 @@ class DaskPool:
                 part = self._again.popleft()
             elif chunk := next(chunks, None):
                 part = chunk
-                self._open[chunk.name] = _Open(chunk, len(chunk.members), [])
+                self._open[chunk.name] = Whole(chunk)
             else:
                 return
-            self._submitted += 1
             limits = self._chunk_scenes, self._limit_s
-            name = f"teatbench-{self._key}-{self._submitted}-{part.name}"
+            name = f"teatbench-{uuid.uuid4().hex}-{part.name}"
             try:
                 future = self._client.submit(
                     work, self._key, self._job, part, *limits, key=name, pure=False, retries=0
@@ -244,17 +191,23 @@ class DaskPool:
             ) from error
         if found is None:
             return
-        self._check(found.program)
+        if other := "; ".join(
+            f"{key}: {found.program.get(key)} there, {here} here"
+            for key, here in of_program().items()
+            if found.program.get(key) != here
+        ):
+            raise PoolError(
+                f"the cluster {self._address} has another program, whose rows don't go with this"
+                f" one's: {other}. Install the same on all."
+            )
         for text in found.said:
             self._say(text)
         self._chunk_s.append(found.rows.seconds / len(part.members) * self._chunk_scenes)
         whole = self._open[part.name]
-        whole.rows.append(found.rows)
-        whole.missing -= len(part.members)
-        if not whole.missing:
+        whole.done.append(found.rows)
+        if rows := whole.rows:
             del self._open[part.name]
-            ordered = sorted(whole.rows, key=lambda rows: rows.scenes[0].member)
-            yield whole.chunk, sum(ordered, Rows())
+            yield whole.chunk, rows
 
     def _worker_lost(self, part: Chunk) -> Done | None:
         """Workers went with this chunk, or with another that they had: halve it in the end."""
@@ -271,19 +224,6 @@ class DaskPool:
             return Done(set_aside(part.scenes[0], self._job.detector_names, why), (), of_program())
         return None
 
-    def _check(self, program: dict[str, str]) -> None:
-        here = of_program()
-        if program != here:
-            other = "; ".join(
-                f"{key}: {program.get(key)} there, {here[key]} here"
-                for key in here
-                if program.get(key) != here[key]
-            )
-            raise PoolError(
-                f"the cluster {self._address} has another program, whose rows don't go with this"
-                f" one's: {other}. Install the same on all."
-            )
-
     def _threads(self) -> int:
         """Of all workers together; none where the scheduler doesn't answer."""
         if self._client is None:
@@ -293,12 +233,12 @@ class DaskPool:
         except Exception:  # whatever a closed connection raises
             return 0
 
-    def _renew(self) -> None:
+    def _renew(self, limit_s: float) -> None:
         self._renewed += 1
         if self._renewed > RENEWALS:
             raise PoolError(
                 f"the cluster {self._address} did nothing for {RENEWALS + 1} times"
-                f" {self.limit_s:.0f} s. Are its scheduler and workers there?"
+                f" {limit_s:.0f} s. Are its scheduler and workers there?"
             )
         self._say(f"the cluster {self._address} is reached anew")
         self._put_back(list(self._given))

@@ -235,30 +235,18 @@ def judged(
         if answered[i]:
             yield Guess(cow, visit, stand.teats[i], found=True)
             continue
-        own = _nearest(answer, ends[i])
-        one = Guess(
-            cow,
-            visit,
-            stand.teats[i],
-            error_mm=None if own is None else float(np.linalg.norm(own[0])),
-            last_mm=_distance(last.get(stand.teats[i]), ends[i]),
-            swapped_mm=None
-            if (other := _nearest(swapped, ends[i])) is None
-            else float(np.linalg.norm(other[0])),
-        )
+        own, other = (_nearest(one, ends[i]) for one in (answer, swapped))
+        before, inside, volume_ml = last.get(stand.teats[i]), None, None
         if own is not None:
             miss, covariance = own
-            one = replace(
-                one,
-                inside=bool(miss @ np.linalg.solve(covariance, miss) < CHI2_95_OF_3),
-                volume_ml=4.0
-                / 3.0
-                * math.pi
-                * CHI2_95_OF_3**1.5
-                * math.sqrt(float(np.linalg.det(covariance)))
-                / 1000.0,
-            )
-        yield one
+            inside = bool(miss @ np.linalg.solve(covariance, miss) < CHI2_95_OF_3)
+            root = math.sqrt(float(np.linalg.det(covariance)))
+            volume_ml = 4.0 / 3.0 * math.pi * CHI2_95_OF_3**1.5 * root / 1000.0
+        misses = own and own[0], None if before is None else before - ends[i], other and other[0]
+        by_own, by_last, by_other = (
+            None if miss is None else float(np.linalg.norm(miss)) for miss in misses
+        )
+        yield Guess(cow, visit, stand.teats[i], by_own, by_last, by_other, inside, volume_ml)
     for teat in answer.predicted:
         unfound = (end for end, found in zip(ends, answered, strict=True) if not found)
         if all(np.linalg.norm(teat.world_mm - end) > NEAR_MM for end in unfound):
@@ -272,10 +260,6 @@ def _nearest(answer: Detection, end_mm: Array) -> tuple[Array, Array] | None:
         if teat.covariance_mm2 is not None and np.linalg.norm(teat.world_mm - end_mm) < NEAR_MM
     ]
     return min(near, key=lambda one: float(np.linalg.norm(one[0])), default=None)
-
-
-def _distance(place_mm: Array | None, end_mm: Array) -> float | None:
-    return None if place_mm is None else float(np.linalg.norm(place_mm - end_mm))
 
 
 @dataclass(frozen=True, slots=True)

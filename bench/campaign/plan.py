@@ -56,18 +56,6 @@ MAKES_ROWS = (
 SomePlan = TypeVar("SomePlan", bound="Plan")
 
 
-class PerturbationTable(Section):
-    """What is done to every scene; see `perturbations`."""
-
-    name: str
-    amount: float
-
-    @model_validator(mode="after")
-    def _there(self) -> PerturbationTable:
-        Applied(self.name, self.amount)
-        return self
-
-
 class Plan(Section):
     """A file of a campaign. ``scenes`` are of each family: so many, or with ``half_width`` (of the
     95 % interval of the failure rate) at most. Files are named from the plan's folder. Without
@@ -87,7 +75,7 @@ class Plan(Section):
     optical: EmulatedOptical = EmulatedOptical()
     thermal: EmulatedThermal = EmulatedThermal()
     depth: EmulatedDepth = EmulatedDepth()
-    perturbations: tuple[PerturbationTable, ...] = ()
+    perturbations: tuple[Applied, ...] = ()
     chunk_scenes: Annotated[int, Field(ge=0, le=10_000)] = 0
     chunk_limit_s: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     made_by: dict[str, str] = Field(default_factory=dict)
@@ -235,12 +223,16 @@ def open_plan(plan: Plan, members: int | None = None) -> tuple[Job, dict[str, st
     detectors = make_detectors(plan.detectors)
     with introduced(detectors, plan.asked_of(members)):
         devices = {one.name: getattr(one, "device", "") for one in detectors}
-    emulation = rig.rig.emulation
-    optical = emulation.optical.model_copy(update=plan.optical.model_dump(exclude_none=True))
-    thermal = emulation.thermal.model_copy(update=plan.thermal.model_dump(exclude_none=True))
-    depth = emulation.depth.model_copy(update=plan.depth.model_dump(exclude_none=True))
+    optical, thermal, depth = (
+        getattr(rig.rig.emulation, sensor).model_copy(
+            update=getattr(plan, sensor).model_dump(exclude_none=True)
+        )
+        for sensor in ("optical", "thermal", "depth")
+    )
+    cameras = read_text(rig.calibration_path)
+    told = read_text(Path(plan.calibration)) if plan.calibration else cameras
     job = Job(
-        tomllib.loads(read_text(rig.calibration_path)),
+        tomllib.loads(cameras),
         stated,
         optical,
         thermal,
@@ -248,12 +240,10 @@ def open_plan(plan: Plan, members: int | None = None) -> tuple[Job, dict[str, st
         tuple(one.name for one in detectors),
         plan.seed,
         plan.limit_mm,
-        tuple(Applied(one.name, one.amount) for one in plan.perturbations),
+        plan.perturbations,
         depth,
         exact=not plan.calibration and true.covariance is None,
     )
-    cameras = read_text(rig.calibration_path)
-    told = read_text(Path(plan.calibration)) if plan.calibration else cameras
     sensors = optical.model_dump_json() + thermal.model_dump_json()
     sensors += depth.model_dump_json() if true.depth else ""
     same = {

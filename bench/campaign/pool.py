@@ -17,10 +17,9 @@ import subprocess
 import sys
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from types import TracebackType
 from typing import IO, Any, cast
 
 from bench.campaign.chunk import Rows, Scene, set_aside
@@ -36,7 +35,7 @@ MORE_START_DEATHS = 30  # where one did: a machine that is short of memory for a
 USUAL_TIMES = 10  # a worker may take so many usual chunk times without a word
 LEAST_LIMIT_S, FIRST_LIMIT_S = 60.0, 600.0  # of silence: at least, and while nothing is known
 START_LIMIT_S = 120.0  # until a worker is ready, which takes 2 s on an idle machine
-REMEMBERED = 400  # scenes whose times are kept
+REMEMBERED = 400  # times that are kept
 CLOSING_S = 5.0
 LOOK_S = 0.5  # between two looks whether one is silent for too long
 Say = Callable[[str], None]
@@ -46,9 +45,18 @@ class PoolError(Exception):
     """No worker can be started; the message says why."""
 
 
+def patience_s(limit_s: float, chunk_s: Sequence[float]) -> float:
+    """How long nothing may be heard: ``limit_s``, where that is 0 ten times what a chunk took."""
+    if limit_s:
+        return limit_s
+    if not chunk_s:
+        return FIRST_LIMIT_S
+    return max(LEAST_LIMIT_S, USUAL_TIMES * statistics.median(chunk_s))
+
+
 @dataclass(slots=True, eq=False)
-class _Whole:
-    """A chunk, and the rows of each of its scenes that is done."""
+class Whole:
+    """A chunk, and the rows of those of its scenes that are done, in pieces."""
 
     chunk: Chunk
     done: list[Rows] = field(default_factory=list)
@@ -56,7 +64,8 @@ class _Whole:
     @property
     def rows(self) -> Rows | None:
         """Of all its scenes, in their order; None while one is missing."""
-        if len(self.done) < len(self.chunk.members):
+        scenes = {(row.family, row.member) for piece in self.done for row in piece.scenes}
+        if len(scenes) < len(self.chunk.members):
             return None
         return sum(sorted(self.done, key=lambda rows: rows.scenes[0].member), Rows())
 
@@ -65,7 +74,7 @@ class _Whole:
 class _Part:
     """What is left of a chunk, or of a piece of it; ``alone``: its next scene is tried alone."""
 
-    whole: _Whole
+    whole: Whole
     left: range
     alone: bool = False
 
@@ -152,15 +161,15 @@ class _Worker:
 
 
 class LocalPool:
-    """``workers`` processes; to be used with ``with``. ``say`` gets a sentence for whatever went
-    wrong. ``limit_s``: seconds without a word after which a worker is killed; 0: ten usual chunk
-    times.
+    """``workers`` processes, until it is closed. ``say`` gets a sentence for whatever went wrong.
+    ``limit_s``: seconds without a word after which a worker is killed; 0: ten usual chunk times.
     """
 
     def __init__(
         self, job: Job, workers: int, *, say: Say, chunk_scenes: int, limit_s: float = 0.0
     ) -> None:
-        self._job, self._count, self._say = job, workers, say
+        self.say = say
+        self._job, self._count = job, workers
         self._chunk_scenes, self._limit_s = chunk_scenes, limit_s
         self._heard: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
         self._workers: list[_Worker] = []
@@ -168,20 +177,9 @@ class LocalPool:
         self._waiting: deque[_Part] = deque()  # a chunk a worker, so that the end is seen before
         self._ending = False  # no more chunks come
         self._deaths: Counter[Scene] = Counter()
-        self._scene_s: deque[float] = deque(maxlen=REMEMBERED)
+        self._chunk_s: deque[float] = deque(maxlen=REMEMBERED)  # by each scene
         self._starts_failed = self._started = 0
         self._began = False
-
-    def __enter__(self) -> LocalPool:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the processes; once more is no error."""
@@ -198,16 +196,6 @@ class LocalPool:
     def pids(self) -> list[int]:
         """The processes, for who watches them."""
         return [worker.pid for worker in self._workers]
-
-    @property
-    def limit_s(self) -> float:
-        """How long a worker may say nothing."""
-        if self._limit_s:
-            return self._limit_s
-        if not self._scene_s:
-            return FIRST_LIMIT_S
-        usual_s = statistics.median(self._scene_s) * self._chunk_scenes
-        return max(LEAST_LIMIT_S, USUAL_TIMES * usual_s)
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
         """The rows of each chunk, as they are done. ``chunks`` is asked for one when there is room.
@@ -260,7 +248,7 @@ class LocalPool:
             if (chunk := next(chunks, None)) is None:
                 self._ending = True
             else:
-                self._waiting.append(_Part(_Whole(chunk), chunk.members))
+                self._waiting.append(_Part(Whole(chunk), chunk.members))
         if not self._waiting:
             return None
         part = self._waiting.popleft()
@@ -281,7 +269,7 @@ class LocalPool:
 
     def _take(self, worker: _Worker, rows: Rows) -> _Part:
         now_s = stopwatch_s()
-        self._scene_s.append(now_s - worker.heard_s)
+        self._chunk_s.append((now_s - worker.heard_s) * self._chunk_scenes)
         worker.heard_s = now_s
         part = worker.parts[0]
         part.left = part.left[1:]
@@ -301,7 +289,7 @@ class LocalPool:
         if not worker.ready:
             self._again.extendleft(reversed(parts))
             self._starts_failed += 1
-            self._say(f"worker {worker.number} {how} before it was ready")
+            self.say(f"worker {worker.number} {how} before it was ready")
             if self._starts_failed >= (MORE_START_DEATHS if self._began else START_DEATHS):
                 raise PoolError(
                     f"{self._starts_failed} workers one after the other {how} before they were"
@@ -319,10 +307,10 @@ class LocalPool:
         if not current.alone:
             current.alone = self._deaths[scene] >= DEATHS
             apart = " alone, in a new process" if current.alone else ""
-            self._say(f"{text}; the scene is tried again{apart}")
+            self.say(f"{text}; the scene is tried again{apart}")
             self._again.appendleft(current)
             return None
-        self._say(f"{text}, alone: the scene is set aside")
+        self.say(f"{text}, alone: the scene is set aside")
         why = f"its process {how}, {self._deaths[scene]} times, at last with this scene alone"
         current.left, current.alone = current.left[1:], False
         current.whole.done.append(set_aside(scene, self._job.detector_names, why))
@@ -330,16 +318,13 @@ class LocalPool:
             self._again.appendleft(current)
         return current
 
-    def _silent_s(self, worker: _Worker) -> float:
-        """How long it may say nothing; to begin takes its time on a busy machine."""
-        return self.limit_s if worker.ready else START_LIMIT_S
-
     def _kill_silent(self) -> None:
         if not self._heard.empty():  # who said something while the rows were written is heard first
             return
         now_s = stopwatch_s()
         for worker in self._workers:
-            limit_s = self._silent_s(worker)
+            # to begin takes its time on a busy machine
+            limit_s = patience_s(self._limit_s, self._chunk_s) if worker.ready else START_LIMIT_S
             if worker.parts and not worker.killed and now_s - worker.heard_s > limit_s:
                 worker.kill(f"gave no sign of life for {limit_s:.0f} s and was killed")
 

@@ -168,10 +168,13 @@ class Campaign:
         """Count the chunks from the first on, one by one, until the interval is tight enough: which
         chunk ended first changes nothing.
         """
+        width = self.plan.half_width
         while family.looked_at in family.chunks and family.looked_at < family.stopped:
             _add(family.sums, family.chunks[family.looked_at])
             family.looked_at += 1
-            if self._tight(family):
+            if width is not None and all(
+                tight_enough(rate.failures, rate.trials, width) for rate in family.sums.values()
+            ):
                 family.stopped = family.looked_at
                 beyond = [
                     one
@@ -181,12 +184,6 @@ class Campaign:
                 self.shards.remove(beyond)
                 family.whole = dict(family.sums)
                 family.done = sum(map(self.plan.scenes_of, range(family.stopped)))
-
-    def _tight(self, family: _Family) -> bool:
-        width = self.plan.half_width
-        return width is not None and all(
-            tight_enough(rate.failures, rate.trials, width) for rate in family.sums.values()
-        )
 
     def _status(self, families: Mapping[str, _Family]) -> Status:
         failures: dict[str, int] = defaultdict(int)

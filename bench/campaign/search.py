@@ -16,13 +16,7 @@ from cmaes import CMA
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from bench.campaign.chunk import (
-    Bench,
-    Rows,
-    Scene,
-    SceneRow,
-    run_scene,
-)
+from bench.campaign.chunk import Bench, Rows, Scene, SceneRow, run_scene
 from bench.scoring.weighted import Proposal, WeightedRate, weighted_rate
 from instruments.world.setups import Situation
 from instruments.world.situations import ATTEMPTS, Around, drawn
@@ -95,12 +89,6 @@ def distinct(tried: Sequence[Tried], apart: float = APART) -> list[Tried]:
     return kept
 
 
-def at_random(evaluate: Evaluate, dimensions: int, scenes: int, seed: int) -> list[Tried]:
-    """So many scenes as the family draws them: what a search is compared with."""
-    chance = np.random.default_rng([seed, *b"random"])
-    return list(islice(_tried(evaluate, _random(chance, dimensions)), scenes))
-
-
 def search(
     evaluate: Evaluate, dimensions: int, scenes: int, seed: int, apart: float = APART
 ) -> Iterator[Tried]:
@@ -108,17 +96,15 @@ def search(
     return islice(_Search(evaluate, dimensions, scenes, seed, apart).scenes(), scenes)
 
 
-@dataclass(slots=True, eq=False)
 class _Kind:
     """Failures of one origin. ``redrawn`` and ``kept`` count (d,): how often a parameter was drawn
     anew, and how often it failed all the same.
     """
 
-    failures: list[Tried]
-    redrawn: Floats
-    kept: Floats
-    found: int = 0
-    lost: int = 0
+    def __init__(self, first: Tried) -> None:
+        self.failures = [first]
+        self.redrawn, self.kept = np.zeros((2, len(first.point)))
+        self.found = self.lost = 0
 
 
 class _Search:
@@ -140,7 +126,7 @@ class _Search:
         evenly = _tried(self._evaluate, _sobol(self._chance, self._dimensions))
         for one in islice(evenly, self._even):
             if self._add(one):
-                self._new_kind(one)
+                self._kinds.append(_Kind(one))
             yield one
         climb: Iterator[Tried] | None = None
         while True:
@@ -170,10 +156,6 @@ class _Search:
         if new:
             self._known.append(one)
         return new
-
-    def _new_kind(self, one: Tried) -> None:
-        nothing = np.zeros(self._dimensions)
-        self._kinds.append(_Kind([one], nothing, nothing.copy()))
 
     def _spread(self) -> Iterator[Tried]:
         """From known failures to others beside them, until `BARREN` scenes bring none, or `LEG` are
@@ -236,7 +218,7 @@ class _Search:
                 new = self._add(one)
                 yield one
                 if new:
-                    self._new_kind(one)
+                    self._kinds.append(_Kind(one))
                     return
                 worth = 0.0 if one.failed else one.grade_mm
                 better |= worth > best
@@ -304,11 +286,6 @@ def _tried(evaluate: Evaluate, points: Iterator[Floats]) -> Iterator[Tried]:
 
 def _near(point: Floats, others: Sequence[Tried], apart: float) -> bool:
     return any(np.sqrt(np.mean((point - one.point) ** 2)) < apart for one in others)
-
-
-def _random(chance: np.random.Generator, dimensions: int) -> Iterator[Floats]:
-    while True:
-        yield chance.random(dimensions)
 
 
 def _sobol(chance: np.random.Generator, dimensions: int) -> Iterator[Floats]:

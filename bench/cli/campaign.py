@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -224,7 +224,7 @@ def _plan(given: argparse.Namespace) -> Plan:
         if (value := getattr(given, flag, None)) not in (None, [])
     }
     if perturbed := getattr(given, "perturb", None):
-        flags["perturbations"] = [asdict(one) for one in perturbed]
+        flags["perturbations"] = perturbed
     if given.plan is not None:
         if flags:
             raise ConfigError.plain(
@@ -259,7 +259,7 @@ def executor(
                 f"--dask needs another package: pip install 'teatbench[campaign]' ({error})"
             ) from error
         pool = DaskPool(campaign.job, dask, say=say, chunk_scenes=scenes, limit_s=limit_s)
-    with pool:
+    with closing(pool):
         yield pool
 
 

@@ -2,122 +2,22 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Literal
+from types import SimpleNamespace
+from typing import Any, Literal
 
 import numpy as np
 
-from bench.config import Section, read_config
 from bench.scoring.errors import Floats, summarise
 
 FIGURES = Path(__file__).parent / "thesis_figures.toml"
-Kind = Literal["situations", "plane", "offsets"]
-Point = tuple[float, float, float]
-Matrix = tuple[Point, Point, Point]
-Four = tuple[Point, Point, Point, Point]
-
-
-class Printed(Section):
-    """A figure's ``section``, and what is ``wrong`` in it."""
-
-    section: str
-    wrong: str
-
-
-class Asked(Section):
-    section: str
-    error_mm: float
-    time_s: tuple[float, float]
-    reliability: float
-    wrong_error: str
-    wrong_reliability: str
-    wrong_time: str
-
-
-class EarlierSystem(Printed):
-    plane_mm: tuple[float, float]
-    average_mm: float
-    largest_mm: float
-    smallest_mm: float
-    within_mm: float
-    area_within_mm: tuple[float, float]
-
-
-class FirstTest(Printed):
-    measured_mm: Four
-    triangulated_mm: Four
-    average_mm: float
-    largest_mm: float
-
-
-class SecondTest(Printed):
-    triangulated_mm: Four
-    errors_mm: Four
-    average_mm: float
-    largest_mm: float
-
-
-class OnePixel(Printed):
-    error_mm: float
-
-
-class Homography(Printed):
-    left: Matrix
-    right: Matrix
-    largest_px: float
-    largest_mm: float
-    at_mm: float
-
-
-class StandOff(Printed):
-    stated_mm: float
-    implied_mm: tuple[float, float]
-
-
-class World(Printed):
-    matrix: Matrix
-
-
-class Arm(Printed):
-    accuracy_mm: tuple[float, float]
-
-
-class Bath(Printed):
-    range_c: tuple[float, float]
-
-
-class Situation(Section):
-    name: str
-    section: str
-    found: int
-    present: int
-    seen: str
-
-
-class Elsewhere(Section):
-    section: str
-    what: str
-    printed: str
-    shown: tuple[Kind, ...]
-    where: str
-
-
-class Thesis(Section):
-    """All of it, as printed."""
-
-    asked: Asked
-    earlier_system: EarlierSystem
-    test_1: FirstTest
-    test_2: SecondTest
-    one_pixel: OnePixel
-    homography: Homography
-    stand_off: StandOff
-    world: World
-    arm: Arm
-    bath: Bath
-    situations: tuple[Situation, ...]
-    elsewhere: tuple[Elsewhere, ...]
+Kind = Literal["situations", "plane", "offsets"]  # of a report, where a figure is shown
+# tables of the file by name, their arrays as tuples
+Thesis = SimpleNamespace
+Situation = SimpleNamespace
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +32,17 @@ class Statistics:
     largest_distance: float | None
 
 
+@cache
 def thesis() -> Thesis:
-    """The figures."""
-    return read_config(FIGURES, Thesis)
+    """All of it, as printed."""
+    found: Thesis = _named(tomllib.loads(FIGURES.read_text(encoding="utf-8")))
+    return found
+
+
+def _named(value: Any) -> Any:
+    if isinstance(value, dict):
+        return SimpleNamespace(**{key: _named(one) for key, one in value.items()})
+    return tuple(map(_named, value)) if isinstance(value, list) else value
 
 
 def statistics(errors_mm: Floats) -> Statistics:

@@ -18,7 +18,7 @@ chance doesn't explain it; no worse is shown only where its interval stays withi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import expm1, log, pi, sqrt
 from statistics import NormalDist
@@ -30,7 +30,7 @@ from scipy.special import bdtr, ndtr
 from bench.scoring.decisions import Verdict
 from bench.scoring.errors import Floats, as_values, numbered
 from bench.scoring.matching import Counts, added
-from bench.scoring.rates import Rate, exact_percent, fewest, percent, plural
+from bench.scoring.rates import Rate, crossing, exact_percent, fewest, percent, plural
 from bench.scoring.scene import SceneScore
 
 FLIPS = 9999
@@ -73,8 +73,9 @@ class Discordance:
         if estimate is None:
             return None
         z = NormalDist().inv_cdf((1.0 + confidence) / 2.0)
-        return _crossing(lambda d: self._score(d) - z, -1.0, estimate), _crossing(
-            lambda d: self._score(d) + z, estimate, 1.0
+        return (
+            crossing(lambda d: self._score(d) - z, -1.0, estimate),
+            crossing(lambda d: self._score(d) + z, estimate, 1.0),
         )
 
     def _score(self, difference: float) -> float:
@@ -153,22 +154,13 @@ def upper_bound(values: Floats, limit: float, confidence: float) -> float:
     Learned-Miller and Thomas, arXiv:1905.06208). Clopper and Pearson's bound where values are 0 or
     `limit`. No counterexample to its confidence is known, nor a proof.
     """
-    from scipy.optimize import brentq  # late: loads for a fifth of a second
-
     n, chance = len(values), 1.0 - confidence
     share = -expm1(log(chance) / n)
     # if all were as this one
     low, high = (end + (limit - end) * share for end in (float(values.min()), float(values.max())))
     if high - low <= 1e-6 * limit:
         return high
-    return float(
-        brentq(
-            lambda mean: _chance_above(values, limit, mean, n) - chance,
-            low,
-            high,
-            xtol=1e-9 * limit,
-        )
-    )
+    return crossing(lambda mean: _chance_above(values, limit, mean, n) - chance, low, high)
 
 
 def poses_to_show(values: Floats, limit: float, margin: float, confidence: float) -> int | None:
@@ -257,17 +249,6 @@ def holm(p_values: Sequence[float]) -> tuple[float, ...]:
     steps = np.minimum(1.0, np.arange(len(p), 0, -1) * p[order])
     adjusted[order] = np.maximum.accumulate(steps)
     return tuple(adjusted.tolist())
-
-
-def _crossing(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a falling function crosses 0 between `low` and `high`; where it doesn't, the nearer
-    end.
-    """
-    from scipy.optimize import brentq  # late: loads for a fifth of a second
-
-    if low == high or function(low) <= 0.0:
-        return low
-    return high if function(high) >= 0.0 else float(brentq(function, low, high, xtol=1e-10))
 
 
 ALPHA = 0.05

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import ceil, log, log1p, sqrt
 
 import numpy as np
@@ -142,9 +143,7 @@ def shown_rate(failures: int, trials: int, confidence: float = 0.95, leak: float
     def open_by(rate: float) -> float:
         return shown_falsely(failures, trials, rate, leak) - allowed
 
-    from scipy.optimize import brentq  # late: loads for a fifth of a second
-
-    return float(brentq(open_by, 1e-9, exact)) if open_by(1e-9) < 0.0 < open_by(exact) else 0.0
+    return crossing(open_by, 1e-9, exact) if open_by(1e-9) < 0.0 < open_by(exact) else 0.0
 
 
 def fewest(enough: Callable[[int], bool], below: int) -> int:
@@ -156,6 +155,18 @@ def fewest(enough: Callable[[int], bool], below: int) -> int:
         middle = (low + high) // 2
         low, high = (low, middle) if enough(middle) else (middle, high)
     return high
+
+
+def crossing(function: Callable[[float], float], low: float, high: float) -> float:
+    """Where a monotone function is 0 between `low` and `high`; where it isn't, the end at which it
+    is nearer to 0.
+    """
+    from scipy.optimize import brentq  # late: loads for a fifth of a second
+
+    at = cache(function)  # the ends are asked for twice
+    if at(low) * at(high) >= 0.0:
+        return low if abs(at(low)) <= abs(at(high)) else high
+    return float(brentq(at, low, high))
 
 
 def shown_falsely(failures: int, trials: int, rate: float, leak: float) -> float:

@@ -4,7 +4,7 @@ a plan in values and in words. A power is the chance to show what is there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import floor, sqrt
 
@@ -15,6 +15,7 @@ from bench.scoring.guard_band import acceptance_limit_mm, leak
 from bench.scoring.rates import (
     Rate,
     check_open,
+    crossing,
     exact_percent,
     fewest,
     guarded_n,
@@ -48,8 +49,6 @@ def shown_error_mm(
     `limit_mm` in a share `rate`: at most the acceptance limit, less where they leave less of the
     risk to the truth (`shown_falsely`). None for too few poses, or a truth too uncertain.
     """
-    from scipy.optimize import brentq  # late: loads for a fifth of a second
-
     accept, allowed = acceptance_limit_mm(limit_mm, u_mm), 1.0 - confidence
 
     def risk(seen_mm: float) -> float:
@@ -57,11 +56,7 @@ def shown_error_mm(
 
     if accept is None or trials < trials_needed(failures, rate, confidence) or risk(0.0) > 1e-12:
         return None
-    return (
-        accept
-        if u_mm == 0.0 or risk(accept) <= 0.0
-        else float(brentq(risk, 0.0, accept, xtol=1e-9))
-    )
+    return accept if u_mm == 0.0 else crossing(risk, 0.0, accept)
 
 
 def power_of_rate(trials: int, true_rate: float, rate: float, confidence: float = 0.95) -> float:
@@ -108,7 +103,7 @@ def detectable_loss(trials: int, power: float = 0.8, alpha: float = 0.05) -> flo
     check_open("power", power)
     if trials < discordant_needed(alpha):
         return None
-    return _rising_root(lambda lost: mcnemar_power(trials, lost, 0.0, alpha) - power, 1.0)
+    return crossing(lambda lost: mcnemar_power(trials, lost, 0.0, alpha) - power, 0.0, 1.0)
 
 
 def detectable_shift(
@@ -127,11 +122,12 @@ def detectable_shift(
     # (Gauss-Legendre over its quantiles)
     nodes, weights = np.polynomial.legendre.leggauss(256)
     spread = edge * np.sqrt(gammaincinv(freedom / 2.0, (nodes + 1.0) / 2.0) * 2.0 / freedom)
-    noncentrality = _rising_root(
+    noncentrality = crossing(
         lambda d: float(weights @ (ndtr(d - spread) + ndtr(-d - spread))) / 2.0 - power,
+        0.0,
         20.0 + 10.0 * edge,
     )
-    return None if noncentrality is None else noncentrality * sd / sqrt(poses)
+    return noncentrality * sd / sqrt(poses)
 
 
 def poses_for_shift(shift: float, sd: float, power: float = 0.8, alpha: float = 0.05) -> int:
@@ -148,15 +144,6 @@ def poses_for_shift(shift: float, sd: float, power: float = 0.8, alpha: float = 
         return found is not None and found <= shift
 
     return fewest(shows, 1)
-
-
-def _rising_root(function: Callable[[float], float], high: float) -> float | None:
-    """Where a rising function reaches 0 between 0 and `high`; None where it doesn't."""
-    from scipy.optimize import brentq  # late: loads for a fifth of a second
-
-    if function(high) < 0.0:
-        return None
-    return 0.0 if function(0.0) >= 0.0 else float(brentq(function, 0.0, high, xtol=1e-9))
 
 
 def _positive_sd(sd: float) -> None:

@@ -20,10 +20,9 @@ from math import exp, log
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 from scipy.special import expit
 
-from bench.scoring.rates import check_open
+from bench.scoring.rates import check_open, crossing
 
 BETS = expit(np.arange(-14.0, 10.0))
 LEAST_LOGIT = -60.0
@@ -92,4 +91,4 @@ def _least(
     low = high
     while above(low) < 0.0 and low > LEAST_LOGIT:
         high, low, step = low, low - step, 2.0 * step
-    return 0.0 if low <= LEAST_LOGIT else float(expit(brentq(above, low, high, xtol=1e-9)))
+    return 0.0 if low <= LEAST_LOGIT else float(expit(crossing(above, low, high)))

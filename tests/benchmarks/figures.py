@@ -25,3 +25,9 @@ def figure(benchmark: BenchmarkFixture, what: str, value: float, aim: str) -> No
     """
     benchmark.extra_info[what] = value
     print(f"\n{what}: {value:,.5g} (aim: {aim})")
+
+
+def taken_s(benchmark: BenchmarkFixture, of: str = "median") -> float:
+    """Seconds of a round: the median, "mean", "min" or "max" of all."""
+    assert benchmark.stats is not None
+    return float(getattr(benchmark.stats.stats, of))

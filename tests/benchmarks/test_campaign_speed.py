@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import cv2
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from bench.campaign.chunk import Rows, run_chunk
+from bench.campaign.chunk import Rows, run_scene
 from bench.campaign.plan import Chunk, Job, Plan
 from bench.campaign.pool import LocalPool
 from bench.campaign.run import Campaign
@@ -52,9 +53,8 @@ def test_two_workers_against_one(benchmark: BenchmarkFixture, tmp_path: Path) ->
         )
         campaign.begin()
         begun_s = time.perf_counter()
-        with LocalPool(
-            campaign.job, workers, say=print, chunk_scenes=campaign.plan.chunk_scenes
-        ) as pool:
+        scenes = campaign.plan.chunk_scenes
+        with closing(LocalPool(campaign.job, workers, say=print, chunk_scenes=scenes)) as pool:
             pools.append(Counted(pool))
             campaign.run(pools[-1], lambda _: None)
         walls.append(time.perf_counter() - begun_s)
@@ -84,7 +84,7 @@ def plain_loop(job: Job, chunks: Sequence[Chunk]) -> float:
     """CPU seconds of the chunks, one after the other, in this process."""
     cv2.setNumThreads(1)
     bench = job.bench(job.renderer(), job.make_detectors())
-    return sum(run_chunk(bench, chunk.scenes).cpu_s for chunk in chunks)
+    return sum(run_scene(bench, scene).cpu_s for chunk in chunks for scene in chunk.scenes)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="counts the time of children")
@@ -103,7 +103,7 @@ def test_what_a_campaign_takes_beside_its_chunks(
     parent_s, workers_s = -time.process_time(), -children_s()
 
     def work() -> float:
-        with LocalPool(job, 1, say=print, chunk_scenes=plan.chunk_scenes) as pool:
+        with closing(LocalPool(job, 1, say=print, chunk_scenes=plan.chunk_scenes)) as pool:
             counted = Counted(pool)
             campaign.run(counted, lambda _: None)
         return counted.cpu_s

@@ -16,7 +16,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from detector.calibration import Calibration, load_calibration
 from detector.external import ExternalDetector
 from detector.external.serve import Pictures
-from tests.benchmarks.figures import figure
+from tests.benchmarks.figures import figure, taken_s
 from tests.detector.children import GOOD, child
 from tests.detector.conftest import ROOT
 
@@ -51,11 +51,10 @@ def test_a_question_and_its_answer(
 
     found = benchmark.pedantic(lambda: detector.detect(frames, rig), setup=prepared, rounds=20)
     assert found.hidden == 1
-    assert benchmark.stats is not None
     figure(
         benchmark,
         "a question and its answer over pipes, ms",
-        1e3 * benchmark.stats.stats.median,
+        1e3 * taken_s(benchmark),
         "below 5 ms",
     )
 
@@ -65,11 +64,10 @@ def test_the_pictures_are_written(
 ) -> None:
     detector.prepare(frames, rig)
     benchmark.pedantic(lambda: detector.prepare(frames, rig), rounds=10)
-    assert benchmark.stats is not None
     figure(
         benchmark,
         "two optical pictures and a thermal one as PNG, outside of the detector's time, ms",
-        1e3 * benchmark.stats.stats.median,
+        1e3 * taken_s(benchmark),
         "none",
     )
 

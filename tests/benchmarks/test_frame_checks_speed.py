@@ -9,7 +9,7 @@ from pytest_benchmark.fixture import BenchmarkFixture
 from bench.rig.frame_capture import FrameChecks
 from bench.rig.loading import find_rig, load_rig
 from instruments.camera.emulator import EmulatedCameras
-from tests.benchmarks.figures import figure
+from tests.benchmarks.figures import figure, taken_s
 from tests.instruments.camera.small_world import GalleryWorld
 
 
@@ -20,10 +20,9 @@ def test_looking_at_a_frame_set(benchmark: BenchmarkFixture) -> None:
     frames = cycle([cameras.capture() for _ in range(5)])
     noticed = benchmark.pedantic(lambda: looks.notice(next(frames)), rounds=20, warmup_rounds=2)
     assert noticed == []
-    assert benchmark.stats is not None
     figure(
         benchmark,
         "all looks at a frame set, ms",
-        1000.0 * benchmark.stats.stats.median,
+        1000.0 * taken_s(benchmark),
         "at most 60, as long as drawing one",
     )

@@ -1,31 +1,24 @@
-"""What the record costs: events, steps in a long run, frames; beside bluesky's count plan where
-that is installed.
-"""
+"""What the record costs: events, steps in a long run, frames."""
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import itertools
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from statistics import median, quantiles
 from time import thread_time
-from typing import Any
 
 import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from bench.record.writer import Store
-from instruments.clock import stopwatch_s, wall_time
+from instruments.clock import wall_time
 from tests.bench.record.test_record import bare_trial, facts
-from tests.benchmarks.figures import figure
+from tests.benchmarks.figures import figure, taken_s
 
 EVENTS, A_STEP = 3000, 50
 LONG, BLOCKS, A_BLOCK = 100_000, 40, 200
-COUNTED, TURNS = 300, 20
 FRAMES, A_TRIAL = 96, 4
 
 
@@ -35,11 +28,6 @@ def store(tmp_path: Path) -> Iterator[Store]:
     facts(made)
     yield made
     made.close()
-
-
-def rate(count: int, benchmark: BenchmarkFixture) -> float:
-    assert benchmark.stats is not None
-    return count / float(benchmark.stats.stats.median)
 
 
 def say(store: Store, events: int) -> None:
@@ -54,7 +42,7 @@ def test_events_in_steps(benchmark: BenchmarkFixture, store: Store) -> None:
     figure(
         benchmark,
         f"events a second, durable with their step of {A_STEP}",
-        rate(EVENTS, benchmark),
+        EVENTS / taken_s(benchmark),
         "at least 5 000",
     )
 
@@ -68,7 +56,7 @@ def test_events_one_by_one(benchmark: BenchmarkFixture, store: Store) -> None:
     figure(
         benchmark,
         "events a second, each durable as it returns",
-        rate(200, benchmark),
+        200 / taken_s(benchmark),
         "none: one sync of the disk each",
     )
 
@@ -113,9 +101,12 @@ def test_a_step_late_in_a_run_of_100_000(
         "-",
     )
     figure(benchmark, f"the same after {LONG}, us", 1e6 * late_s, "no more than that")
-    ratios(
-        benchmark, "the one over the other", [late / early for late, early in blocks], "at most 1"
-    )
+    found = [late / early for late, early in blocks]
+    twentieths = quantiles(found, n=20)
+    what = "the one over the other"
+    figure(benchmark, f"{what}, median of {len(found)}", median(found), "at most 1")
+    figure(benchmark, f"{what}, 5 % lie below", twentieths[0], "-")
+    figure(benchmark, f"{what}, 5 % lie above", twentieths[-1], "-")
 
 
 def steps_s(store: Store, first: int, count: int) -> float:
@@ -127,14 +118,6 @@ def steps_s(store: Store, first: int, count: int) -> float:
         store.finished(done)
         taken.append(thread_time() - start_s)
     return median(taken)
-
-
-def ratios(benchmark: BenchmarkFixture, what: str, found: list[float], aim: str) -> None:
-    """Their median, and the span that holds nine in ten of them."""
-    twentieths = quantiles(found, n=20)
-    figure(benchmark, f"{what}, median of {len(found)}", median(found), aim)
-    figure(benchmark, f"{what}, 5 % lie below", twentieths[0], "-")
-    figure(benchmark, f"{what}, 5 % lie above", twentieths[-1], "-")
 
 
 @pytest.mark.parametrize("bits", [16, 8])
@@ -159,74 +142,6 @@ def test_frames(benchmark: BenchmarkFixture, store: Store, bits: int) -> None:
     figure(
         benchmark,
         f"frames of {bits} bits a second, hashed and synced, {A_TRIAL} a trial",
-        rate(FRAMES, benchmark),
+        FRAMES / taken_s(benchmark),
         aim,
     )
-
-
-class Counter:
-    """As little of a detector as bluesky reads."""
-
-    name, parent = "counter", None
-
-    def read(self) -> dict[str, Any]:
-        return {self.name: {"value": 1.0, "timestamp": stopwatch_s()}}
-
-    def describe(self) -> dict[str, Any]:
-        return {self.name: {"source": "count", "dtype": "number", "shape": []}}
-
-
-@pytest.fixture
-def count_plan(tmp_path: Path) -> Iterator[Callable[[], None]]:
-    """Events of bluesky's ``count`` through its run engine into a file of JSON lines, which it
-    never syncs.
-    """
-    if importlib.util.find_spec("bluesky") is None:
-        pytest.skip("bluesky is not installed: nothing to compare with")
-    engine: Any = importlib.import_module("bluesky").RunEngine({}, context_managers=[])
-    plans = importlib.import_module("bluesky.plans")
-
-    def count() -> None:
-        with (tmp_path / "documents.jsonl").open("a", encoding="utf-8") as file:
-            engine(
-                plans.count([Counter()], num=COUNTED),
-                lambda name, doc: file.write(json.dumps([name, doc], default=str) + "\n"),
-            )
-
-    yield count
-    engine.loop.call_soon_threadsafe(engine.loop.stop)
-    engine._th.join()
-    engine.loop.close()
-
-
-def test_events_beside_blueskys_count_plan(
-    benchmark: BenchmarkFixture, store: Store, count_plan: Callable[[], None]
-) -> None:
-    """In turns in one run, so that what else the machine does falls on both."""
-    turns: list[tuple[float, float]] = []
-
-    def in_turns() -> None:
-        for _ in range(TURNS):
-            start_s = stopwatch_s()
-            say(store, COUNTED)
-            ours_s = stopwatch_s() - start_s
-            count_plan()
-            turns.append((COUNTED / ours_s, COUNTED / (stopwatch_s() - start_s - ours_s)))
-
-    in_turns()
-    turns.clear()
-    benchmark.pedantic(in_turns, rounds=1)
-    ours, theirs = (median(some) for some in zip(*turns, strict=True))
-    figure(
-        benchmark,
-        "events a second, durable with their step, in turns with bluesky",
-        ours,
-        "at least 5 000",
-    )
-    figure(
-        benchmark,
-        "bluesky: events of the count plan a second, to JSON lines without sync",
-        theirs,
-        "for scale",
-    )
-    ratios(benchmark, "the one over the other", [one / other for one, other in turns], "-")

@@ -9,13 +9,19 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.campaign.chunk import Rows, run_chunk
+import numpy as np
+
+from bench.campaign.chunk import Bench, Rows, Scene, run_scene
 from bench.campaign.plan import Chunk, Job, Plan
-from bench.rig.loading import RIGS
+from bench.rig.loading import RIGS, LoadedRig
+from bench.rig.scenes import rig_renderer
+from detector.calibration import Calibration
+from detector.protocol import Detection, Detector, Frames, Teat
 from tests.conftest import ROOT
 
 KILLS = os.environ.get("TEATBENCH_KILLS")
@@ -47,6 +53,39 @@ def small_plan(folder: Path, **more: Any) -> Plan:
     asked = {"families": ("ideal", "overlapping"), "scenes": 8, "chunk_scenes": 3, "seed": 7}
     asked |= {"detectors": ("thesis",), "rig": str(write_small_rig(folder))}
     return Plan.model_validate({**asked, **more})
+
+
+def run_chunk(bench: Bench, scenes: Iterable[Scene]) -> Rows:
+    """The rows of these scenes."""
+    return sum((run_scene(bench, scene) for scene in scenes), Rows())
+
+
+def small_bench(rig: LoadedRig, *detectors: Detector) -> Bench:
+    """The cameras of a rig as they are drawn."""
+    return Bench(rig_renderer(rig, 1), rig.calibration, detectors, 1, exact=True)
+
+
+@dataclass(slots=True)
+class Knowing:
+    """Gives set points with one covariance, off by ``error_mm``, and notes what it is told of the
+    cameras; with ``breaks`` it fails instead.
+    """
+
+    ends_mm: list[Any]
+    error_mm: float = 0.0
+    breaks: bool = False
+    name: str = "knowing"
+    note: list[Calibration] = field(default_factory=list)
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    version = "7"
+
+    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
+        self.note.append(calibration)
+        if self.breaks:
+            raise RuntimeError("no")
+        ends = (np.add(end, (0.0, self.error_mm, 0.0)) for end in self.ends_mm)
+        return Detection(tuple(Teat(end, 0.25 * np.eye(3)) for end in ends))
 
 
 class Here:

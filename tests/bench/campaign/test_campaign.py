@@ -15,6 +15,7 @@ import threading
 import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from textwrap import dedent
@@ -116,7 +117,7 @@ def test_workers_killed_at_random_change_nothing(
     said: list[str] = []
     campaign = Campaign(plan, tmp_path)
     campaign.begin()
-    with pool(campaign, workers, said) as inner:
+    with closing(pool(campaign, workers, said)) as inner:
         killing = Killing(inner, range(WORKER_KILLS), signal.SIGKILL)
         status = campaign.run(killing, lambda _: None)
     assert campaign.shards.digest() == plain[1], said
@@ -132,7 +133,9 @@ def test_a_stopped_worker_is_told_and_replaced(
     said: list[str] = []
     campaign = Campaign(plan, tmp_path)
     campaign.begin()
-    with pool(campaign, 1, said, limit_s=5.0) as inner:  # it has given a result: it is ready
+    with closing(
+        pool(campaign, 1, said, limit_s=5.0)
+    ) as inner:  # it has given a result: it is ready
         campaign.run(Killing(inner, (0,), signal.SIGSTOP), lambda _: None)
     assert campaign.shards.digest() == plain[1]
     assert any("gave no sign of life for 5 s" in text for text in said), said
@@ -187,7 +190,7 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     file = tmp_path / "plan.toml"
     file.write_text(
         'families = ["ideal"]\nscenes = 5\nchunk_scenes = 3\nseed = 7\ndetectors = ["rogue"]\n'
-        'rig = "rig.toml"\nchunk_limit_s = 1.0\n',
+        'rig = "rig.toml"\nchunk_limit_s = 10.0\n',
         encoding="utf-8",
     )
     first = said(4, "campaign chunk {} 0 --out {}", file, tmp_path / "out")
@@ -198,7 +201,7 @@ def test_a_scene_that_kills_and_one_without_an_end_are_set_aside_by_name(
     found = json.loads(out.out)
     assert sorted(found["set_aside"]) == ["ideal-0001", "ideal-0004"]
     assert "ended with code 3" in found["set_aside"]["ideal-0001"]
-    assert "no sign of life for 1 s" in found["set_aside"]["ideal-0004"]
+    assert "no sign of life for 10 s" in found["set_aside"]["ideal-0004"]
     assert all("with this scene alone" in why for why in found["set_aside"].values())
     assert "the scene is tried again alone, in a new process" in out.err
     assert "scene ideal-0004 was set aside" in out.err

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from bench.campaign.chunk import ASIDE, Rows, SceneRow, Taken, TeatRow
-from bench.campaign.plan import PerturbationTable, Plan, plan_text
+from bench.campaign.perturbations import Applied
+from bench.campaign.plan import Plan, plan_text
 from bench.campaign.shards import Shards
 from tests.bench.commands import Said
 
@@ -92,7 +93,7 @@ def test_other_pictures_are_compared_only_where_the_plans_say_why(
     why = said(2, "campaign compare {} {}", old, other).err
     assert f"{2 * SCENES} scenes have other pictures" in why
     assert "ideal-0000" in why
-    dirty = {"perturbations": (PerturbationTable(name="dirt", amount=9.0),)}
+    dirty = {"perturbations": (Applied("dirt", 9.0),)}
     perturbed = written(tmp_path / "dirty", 3, frames="22" * 8, aside=2, plan=dirty)
     out = said(0, "campaign compare {} {}", old, perturbed).out
     assert "perturbations: none (old), dirt 9 (new)" in " ".join(out.split())

@@ -3,40 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pytest
 
-from bench.campaign.chunk import Bench, Scene, run_chunk, run_scene
-from bench.rig.loading import find_rig, load_rig
-from bench.rig.scenes import rig_renderer
+from bench.campaign.chunk import Bench, Scene, run_scene
+from bench.rig.loading import LoadedRig
 from bench.script.detectors import make_detectors
-from detector.calibration import Calibration
-from detector.protocol import Detection, Frames, Teat
 from instruments.world.situations import member, situation
-
-
-@dataclass
-class Knowing:
-    """Answers what it was given: points with one covariance."""
-
-    points_mm: list[Any]
-    breaks: bool = False
-    name: str = "knowing"
-    version: str = "1"
-    parameters: dict[str, Any] = field(default_factory=dict)
-
-    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-        if self.breaks:
-            raise RuntimeError("no")
-        return Detection(tuple(Teat(np.asarray(p), 0.25 * np.eye(3)) for p in self.points_mm))
+from tests.bench.campaign.small_campaign import Knowing, run_chunk, small_bench
 
 
 @pytest.fixture(scope="module")
-def bench() -> Bench:
-    return Bench.of_rig(load_rig(find_rig(None)), make_detectors(["fused", "thesis"]), 1)
+def bench(small_rig: LoadedRig) -> Bench:
+    return small_bench(small_rig, *make_detectors(["fused", "thesis"]))
 
 
 @pytest.mark.slow
@@ -58,16 +38,14 @@ def test_rows_depend_on_the_scene_alone(bench: Bench) -> None:
 
 
 @pytest.mark.slow
-def test_answers_are_counted_against_the_truth(bench: Bench) -> None:
+def test_answers_are_counted_against_the_truth(small_rig: LoadedRig) -> None:
     scene = Scene("ideal", 0)
     ends = situation("ideal", 0).phantom.ends_mm
     half_mm = ends[:3] + np.array([0.5, 0.0, 0.0])
     right = Knowing([*half_mm, ends[0] + [0.0, 300.0, 0.0]])
     off = Knowing([*ends[:3], ends[3] + [0.0, 0.0, 6.0]], name="off")
     failing = Knowing([], breaks=True, name="failing")
-    rig = load_rig(find_rig(None))
-    own = Bench(rig_renderer(rig, 1), rig.calibration, [right, off, failing], 1)
-    rows = run_scene(own, scene)
+    rows = run_scene(small_bench(small_rig, right, off, failing), scene)
     first, second, third = rows.scenes
     assert (first.visible, first.found, first.missed, first.false_teats) == (4, 3, 1, 1)
     assert (first.failure, second.failure, third.failure) == ("false", "error", "failure")

@@ -15,10 +15,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from bench.campaign import herd
 from bench.campaign.herd import ROWS, VISITS, Cow, Guess, judged, score
 from bench.campaign.visits import Confirmed, VisitStore
 from bench.config import ConfigError
 from bench.results.answers import Answer, score_answer
+from bench.rig.loading import LoadedRig
 from detector.protocol import Context, Detection, Teat
 from instruments.camera.recording import TruthRow
 from tests.bench.commands import Said
@@ -92,7 +94,10 @@ def test_a_prediction_is_never_found_and_one_of_no_teat_is_invented() -> None:
 
 
 @pytest.mark.slow
-def test_a_small_herd(tmp_path: Path, said: Said) -> None:
+def test_a_small_herd(
+    small_rig: LoadedRig, tmp_path: Path, said: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(herd, "load_rig", lambda _: small_rig)
     command = "campaign herd --cows 2 --visits 8 --seed 1 --workers 1 --out {} --json"
     table = json.loads(said(0, command, tmp_path / "a").out)
     assert table["visits"] == 10

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import sys
 import tomllib
+from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,6 @@ from bench.campaign.search import (
     Floats,
     NothingFitsError,
     Tried,
-    at_random,
     distinct,
     grade_mm,
     search,
@@ -52,7 +52,9 @@ def test_a_search_finds_several_times_as_many_distinct_failures_as_chance() -> N
         evaluate = rarely_failing(member)
         for seed in range(3):
             tried = list(search(evaluate, PARAMETERS, SCENES, seed))
-            evenly = at_random(evaluate, PARAMETERS, SCENES, seed)
+            draw = np.random.default_rng([seed, *b"random"])
+            points = (evaluate(draw.random(PARAMETERS)) for _ in count())
+            evenly = list(islice(filter(None, points), SCENES))
             assert len(tried) == len(evenly) == SCENES
             found += len(distinct(tried))
             chance += len(distinct(evenly))

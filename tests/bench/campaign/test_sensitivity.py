@@ -9,10 +9,8 @@ import csv
 import re
 import shlex
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ from pydantic import ValidationError
 from scipy.special import erf
 
 from bench.campaign import limits, quantities
-from bench.campaign.chunk import Bench, Scene, run_scene
+from bench.campaign.chunk import Scene, run_scene
 from bench.campaign.limits import Limit, Outline, limit_at, outline_of, shifts_mm
 from bench.campaign.quantities import QUANTITIES, Optics, Varied, chosen
 from bench.campaign.sensitivity import Measured, Study, Tally, measured, opened
@@ -29,10 +27,9 @@ from bench.campaign.worker import attempt
 from bench.cli.main import parser
 from bench.config import ConfigError
 from bench.report.sensitivity import COLUMNS, PAGE, POINTS, figure_of, write_figure, write_numbers
-from bench.rig.loading import RIGS, find_rig, load_rig
+from bench.rig.loading import RIGS, LoadedRig
 from bench.rig.scenes import warm
 from detector.calibration import Calibration, ParameterCovariance, load_calibration
-from detector.protocol import Detection, Detector, Frames, Teat
 from detector.registry import available
 from instruments.world.scene import Renderer
 from instruments.world.sensor import OpticalSensor
@@ -42,21 +39,18 @@ from instruments.world.solids import clearance_mm
 from instruments.world.state import SceneState
 from instruments.world.thermal_camera import ThermalSensor
 from reports.trust import svg_facts
+from tests.bench.campaign.small_campaign import Knowing, small_bench
 from tests.bench.commands import Said
 from tests.conftest import ROOT
 
 LIMIT = Limit(0.01, 0.03, 0.2, None)
 
 
-def bench_of(*detectors: Detector) -> Bench:
-    return Bench.of_rig(load_rig(find_rig(None)), detectors, 1)
-
-
 @pytest.mark.slow
-def test_a_quantity_at_a_value_is_a_family_of_scenes() -> None:
+def test_a_quantity_at_a_value_is_a_family_of_scenes(small_rig: LoadedRig) -> None:
     ends = situation("ideal", 0).phantom.ends_mm
     right = Knowing([*ends[:3], ends[0] + [0.0, 300.0, 0.0]], error_mm=0.5)
-    bench = bench_of(right, Knowing([], breaks=True, name="failing"))
+    bench = small_bench(small_rig, right, Knowing([], breaks=True, name="failing"))
     none, _ = (run_scene(bench, Scene(f"calibration={size}", 0)) for size in ("0", "0.5"))
     good, failing = none.scenes
     assert (good.visible, good.found, good.false_teats, failing.no_answer) == (4, 3, 1, True)
@@ -66,19 +60,22 @@ def test_a_quantity_at_a_value_is_a_family_of_scenes() -> None:
 
 
 @pytest.mark.slow
-def test_the_limit_grows_with_the_errors_of_the_calibration() -> None:
-    bench = bench_of()
+def test_the_limit_grows_with_the_errors_of_the_calibration(
+    renderer: Renderer, calibration: Calibration
+) -> None:
     for size, least_mm, most_mm in ((0.0, 0.0, 0.1), (0.5, 0.1, 2.0)):
         at = Varied(QUANTITIES["calibration"], size)
-        visible, limit = limit_at(at, [0], bench.renderer, 1, bench.calibration)
+        visible, limit = limit_at(at, [0], renderer, 1, calibration)
         assert (visible, limit is not None and limit.share is None) == (4, True)
         assert limit is not None
         assert least_mm < limit.median_mm < limit.p95_mm < most_mm
 
 
 @pytest.mark.slow
-def test_a_thermal_quantity_has_the_share_that_can_be_nominated_beside_it() -> None:
-    bench = bench_of()
+def test_a_thermal_quantity_has_the_share_that_can_be_nominated_beside_it(
+    small_rig: LoadedRig,
+) -> None:
+    bench = small_bench(small_rig)
     for netd_k, share in ((0.05, 1.0), (400.0, 0.0)):
         at = Varied(QUANTITIES["netd"], netd_k)
         assert at.renderer(bench.renderer, 1) is at.renderer(bench.renderer, 1)
@@ -184,35 +181,7 @@ def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
         write_figure(tmp_path / "file", QUANTITIES["range"], [Measured(1.0, 4, {}, LIMIT)])
 
 
-@dataclass(slots=True)
-class Knowing:
-    """Gives set points, off by ``error_mm``, and counts how often it is asked; with ``breaks`` it
-    fails instead.
-    """
-
-    ends_mm: list[Any]
-    error_mm: float = 0.0
-    breaks: bool = False
-    name: str = "knowing"
-    note: list[Calibration] = field(default_factory=list)
-
-    version = "7"
-
-    @property
-    def parameters(self) -> Mapping[str, Any]:
-        return {}
-
-    def detect(self, frames: Frames, calibration: Calibration) -> Detection:
-        assert frames.left.shape == (1024, 1360)
-        self.note.append(calibration)
-        if self.breaks:
-            raise RuntimeError("no")
-        return Detection(
-            tuple(Teat(np.add(end, (0.0, self.error_mm, 0.0))) for end in self.ends_mm)
-        )
-
-
-MEMBERS = range(6)
+MEMBERS = range(3)
 
 
 @pytest.fixture(scope="module")
@@ -350,46 +319,6 @@ def test_its_command_made_what_lies_beside_it() -> None:
     for row in rows:  # beside what physics allows
         assert min(float(row["limit_median_mm"]), float(row["disparity_mm"])) > 0.0
         assert bool(row["limit_share"]) == (row["quantity"] == "netd")
-
-
-def found(detector: str, quantity: str) -> list[tuple[float, int, int]]:
-    """Value, found, visible."""
-    chosen = [row for row in points() if (row["detector"], row["quantity"]) == (detector, quantity)]
-    return [(float(row["value"]), int(row["found"]), int(row["visible"])) for row in chosen]
-
-
-def test_what_the_page_says_of_fused_is_what_was_measured() -> None:
-    """Each sentence of "What they show" that a new measurement could belie: then the page has to
-    say something else.
-    """
-    words = " ".join(TEXT.split())
-    assert "It loses no end by lean, range, contrast, overlap or noise of the pictures" in words
-    for quantity in ("tilt", "range", "contrast", "overlap", "pixel-noise"):
-        assert all(seen == visible for _, seen, visible in found("fused", quantity)), quantity
-    assert (
-        "a few before an arm, and some where the calibration is wrong by 0.4 px and more" in words
-    )
-    assert all(0.8 * visible < seen <= visible for _, seen, visible in found("fused", "arm-gap"))
-    lost = [value for value, seen, visible in found("fused", "calibration") if seen < visible]
-    assert lost == [0.4, 0.5]
-    assert all(seen == visible for value, seen, visible in found("fused", "netd") if value <= 2.0)
-    assert all(
-        float(row["median_mm"]) < 1.5 * float(row["disparity_mm"])
-        for row in points()
-        if (row["detector"], row["quantity"]) == ("fused", "range")
-    )
-
-
-def test_what_the_page_says_of_the_thesis_is_what_was_measured() -> None:
-    assert "`thesis` is 11 to 18 mm off in the median" in TEXT
-    medians = [
-        float(row["median_mm"])
-        for row in points()
-        if row["detector"] == "thesis" and row["median_mm"]
-    ]
-    assert (round(min(medians)), round(max(medians))) == (11, 18)
-    assert not any(seen for _, seen, _ in found("thesis", "arm-gap"))
-    assert [value for value, seen, _ in found("thesis", "range") if seen] == [1.0, 1.15]
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,14 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from bench.config import read_calibration
 from bench.record.reader import TrialRecord
-from bench.results.answers import Examiner, close_detectors, examine, score_answer
-from bench.rig.loading import RIGS
+from bench.results.answers import Answer, Examiner, close_detectors, examine, score_answer
 from bench.run.rows import detection_rows, stage_pictures
 from bench.scoring.scene import scene_from_dict
 from detector.calibration import Calibration
@@ -48,9 +47,13 @@ class Scripted:
         return found
 
 
-@pytest.fixture(scope="module")
-def calibration() -> Calibration:
-    return read_calibration(RIGS / "calibration.toml")
+CALIBRATION = cast("Calibration", None)  # none of these detectors looks at it
+scored = partial(score_answer, truth=TRUTH, limit_mm=5.0, time_limit_s=2.0)
+
+
+def asked(does: Callable[[], Any], **more: Any) -> Answer:
+    """The answer of a detector that does this."""
+    return examine(Scripted(does), FRAMES, CALIBRATION, **more)
 
 
 def teat(*xyz: float, **more: Any) -> Teat:
@@ -61,19 +64,16 @@ def answered(*teats: Any, **more: Any) -> Callable[[], Detection]:
     return lambda: Detection(teats, **more)
 
 
-def test_a_good_answer_is_scored_and_stored(calibration: Calibration) -> None:
-    answer = examine(Scripted(answered(teat(1, 0, 100), teat(50, 2, 100))), FRAMES, calibration)
+def test_a_good_answer_is_scored_and_stored() -> None:
+    answer = asked(answered(teat(1, 0, 100), teat(50, 2, 100)))
     assert (answer.outcome, answer.cold) == (Outcome.ANSWERED, False)
     assert (answer.start_up_s, answer.stderr) == (None, "")
-    score = score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0)
+    score = scored(answer)
     assert score.success
     slow = replace(answer, seconds=9.0)
     first = replace(slow, cold=True)  # in which a network may be made ready
     given_up = replace(first, outcome=Outcome.TIMEOUT)
-    in_time = [
-        score_answer(one, TRUTH, limit_mm=5.0, time_limit_s=2.0).in_time
-        for one in (slow, first, given_up)
-    ]
+    in_time = [scored(one).in_time for one in (slow, first, given_up)]
     assert in_time == [False, True, False]
     assert sorted(score.radial_mm) == [1.0, 2.0]
     row = TrialRecord({"id": "t"}, scores={"scripted": score}).score_rows[0]
@@ -134,77 +134,73 @@ LEANING = np.eye(3) + np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, 0]])
         ),
     ],
 )
-def test_a_bad_answer_is_reported_and_stops_nothing(
-    calibration: Calibration, does: Callable[[], Any], reason: str
-) -> None:
-    answer = examine(Scripted(does), FRAMES, calibration)
+def test_a_bad_answer_is_reported_and_stops_nothing(does: Callable[[], Any], reason: str) -> None:
+    answer = asked(does)
     assert answer.outcome is Outcome.FAILED
     assert answer.detection.teats == ()
     assert reason in str(answer.detection.reason)
     assert "\n" not in str(answer.detection.reason)
     assert answer.seconds > 0
-    assert not score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0).success
+    assert not scored(answer).success
 
 
-def test_ctrl_c_is_not_a_failure_of_the_detector(calibration: Calibration) -> None:
+def test_ctrl_c_is_not_a_failure_of_the_detector() -> None:
     def interrupted() -> Detection:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        examine(Scripted(interrupted), FRAMES, calibration)
+        asked(interrupted)
 
 
-def test_no_answer_is_no_success_where_there_is_nothing_to_find(calibration: Calibration) -> None:
+def test_no_answer_is_no_success_where_there_is_nothing_to_find() -> None:
     unseen = [replace(row, visible=False) for row in TRUTH]
-    silent = examine(Scripted(answered(hidden=2)), FRAMES, calibration)
-    assert score_answer(silent, unseen, limit_mm=5.0, time_limit_s=2.0).success
-    crashed = examine(Scripted(crash), FRAMES, calibration)
-    failed = score_answer(crashed, unseen, limit_mm=5.0, time_limit_s=2.0)
+    silent = asked(answered(hidden=2))
+    assert scored(silent, truth=unseen).success
+    crashed = asked(crash)
+    failed = scored(crashed, truth=unseen)
     assert (failed.success, failed.hidden_claimed) == (False, None)
 
 
-def test_an_answer_after_the_limit_is_a_timeout(calibration: Calibration) -> None:
-    answer = examine(Scripted(answered(teat(0, 0, 100))), FRAMES, calibration, timeout_s=1e-9)
+def test_an_answer_after_the_limit_is_a_timeout() -> None:
+    answer = asked(answered(teat(0, 0, 100)), timeout_s=1e-9)
     assert (answer.outcome, answer.detection.teats) == (Outcome.TIMEOUT, ())
     assert "it answered after 1e-09 s, which counts as no answer" in str(answer.detection.reason)
-    score = score_answer(answer, TRUTH, limit_mm=5.0, time_limit_s=2.0)
+    score = scored(answer)
     assert (score.in_time, score.success) == (False, False)
 
 
-def test_the_first_call_is_the_cold_one(calibration: Calibration) -> None:
-    examiner = Examiner(calibration)
+def test_the_first_call_is_the_cold_one() -> None:
+    examiner = Examiner(CALIBRATION)
     one, two = Scripted(answered(), "one"), Scripted(crash, "two")
     cold = [examiner.ask(d, FRAMES).cold for d in (one, two, one, two, one)]
     assert cold == [True, True, False, False, False]
 
 
-def test_no_detector_can_change_the_pictures_under_the_others(calibration: Calibration) -> None:
+def test_no_detector_can_change_the_pictures_under_the_others() -> None:
     class Painter(Scripted):
         def detect(self, frames: Frames, calibration: Calibration) -> Detection:
             frames.left[:] = 255
             return Detection()
 
-    answer = examine(Painter(answered()), FRAMES, calibration)
+    answer = examine(Painter(answered()), FRAMES, CALIBRATION)
     assert "read-only" in str(answer.detection.reason)
     assert not FRAMES.left.any()
     FRAMES.left[0, 0] = 0  # the bench itself may
 
 
-def test_a_covariance_as_printed_is_symmetric_enough(calibration: Calibration) -> None:
+def test_a_covariance_as_printed_is_symmetric_enough() -> None:
     printed = np.array([[1.0, 0.3333334, 0], [0.3333333, 1, 0], [0, 0, 1]])
-    answer = examine(Scripted(answered(teat(1, 2, 3, covariance_mm2=printed))), FRAMES, calibration)
+    answer = asked(answered(teat(1, 2, 3, covariance_mm2=printed)))
     kept = answer.detection.teats[0].covariance_mm2
     assert kept is not None
     assert np.array_equal(kept, kept.T)
 
 
-def test_stages_are_kept_points_in_the_record_and_masks_as_pictures(
-    calibration: Calibration,
-) -> None:
+def test_stages_are_kept_points_in_the_record_and_masks_as_pictures() -> None:
     mask = np.eye(30, dtype=bool)
     ends = Stage("teat ends", {"points_px": np.array([[1.5, 2.5]])})
     stages = (Stage("edges", {"mask": mask}), ends)
-    answer = examine(Scripted(answered(hidden=2, trace=stages)), FRAMES, calibration)
+    answer = asked(answered(hidden=2, trace=stages))
     head, found = detection_rows("t", answer)
     trace = json.loads(str(head["trace"]))
     assert trace["teat ends"]["points_px"] == [[1.5, 2.5]]
@@ -216,14 +212,12 @@ def test_stages_are_kept_points_in_the_record_and_masks_as_pictures(
     assert (pictures["scripted-edges"] == mask * np.uint8(255)).all()
 
 
-def test_stages_that_the_record_cannot_hold_are_left_out_with_a_word(
-    calibration: Calibration,
-) -> None:
-    text = examine(Scripted(answered(reason="dark\n and   cold")), FRAMES, calibration)
+def test_stages_that_the_record_cannot_hold_are_left_out_with_a_word() -> None:
+    text = asked(answered(reason="dark\n and   cold"))
     assert text.detection.reason == "dark and cold"
     good, up = (Stage(name, {"p": np.zeros(2)}) for name in ("fine", "../up"))
     bad = (up, Stage("things", {"p": np.array([object()])}), "no stage")
-    answer = examine(Scripted(answered(reason="dark", trace=(good, *bad))), FRAMES, calibration)
+    answer = asked(answered(reason="dark", trace=(good, *bad)))
     assert answer.outcome is Outcome.ANSWERED
     assert [stage.name for stage in answer.detection.trace] == ["fine"]
     assert str(answer.detection.reason).startswith("dark; 3 of its stages can't be kept")
@@ -267,12 +261,10 @@ class Remote:
         self._do("close")
 
 
-def test_what_lives_elsewhere_is_prepared_outside_of_its_time_and_checked(
-    calibration: Calibration,
-) -> None:
+def test_what_lives_elsewhere_is_prepared_outside_of_its_time_and_checked() -> None:
     remote = Remote()
     assert isinstance(remote, Served)
-    answer = examine(remote, FRAMES, calibration)
+    answer = examine(remote, FRAMES, CALIBRATION)
     assert (answer.outcome, answer.cold) == (Outcome.ANSWERED, True)
     assert (answer.start_up_s, answer.stderr) == (0.75, "cheese is low")
     close_detectors([remote, Scripted(crash)])
@@ -286,17 +278,15 @@ def test_what_lives_elsewhere_is_prepared_outside_of_its_time_and_checked(
     ("where", "outcome"),
     [("prepare", Outcome.OFF), ("detect", Outcome.TIMEOUT), ("check", Outcome.FAILED)],
 )
-def test_its_failures_are_what_they_are(
-    calibration: Calibration, where: str, outcome: Outcome
-) -> None:
-    answer = examine(Remote({where: DetectionFailure("no cheese", outcome)}), FRAMES, calibration)
+def test_its_failures_are_what_they_are(where: str, outcome: Outcome) -> None:
+    answer = examine(Remote({where: DetectionFailure("no cheese", outcome)}), FRAMES, CALIBRATION)
     assert (answer.outcome, answer.detection.teats) == (outcome, ())
     assert answer.detection.reason == "the detector failed: no cheese"
     assert answer.stderr == "cheese is low"
 
 
 @pytest.mark.slow
-def test_what_the_processor_gave_is_measured_beside_the_time(calibration: Calibration) -> None:
+def test_what_the_processor_gave_is_measured_beside_the_time() -> None:
     def wait() -> Detection:
         threading.Event().wait(0.5)
         return Detection(())
@@ -307,7 +297,7 @@ def test_what_the_processor_gave_is_measured_beside_the_time(calibration: Calibr
             pass
         return Detection(())
 
-    waited, worked = (examine(Scripted(does), FRAMES, calibration) for does in (wait, work))
+    waited, worked = (asked(does) for does in (wait, work))
     assert waited.cpu_s is not None
     assert waited.cpu_s < 0.25
     assert waited.seconds >= 0.4

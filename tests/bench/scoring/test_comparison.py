@@ -15,7 +15,6 @@ from scipy.optimize import minimize_scalar
 
 from bench.scoring.comparison import (
     MANY,
-    Compared,
     Discordance,
     ScenePair,
     common_errors,
@@ -50,7 +49,7 @@ def noisy(seed: int, sd_mm: float = 0.4) -> Floats:
     return TRUTH + np.random.default_rng(seed).normal(0, sd_mm, TRUTH.shape)
 
 
-def pairs(olds: list[Any], news: list[Any], repeats: int = 1) -> list[ScenePair]:
+def pairs(olds: Any, news: Any, repeats: int = 1) -> list[ScenePair]:
     return [
         ScenePair(
             f"{k:03d}-a-{k % repeats + 1}",
@@ -61,11 +60,6 @@ def pairs(olds: list[Any], news: list[Any], repeats: int = 1) -> list[ScenePair]
         )
         for k, (old, new) in enumerate(zip(olds, news, strict=True))
     ]
-
-
-def shifted(by_mm: float, scenes: int = 12) -> Compared:
-    olds = [noisy(k) for k in range(scenes)]
-    return compare(pairs(olds, [np.add(old, [0.0, by_mm, 0.0]) for old in olds]))
 
 
 @pytest.mark.parametrize(("n", "verdict"), [(1, OPEN), (71, OPEN), (72, MET)])
@@ -85,95 +79,69 @@ def test_the_same_answers_are_shown_to_be_no_worse_by_72_poses(n: int, verdict: 
         assert text.endswith("(margin 0.25 mm): 72 poses with such changes show less")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("n", [8, 20, 60])
-def test_a_gate_is_hardly_ever_green_where_some_poses_got_worse_by_more_than_the_margin(
-    n: int,
+FAR = noisy(3)
+FAR[2] = TRUTH[2] + [0, 0, 6.0]
+SIXTY, TWELVE = (np.array([noisy(k, sd) for k in range(n)]) for n, sd in ((60, 1.0), (12, 0.3)))
+THIRTY = [noisy(k) for k in range(30)]
+ONE, TWO = (np.add(TRUTH, [by, 0.0, 0.0]) for by in (1.0, 2.0))
+BIASED = [np.add(old, [0.0, 0.0, -11.0]) for old in TWELVE]
+FAILING = noisy(1)[:3]
+
+
+@pytest.mark.parametrize(
+    ("olds", "news", "grew_mm", "verdict", "says"),
+    [
+        # 0.2 px of disparity at 8 mm a pixel, either way
+        *(
+            (TWELVE, np.add(TWELVE, [0.0, by, 0.0]), (0.25, 9.0), NOT_MET, "teat end grew by 1.")
+            for by in (1.6, -1.6)
+        ),
+        # a large bias across does not hide a new error
+        (
+            BIASED,
+            np.add(BIASED, [0.0, 1.6, 0.0]),
+            (-9.0, 0.25),
+            NOT_MET,
+            "error along y grew by 1.",
+        ),
+        (SIXTY, TRUTH + 0.5 * (SIXTY - TRUTH), (-9.0, 0.0), MET, ""),
+        ([ONE, TWO] * 2, [TWO, ONE] * 2, (-1e-9, 1e-9), OPEN, "don't tell from chance"),
+        (
+            THIRTY,
+            [*THIRTY[:29], FAR],
+            (-9.0, 9.0),
+            NOT_MET,
+            "029-a-1 passed and now fails: 6.00 mm off (limit 5 mm)",
+        ),
+        # in scenes that failed before
+        (
+            [FAILING],
+            [np.vstack([FAILING, [[0.0, 0.0, 100.0]]])],
+            (0.0, 0.0),
+            NOT_MET,
+            "1 false teat more (1 instead of 0)",
+        ),
+        ([FAILING], [FAILING[:1]], (0.0, 0.0), NOT_MET, "2 missed teats more (3 instead of 1)"),
+    ],
+)
+def test_what_the_gate_says(
+    olds: Any, news: Any, grew_mm: tuple[float, float], verdict: Verdict, says: str
 ) -> None:
-    """7 % of the poses are 4 mm worse, 0.28 mm in the mean: of 60 gates at most 6 green (99.9 %
-    where 2.5 % are).
-    """
-    rng, start = np.random.default_rng(n), TRUTH[:1]
-    green = 0
-    for _ in range(60):
-        worse = np.where(rng.random(n) < 0.07, 4.0, 0.0)
-        olds = rng.normal(0.0, 0.1, n)
-        found = compare(
-            [
-                ScenePair(
-                    str(k), str(k), "ideal", one(start, 0.5 + old), one(start, 0.5 + old + by)
-                )
-                for k, (old, by) in enumerate(zip(olds, worse, strict=True))
-            ]
-        )
-        green += found.gate.verdict is MET
-    assert green <= 6
-
-
-def one(truth: Floats, by_mm: float) -> SceneScore:
-    found = np.add(truth, [0.0, by_mm, 0.0])
-    return score_scene(found, truth, [True], u_mm=0.2, seconds=0.4, limit_mm=5.0, time_limit_s=2.0)
-
-
-@pytest.mark.parametrize("by_mm", [1.6, -1.6])
-def test_a_depth_error_of_a_fifth_of_a_pixel_is_worse_either_way(by_mm: float) -> None:
-    found = shifted(by_mm)  # 0.2 px of disparity at 8 mm a pixel
-    assert found.gate.verdict is NOT_MET
-    assert "mean distance to the teat end grew by 1." in found.gate.reasons[0]
+    found = compare(pairs(olds, news))
+    assert found.gate.verdict is verdict
+    assert says in found.gate.reasons[0]
     assert found.pooled.radial.mean is not None
-    assert found.pooled.radial.mean > 0.25
+    assert grew_mm[0] <= found.pooled.radial.mean <= grew_mm[1]
 
 
-def test_a_large_bias_across_does_not_hide_a_new_error() -> None:
-    olds = [np.add(noisy(k, 0.3), [0.0, 0.0, -11.0]) for k in range(12)]
-    found = compare(pairs(olds, [np.add(old, [0.0, 1.6, 0.0]) for old in olds]))
-    assert found.pooled.radial.mean is not None
-    assert found.pooled.radial.mean < 0.25
-    assert found.gate.verdict is NOT_MET
-    assert "error along y grew by 1." in found.gate.reasons[0]
-
-
-def test_a_smaller_error_is_not_worse() -> None:
-    olds = [noisy(k, 1.0) for k in range(60)]
-    found = compare(pairs(olds, [TRUTH + 0.5 * (old - TRUTH) for old in olds]))
-    assert found.gate.verdict is MET
-    assert found.pooled.radial.mean is not None
-    assert found.pooled.radial.mean < 0
-
-
-def test_what_a_few_scenes_cannot_tell_is_inconclusive() -> None:
-    one, two = (np.add(TRUTH, [by, 0.0, 0.0]) for by in (1.0, 2.0))
-    found = compare(pairs([one, two, one, two], [two, one, two, one]))
-    assert found.pooled.radial.mean == pytest.approx(0.0)
-    assert found.gate.verdict is OPEN
-    assert "don't tell from chance" in found.gate.reasons[0]
+def test_what_the_gate_says_beside() -> None:
+    found = compare(pairs([ONE, TWO] * 2, [TWO, ONE] * 2))
     assert "in 4 poses; poses that were not run may hide that it grew by" in found.gate.reasons[-1]
-
-
-def test_a_scene_that_passed_and_now_fails_is_named() -> None:
-    far = noisy(3).copy()
-    far[2] = TRUTH[2] + [0, 0, 6.0]
-    found = compare(pairs([noisy(k) for k in range(30)], [*(noisy(k) for k in range(29)), far]))
-    assert found.gate.verdict is NOT_MET
-    assert found.gate.reasons[0] == "029-a-1 passed and now fails: 6.00 mm off (limit 5 mm)"
+    found = compare(pairs(THIRTY, [*THIRTY[:29], FAR]))
     assert found.pooled.success == Discordance(both=29, only_old=1)
-
-
-def test_a_false_teat_more_and_a_miss_more_in_scenes_that_failed_before() -> None:
-    failing = noisy(1)[:3]
-    false_more = compare(pairs([failing], [np.vstack([failing, [[0.0, 0.0, 100.0]]])]))
-    assert false_more.gate.reasons == ("1 false teat more (1 instead of 0)",)
-    missed_more = compare(pairs([failing], [failing[:1]]))
-    assert missed_more.gate.reasons == ("2 missed teats more (3 instead of 1)",)
-
-
-def test_scenes_without_a_counterpart_leave_it_open() -> None:
     same = [noisy(1)] * 72
     (reason,) = compare(pairs(same, same), unpaired=2).gate.reasons
     assert reason == "2 scenes of the old one were not run with the new one"
-
-
-def test_nothing_found_by_both_compares_no_error() -> None:
     found = compare(pairs([[]], [[]]))
     assert (found.gate.verdict, found.pooled.teats, found.pooled.radial.mean) == (OPEN, 0, None)
     assert found.situations[0].radial_holm is None
@@ -195,7 +163,8 @@ def test_a_pose_succeeds_with_all_its_repeats() -> None:
 
 
 def test_situations_are_adjusted_for_being_several() -> None:
-    found = shifted(0.3)
+    olds = [noisy(k) for k in range(12)]
+    found = compare(pairs(olds, [np.add(old, [0.0, 0.3, 0.0]) for old in olds]))
     assert [row.situation for row in found.situations] == ["dim", "ideal"]
     for row in found.situations:
         assert row.radial.p_value is not None

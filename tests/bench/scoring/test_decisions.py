@@ -46,6 +46,12 @@ rate95 = partial(decide_rate, "success", required=0.95, confidence=0.95)
 error95 = partial(decide_error, "error", limit_mm=5.0, u_mm=0.23, rate=0.95, confidence=0.95)
 
 
+time = partial(decide_time, "time", limit_s=2.0, statistic="max")
+p95 = partial(decide_time, "time", limit_s=1.0, statistic="p95")
+false = partial(decide_count, "false teats")
+bath = partial(decide_condition, "bath", "in band")
+
+
 @pytest.mark.parametrize(
     ("decision", "text"),
     [
@@ -56,144 +62,134 @@ error95 = partial(decide_error, "error", limit_mm=5.0, u_mm=0.23, rate=0.95, con
         (error95([3.0] * 59), "3.00 mm (at most 3.39 mm)"),
         (error95([6.0] * 59), "6.00 mm (at least 5.62 mm)"),
         (error95([3.0] * 59, u_mm=0.0), "3.00 mm"),
-        (decide_count("false", 0, scenes=3), "0"),
+        (false(0, scenes=3), "0"),
     ],
 )
 def test_a_bound_is_reported_its_side(decision: Decision, text: str) -> None:
     assert measured(decision) == text
 
 
-class TestRate:
-    @pytest.mark.parametrize(
-        ("successes", "trials", "verdict"),
-        [
-            (59, 59, MET),
-            (58, 58, INCONCLUSIVE),
-            (92, 93, MET),
-            (91, 92, INCONCLUSIVE),
-            (20, 24, NOT_MET),
-            (21, 24, INCONCLUSIVE),
-            (0, 0, NOT_MEASURED),
-        ],
-    )
-    def test_three_outcomes(self, successes: int, trials: int, verdict: Verdict) -> None:
-        assert rate95(Rate(successes, trials)).verdict is verdict
-
-    def test_24_of_24_shows_88_percent_and_says_what_is_missing(self) -> None:
-        d = rate95(Rate(24, 24))
-        assert (d.verdict, d.measured, d.margin) == (INCONCLUSIVE, 100.0, 5.0)
-        assert "24 of 24 poses succeeded (100 %): only 88.3 % is shown; 35 more poses" in d.sentence
-
-    @pytest.mark.parametrize(
-        ("rate", "says"),
-        [
-            (Rate(59, 59), "a rate of at least 95.0 % is shown, with 95 % confidence"),
-            (Rate(0, 24), "a rate of at most 11.7 % is shown"),
-            (Rate(), "59 without a failure would show 95 %"),
-            (Rate(58, 58), "only 94.97 % is shown; 1 more pose without a further failure"),
-        ],
-    )
-    def test_a_verdict_names_the_rate_that_was_shown_and_never_rounds_it_up(
-        self, rate: Rate, says: str
-    ) -> None:
-        assert says in rate95(rate).sentence
-        assert "95.0 %" not in rate95(Rate(58, 58)).sentence
-
-    @given(st.integers(1, 300).flatmap(lambda n: st.builds(Rate, st.integers(0, n), st.just(n))))
-    def test_it_is_shown_exactly_where_the_margin_reaches_the_uncertainty(self, rate: Rate) -> None:
-        d = rate95(rate)
-        assert d.margin is not None
-        assert d.uncertainty is not None
-        assert (d.verdict is MET) == (d.margin >= d.uncertainty)
-
-    def test_successes_that_the_truth_could_turn_show_nothing(self) -> None:
-        d = rate95(Rate(62, 62), shown=Rate(60, 62))
-        assert (d.verdict, d.measured) == (INCONCLUSIVE, 100.0)
-        assert "within the truth's uncertainty 2 of them could be failures" in d.sentence
-        assert rate95(Rate(62, 62), shown=Rate(62, 62)).verdict is MET
-
-    def test_failures_that_the_truth_could_turn_refuse_nothing(self) -> None:
-        d = rate95(Rate(20, 24), possible=Rate(22, 24))
-        assert d.verdict is INCONCLUSIVE
-        assert "2 of the failures could be successes" in d.sentence
-        assert rate95(Rate(20, 24), possible=Rate(20, 24)).verdict is NOT_MET
-
-    def test_100_percent_cannot_be_required(self) -> None:
-        with pytest.raises(ValueError, match="no number of trials shows 100 %"):
-            decide_rate("success", Rate(9, 9), required=1.0, confidence=0.95)
+def thirds(poses: int) -> list[int]:
+    """Three repeats of each pose."""
+    return [k // 3 for k in range(3 * poses)]
 
 
-class TestTime:
-    def test_p95_and_largest_are_two_requirements(self) -> None:
-        seconds = [0.5] * 95 + [1.5] * 5
-        assert decide_time("aim", seconds, limit_s=1.0, statistic="p95").verdict is MET
-        assert decide_time("most", seconds, limit_s=2.0, statistic="max").verdict is MET
-        assert decide_time("most", seconds, limit_s=1.4, statistic="max").verdict is NOT_MET
-        seconds = [0.5] * 94 + [1.5] * 6
-        assert decide_time("aim", seconds, limit_s=1.0, statistic="p95").verdict is NOT_MET
+@pytest.mark.parametrize(
+    ("decision", "verdict", "says"),
+    [
+        (rate95(Rate(59, 59)), MET, "a rate of at least 95.0 % is shown, with 95 % confidence"),
+        # never rounded up
+        (
+            rate95(Rate(58, 58)),
+            INCONCLUSIVE,
+            "only 94.97 % is shown; 1 more pose without a further",
+        ),
+        (rate95(Rate(92, 93)), MET, ""),
+        (rate95(Rate(91, 92)), INCONCLUSIVE, ""),
+        (rate95(Rate(20, 24)), NOT_MET, ""),
+        (rate95(Rate(21, 24)), INCONCLUSIVE, ""),
+        (rate95(Rate(0, 24)), NOT_MET, "a rate of at most 11.7 % is shown"),
+        (rate95(Rate(0, 0)), NOT_MEASURED, "59 without a failure would show 95 %"),
+        (
+            rate95(Rate(24, 24)),
+            INCONCLUSIVE,
+            "24 of 24 poses succeeded (100 %): only 88.3 % is shown; 35 more poses",
+        ),
+        # what the truth could turn shows, and refuses, nothing
+        (
+            rate95(Rate(62, 62), shown=Rate(60, 62)),
+            INCONCLUSIVE,
+            "within the truth's uncertainty 2 of them could be failures",
+        ),
+        (rate95(Rate(62, 62), shown=Rate(62, 62)), MET, ""),
+        (
+            rate95(Rate(20, 24), possible=Rate(22, 24)),
+            INCONCLUSIVE,
+            "2 of the failures could be successes",
+        ),
+        (rate95(Rate(20, 24), possible=Rate(20, 24)), NOT_MET, ""),
+        # p95 and largest are two requirements; the limit itself is in time
+        (p95([0.5] * 95 + [1.5] * 5), MET, ""),
+        (p95([0.5] * 94 + [1.5] * 6), NOT_MET, ""),
+        (time([0.5] * 95 + [1.5] * 5), MET, ""),
+        (time([0.5] * 95 + [1.5] * 5, limit_s=1.4), NOT_MET, ""),
+        (time([2.0]), MET, ""),
+        # a claim for a share needs its poses, a p95 its exact bound
+        (time([1.0] * 58, rate=0.95), INCONCLUSIVE, ""),
+        (time([1.0] * 59, rate=0.95), MET, ""),
+        (time([2.1], rate=0.95), NOT_MET, ""),
+        (p95([0.5] * 92 + [1.5], rate=0.95), MET, ""),
+        (p95([0.5] * 91 + [1.5], rate=0.95), INCONCLUSIVE, "needs 1 more pose"),
+        (time([1.0] * 177, rate=0.95, poses=thirds(59)), MET, ""),
+        (
+            time([1.0] * 174, rate=0.95, poses=thirds(58)),
+            INCONCLUSIVE,
+            "over 174 detections is 1 s, limit 2 s; 58 of 58 poses in time",
+        ),
+        (time([1.0] * 6), MET, "6 of 6 poses in time, which shows 60.7 %"),
+        (p95([]), NOT_MEASURED, ""),
+        (false(0, scenes=59), MET, "at most 0.051 a scene"),  # 2.996 / 59, the rule of three
+        (false(1, scenes=59), NOT_MET, ""),
+        (false(0, scenes=0), NOT_MEASURED, ""),
+        # repeats of a pose do not narrow the bound: 2.996 / 6
+        (
+            false(0, scenes=18, per_pose=[0] * 6),
+            MET,
+            "0 in 18 scenes of 6 poses: at most 0.5 a scene",
+        ),
+        (
+            false(3, scenes=18, per_pose=[1, 0, 0, 0, 0, 0]),
+            NOT_MET,
+            "3 in 18 scenes of 6 poses: at most 0.79",
+        ),
+        (bath(held=18, of=18), MET, ""),
+        (bath(held=17, of=18), NOT_MET, ""),
+        (bath(held=0, of=0), NOT_MEASURED, ""),
+    ],
+)
+def test_each_outcome(decision: Decision, verdict: Verdict, says: str) -> None:
+    assert decision.verdict is verdict
+    assert says in decision.sentence
 
-    def test_the_limit_itself_is_in_time(self) -> None:
-        d = decide_time("aim", [1.0], limit_s=1.0, statistic="max")
-        assert (d.verdict, d.measured, d.margin, d.unit) == (MET, 1.0, 0.0, "s")
 
-    def test_a_claim_for_a_share_needs_its_trials(self) -> None:
-        claim = partial(decide_time, "most", limit_s=2.0, statistic="max", rate=0.95)
-        assert claim([1.0] * 58).verdict is INCONCLUSIVE
-        assert claim([1.0] * 59).verdict is MET
-        assert claim([2.1]).verdict is NOT_MET
-        with pytest.raises(ValueError, match="a p95 says it of 95 %"):
-            decide_time("aim", [1.0], limit_s=1.0, statistic="p95", rate=0.99)
-
-    def test_a_p95_is_claimed_on_its_exact_bound(self) -> None:
-        claim = partial(decide_time, "aim", limit_s=1.0, statistic="p95", rate=0.95)
-        assert claim([0.5] * 92 + [1.5]).verdict is MET  # 92 of 93
-        assert claim([0.5] * 91 + [1.5]).verdict is INCONCLUSIVE
-        assert "needs 1 more pose" in claim([0.5] * 91 + [1.5]).sentence
-
-    def test_repeats_of_a_pose_are_one_trial(self) -> None:
-        claim = partial(decide_time, "most", limit_s=2.0, statistic="max", rate=0.95)
-        d = claim([1.0] * 177, poses=[k // 3 for k in range(177)])
-        assert (d.n, d.verdict) == (59, MET)
-        d = claim([1.0] * 174, poses=[k // 3 for k in range(174)])
-        assert d.verdict is INCONCLUSIVE
-        assert "over 174 detections is 1 s, limit 2 s; 58 of 58 poses in time" in d.sentence
-
-    def test_without_a_rate_it_says_what_is_shown(self) -> None:
-        d = decide_time("most", [1.0] * 6, limit_s=2.0, statistic="max")
-        assert "6 of 6 poses in time, which shows 60.7 %" in d.sentence
-
-    def test_nothing_timed(self) -> None:
-        assert decide_time("aim", [], limit_s=1.0, statistic="p95").verdict is NOT_MEASURED
+def test_the_figures_of_a_decision() -> None:
+    d = rate95(Rate(24, 24))
+    assert (d.measured, d.margin) == (100.0, 5.0)
+    assert "95.0 %" not in rate95(Rate(58, 58)).sentence
+    d = time([2.0])
+    assert (d.measured, d.margin, d.unit) == (2.0, 0.0, "s")
+    assert time([1.0] * 177, rate=0.95, poses=thirds(59)).n == 59
+    d = false(0, scenes=18, per_pose=[0] * 6)
+    assert (d.n, d.measured) == (6, 0.0)
 
 
-class TestCountAndCondition:
-    def test_no_false_teat(self) -> None:
-        d = decide_count("false teats", 0, scenes=59)
-        assert (d.verdict, d.measured, d.n) == (MET, 0.0, 59)
-        assert "at most 0.051 a scene" in d.sentence  # 2.996 / 59, the rule of three
-        assert decide_count("false teats", 1, scenes=59).verdict is NOT_MET
-        assert decide_count("false teats", 0, scenes=0).verdict is NOT_MEASURED
+@given(st.integers(1, 300).flatmap(lambda n: st.builds(Rate, st.integers(0, n), st.just(n))))
+def test_a_rate_is_shown_exactly_where_the_margin_reaches_the_uncertainty(rate: Rate) -> None:
+    d = rate95(rate)
+    assert d.margin is not None
+    assert d.uncertainty is not None
+    assert (d.verdict is MET) == (d.margin >= d.uncertainty)
 
-    def test_repeats_of_a_pose_do_not_narrow_the_bound(self) -> None:
-        d = decide_count("false teats", 0, scenes=18, per_pose=[0] * 6)
-        assert (d.n, d.measured) == (6, 0.0)
-        assert "0 in 18 scenes of 6 poses: at most 0.5 a scene" in d.sentence  # 2.996 / 6
-        assert (
-            "3 in 18 scenes of 6 poses: at most 0.79"
-            in decide_count("false teats", 3, scenes=18, per_pose=[1, 0, 0, 0, 0, 0]).sentence
-        )
 
-    @pytest.mark.parametrize(
-        ("held", "of", "verdict"), [(18, 18, MET), (17, 18, NOT_MET), (0, 0, NOT_MEASURED)]
-    )
-    def test_a_condition_has_to_hold_every_time(self, held: int, of: int, verdict: Verdict) -> None:
-        assert decide_condition("bath", "in band", held=held, of=of).verdict is verdict
-
-    def test_impossible_counts(self) -> None:
-        with pytest.raises(ValueError, match="1 in 0 scenes"):
-            decide_count("false teats", 1, scenes=0)
-        with pytest.raises(ValueError, match="3 successes of 2"):
-            decide_condition("bath", "in band", held=3, of=2)
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (partial(rate95, Rate(9, 9), required=1.0), "no number of trials shows 100 %"),
+        (partial(p95, [1.0], rate=0.99), "a p95 says it of 95 %"),
+        (partial(false, 1, scenes=0), "1 in 0 scenes"),
+        (partial(bath, held=3, of=2), "3 successes of 2"),
+        (partial(error95, [1, 2, 3], poses=["a", "b"]), "2 names for 3 rows"),
+        (partial(error95, [1.0, float("nan")]), "not finite"),
+        (partial(guard_band_mm, -0.1), "uncertainty of the truth"),
+        (partial(guard_band_mm, float("nan")), "uncertainty of the truth"),
+        (partial(guard_band_mm, float("inf")), "uncertainty of the truth"),
+        (partial(acceptance_limit_mm, 0.0, 0.23), "limit: 0"),
+        (partial(normal_k, 1, 0.95), "at least 2"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(call: Callable[[], object], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        call()
 
 
 @given(st.lists(st.sampled_from(Verdict)))
@@ -215,48 +211,58 @@ def test_a_rate_just_under_the_required_is_accepted_in_fewer_than_5_percent(n: i
     assert float(np.mean([verdict(int(k)) is NOT_MET for k in refused])) < 0.05 + slack
 
 
-U = 0.23
-error = partial(decide_error, "error", limit_mm=5.0, u_mm=U, rate=0.95, confidence=0.95)
+U, T = 0.23, 5.0
 
 
 @pytest.mark.parametrize(
-    ("largest", "n", "verdict"),
+    ("decision", "verdict", "says"),
     [
-        (4.30, 59, MET),
-        (4.30, 58, INCONCLUSIVE),  # too few poses for the claim
-        (4.610, 91, MET),
-        (4.610, 90, INCONCLUSIVE),  # too few for a claim so near to the limit
-        (4.610, 59, INCONCLUSIVE),
-        (4.612, 500, INCONCLUSIVE),  # in the guard band
-        (5.377, 59, INCONCLUSIVE),
-        (5.379, 59, NOT_MET),
-        (5.379, 1, NOT_MET),  # one is enough to refuse
-        (0.0, 0, NOT_MEASURED),
+        (error95([1.0] * 58 + [4.30]), MET, ""),
+        (error95([1.0] * 57 + [4.30]), INCONCLUSIVE, ""),  # too few poses for the claim
+        (error95([1.0] * 90 + [4.610]), MET, ""),
+        (error95([1.0] * 89 + [4.610]), INCONCLUSIVE, ""),  # too few so near to the limit
+        (
+            error95([1.0] * 58 + [4.6]),
+            INCONCLUSIVE,
+            "needs 25 more (59 do where the largest lies further from it)",
+        ),
+        (error95([1.0] * 83 + [4.6]), MET, ""),
+        (error95([1.0] * 499 + [4.612]), INCONCLUSIVE, ""),  # in the guard band
+        (error95([1.0] * 58 + [5.377]), INCONCLUSIVE, ""),
+        (error95([1.0] * 58 + [5.379]), NOT_MET, ""),
+        (error95([5.379]), NOT_MET, ""),  # one is enough to refuse
+        (error95([1.0] * 298 + [7.0, 8.0]), NOT_MET, ""),
+        (error95([1.0] * 58), INCONCLUSIVE, ""),
+        (error95([]), NOT_MEASURED, ""),
+        # far from the limit the usual numbers are enough; of an exact truth up to it
+        *((error95([3.0] * n, rate=rate), MET, "") for rate, n in ((0.95, 59), (0.99, 299))),
+        *(
+            (error95([3.0] * n, rate=rate), INCONCLUSIVE, "")
+            for rate, n in ((0.95, 58), (0.99, 298))
+        ),
+        (error95([3.0] * 2995, rate=0.999), MET, ""),
+        (error95([3.0] * 2994, rate=0.999), INCONCLUSIVE, ""),
+        (error95([4.999] * 59, u_mm=0.0), MET, ""),
+        # 58 poses of four teats
+        (error95([1.0] * 232, poses=[k // 4 for k in range(232)]), INCONCLUSIVE, "1 more"),
+        (error95([1.0] * 59, missed=7), MET, "Of the found teats only: 7 were missed."),
+        # a truth too uncertain, or of unknown uncertainty, accepts nothing
+        (error95([0.1] * 59, u_mm=1.8), INCONCLUSIVE, "too uncertain"),
+        (error95([9.0] * 59, u_mm=1.8), NOT_MET, ""),
+        (error95([0.1] * 59, u_mm=None), INCONCLUSIVE, "states no uncertainty"),
+        (error95([9.0], u_mm=None), NOT_MET, ""),
+        # a confidence beyond the guard band's needs more room
+        (error95([4.6] * 400, confidence=0.99), INCONCLUSIVE, "however many poses"),
+        (error95([4.0] * 90, confidence=0.99), MET, ""),
     ],
 )
-def test_three_outcomes(largest: float, n: int, verdict: Verdict) -> None:
-    assert error([1.0] * (n - 1) + [largest] * (n > 0)).verdict is verdict
-
-
-@pytest.mark.parametrize(("rate", "n"), [(0.95, 59), (0.99, 299), (0.999, 2995)])
-def test_far_from_the_limit_the_usual_numbers_are_enough(rate: float, n: int) -> None:
-    assert error([3.0] * n, rate=rate).verdict is MET
-    assert error([3.0] * (n - 1), rate=rate).verdict is INCONCLUSIVE
-
-
-def test_a_truth_without_uncertainty_asks_for_the_usual_number_up_to_the_limit() -> None:
-    assert error([4.999] * 59, u_mm=0.0).verdict is MET
-
-
-def test_teats_and_repeats_of_a_pose_count_once() -> None:
-    poses = [k // 4 for k in range(232)]  # 58 poses of four teats
-    decision = error([1.0] * 232, poses=poses)
-    assert (decision.n, decision.verdict) == (58, INCONCLUSIVE)
-    assert "1 more" in decision.sentence
+def test_each_outcome_of_an_error(decision: Decision, verdict: Verdict, says: str) -> None:
+    assert decision.verdict is verdict
+    assert says in decision.sentence
 
 
 def test_the_decision_carries_what_a_report_prints() -> None:
-    d = error([1.0] * 58 + [3.0])
+    d = error95([1.0] * 58 + [3.0])
     assert (d.n, d.measured, d.unit, d.limit, d.margin) == (59, 3.0, "mm", 5.0, 2.0)
     assert d.accept == pytest.approx(4.611, abs=0.0005)
     assert d.uncertainty == pytest.approx(0.389, abs=0.0005)
@@ -266,55 +272,13 @@ def test_the_decision_carries_what_a_report_prints() -> None:
     figures = "4.611, 5.378, T = 5 mm, u = 0.23 mm, 59 poses, 95 %, more near the acceptance limit"
     assert all(figure in d.rule for figure in figures.split(", "))
     assert d.as_dict()["verdict"] == "met"
-
-
-def test_near_the_limit_it_says_how_many_more() -> None:
-    sentence = error([1.0] * 58 + [4.6]).sentence
-    assert "needs 25 more (59 do where the largest lies further from it)" in sentence
-    assert error([1.0] * 83 + [4.6]).verdict is MET
-
-
-def test_what_was_missed_is_reported_beside_the_errors_of_the_rest() -> None:
-    assert error([1.0] * 59, missed=7).sentence.endswith("Of the found teats only: 7 were missed.")
-
-
-def test_a_truth_too_uncertain_decides_nothing_but_the_worst() -> None:
-    assert error([0.1] * 59, u_mm=1.8).verdict is INCONCLUSIVE
-    assert "too uncertain" in error([0.1] * 59, u_mm=1.8).sentence
-    assert error([9.0] * 59, u_mm=1.8).verdict is NOT_MET
-
-
-def test_a_truth_of_unknown_uncertainty_accepts_nothing() -> None:
-    d = error([0.1] * 59, u_mm=None)
-    assert (d.verdict, d.accept) == (INCONCLUSIVE, None)
-    assert "states no uncertainty" in d.sentence
-    assert "accepted up to nothing" in d.rule
-    assert error([9.0], u_mm=None).verdict is NOT_MET
-
-
-def test_a_confidence_beyond_the_guard_band_needs_more_room() -> None:
-    near = error([4.6] * 400, confidence=0.99)
-    assert near.verdict is INCONCLUSIVE
-    assert "however many poses" in near.sentence
-    assert error([4.0] * 90, confidence=0.99).verdict is MET
-
-
-def test_the_largest_decides_however_many_are_near() -> None:
-    assert error([1.0] * 298 + [7.0, 8.0]).verdict is NOT_MET
-    assert error([1.0] * 58).verdict is INCONCLUSIVE
-
-
-def test_nothing_measured_has_no_figures() -> None:
-    d = error([])
-    assert (d.n, d.verdict) == (0, NOT_MEASURED)
-    assert d.measured is d.margin is d.uncertainty is None
-
-
-def test_bad_rows() -> None:
-    with pytest.raises(ValueError, match="2 names for 3 rows"):
-        error([1, 2, 3], poses=["a", "b"])
-    with pytest.raises(ValueError, match="not finite"):
-        error([1.0, float("nan")])
+    assert error95([1.0] * 232, poses=[k // 4 for k in range(232)]).n == 58
+    nothing = error95([])
+    assert nothing.n == 0
+    assert nothing.measured is nothing.margin is nothing.uncertainty is None
+    unknown = error95([0.1] * 59, u_mm=None)
+    assert unknown.accept is None
+    assert "accepted up to nothing" in unknown.rule
     assert worst_per_pose(np.array([1.0, 5.0, 2.0]), ["a", "b", "a"]).tolist() == [2.0, 5.0]
 
 
@@ -421,9 +385,9 @@ def test_10_000_experiments_accept_fewer_than_5_percent_of_what_fails(
     seen = np.linalg.norm(true + draw(rng, n), axis=2)
     met = seen.max(axis=1) <= largest_met_mm(n, u)
     for row, expected in zip(
-        [*seen[:100], *seen[met][:25]], [*met[:100], *met[met][:25]], strict=True
+        [*seen[:20], *seen[met][:20]], [*met[:20], *met[met][:20]], strict=True
     ):
-        assert (error(row, u_mm=u).verdict is MET) == expected
+        assert (error95(row, u_mm=u).verdict is MET) == expected
     assert float(met.mean()) < 0.05
 
 
@@ -446,7 +410,7 @@ def test_no_number_of_poses_makes_the_risk_more_than_5_percent(u: float, rate: f
 
 def test_a_detector_always_over_the_limit_is_never_accepted() -> None:
     assert all(
-        error(row).verdict is not MET
+        error95(row).verdict is not MET
         for row in 5.0001 + np.random.default_rng(34).normal(0, U, (300, 59))
     )
 
@@ -454,10 +418,7 @@ def test_a_detector_always_over_the_limit_is_never_accepted() -> None:
 def test_a_good_detector_is_accepted_mostly() -> None:
     rng = np.random.default_rng(35)
     seen = np.linalg.norm(rng.normal(0, 0.5, (300, 59, 3)) + rng.normal(0, U, (300, 59, 3)), axis=2)
-    assert float(np.mean([error(row).verdict is MET for row in seen])) > 0.99
-
-
-T = 5.0
+    assert float(np.mean([error95(row).verdict is MET for row in seen])) > 0.99
 
 
 def test_frozen_acceptance_limits() -> None:
@@ -466,10 +427,8 @@ def test_frozen_acceptance_limits() -> None:
     assert axis_acceptance_limit_mm(T, T / 1.64) is None
     assert acceptance_limit_mm(T, U) == pytest.approx(4.611, abs=0.0005)
     assert refusal_limit_mm(T, U) == pytest.approx(5.378, abs=0.0005)
-
-
-def test_a_truth_without_uncertainty_has_no_guard_band() -> None:
     assert acceptance_limit_mm(T, 0.0) == refusal_limit_mm(T, 0.0) == T
+    assert acceptance_limit_mm(T, 1.8) is None
 
 
 @pytest.mark.slow
@@ -494,22 +453,11 @@ def test_the_radial_limit_by_monte_carlo() -> None:
     assert share == pytest.approx(0.05, abs=4 * np.sqrt(0.05 * 0.95 / 400_000))
 
 
-def test_a_true_error_at_the_limit_is_accepted_in_fewer_than_5_percent() -> None:
-    accept = acceptance_limit_mm(T, U)
-    assert accept is not None
-    seen = np.array([0, T, 0]) + np.random.default_rng(21).normal(0, U, (400_000, 3))
-    assert float((np.linalg.norm(seen, axis=1) <= accept).mean()) < 0.05
-
-
 @given(st.floats(1.0, 10.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_more_uncertainty_never_accepts_more(limit: float, a: float, b: float) -> None:
     low, high = sorted((a, b))
     tight, loose = acceptance_limit_mm(limit, high), acceptance_limit_mm(limit, low)
     assert tight is None or (loose is not None and tight <= loose + 1e-9)
-
-
-def test_a_truth_too_uncertain_accepts_nothing() -> None:
-    assert acceptance_limit_mm(T, 1.8) is None
 
 
 def test_noise_inflates_what_is_seen() -> None:
@@ -519,14 +467,6 @@ def test_noise_inflates_what_is_seen() -> None:
     assert rms > 3.02
     assert error_without_noise_mm(rms, U) == pytest.approx(3.0, abs=0.003)
     assert error_without_noise_mm(0.3, U) is None
-
-
-def test_bad_limits_are_refused() -> None:
-    for u in (-0.1, float("nan"), float("inf")):
-        with pytest.raises(ValueError, match="uncertainty of the truth"):
-            guard_band_mm(u)
-    with pytest.raises(ValueError, match="limit: 0"):
-        acceptance_limit_mm(0.0, U)
 
 
 def test_frozen_tolerance_factors() -> None:
@@ -567,8 +507,3 @@ def test_what_a_guard_band_lets_through() -> None:
     assert (leak(5.0, 5.0, 0.0), leak(5.1, 5.0, 0.0)) == (0.0, 1.0)
     for u in (4.99e-4, 5.01e-4):  # on both sides of where the sphere is taken to be flat
         assert leak(5.0 - u, 5.0, u) == pytest.approx(0.1586, abs=1e-4)
-
-
-def test_a_spread_of_one_value_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least 2"):
-        normal_k(1, 0.95)
