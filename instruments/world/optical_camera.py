@@ -316,6 +316,7 @@ def _empty(
 ) -> tuple[Image, Image | None]:
     """The empty scene's light before the lens, and on the sensor where it is out of focus."""
     empty, depth, span = backdrops.draw(backdrop, lighting, camera)
+    empty.flags.writeable = False  # it is kept
     focal_px = float(camera.fc.mean())
     # blur grows both ways from what is in focus
     if max(_sigma_px(sensor, end, focal_px) for end in span) - sensor.blur_px <= SHARP_PX:
