@@ -66,7 +66,7 @@ def lab_rig(folder: Path, changes: Mapping[str, str]) -> Path:
     """The example of a real rig in ``folder``, with each of ``changes`` made in its text, and with
     small pictures.
     """
-    from tests.bench.small_run import smaller  # which imports this module
+    from tests.bench.campaign.small_campaign import smaller  # which imports this module
 
     text = (RIGS / "lab.example.toml").read_text(encoding="utf-8")
     for old, new in changes.items():
