@@ -46,6 +46,7 @@ from tests.bench.calibrate.board_pictures import (
     write_pairs,
 )
 from tests.bench.calibrate.touched import write_touched
+from tests.bench.campaign.small_campaign import smaller
 from tests.bench.small_recording import write_recording
 from tests.conftest import ROOT
 
@@ -159,7 +160,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # calibration.toml is what the reader makes
     delivered = (folder / "calibration.toml").rename(folder / "as-delivered.toml")
     # cameras so small that a scene takes a tenth of the time
-    text = small_run.smaller(delivered.read_text(encoding="utf-8"))
+    text = smaller(delivered.read_text(encoding="utf-8"))
     delivered.write_text(text, encoding="utf-8")
     rig = (folder / "rig.toml").read_text(encoding="utf-8")
     (folder / "my-rig.toml").write_text(

@@ -394,7 +394,9 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
         return "only a side of it and too little of its end are seen"
     warm_round = min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM
     least = p.least_end_unsure_warm if warm_round else p.least_end_unsure
-    if one_sided and evidence.sd_mm[i] > p.sure_one_sided_mm and evidence.end[i, :2].mean() < least:
+    ends = evidence.end[i, :2]
+    too_little = ends.mean() < least or ends.min() < p.least_end_unsure_either
+    if one_sided and evidence.sd_mm[i] > p.sure_one_sided_mm and too_little:
         return "only a side of it and not all of its end are seen"
     if evidence.side[i, view] < p.least_side and not _held_by_thermal(evidence, i):
         return "neither side is seen"

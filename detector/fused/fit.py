@@ -94,9 +94,10 @@ class Parameters:
     least_end_followed: float = 0.52
     least_end_sure: float = 0.46  # (that closely, and warm on both sides), and with one side,
     least_end_one_sided: float = 0.45
-    # of one that is less sure than this, and of such a one that is warm all round
+    # of one that is less sure than this, of such a one that is warm all round, and in each picture
     least_end_unsure: float = 0.7
     least_end_unsure_warm: float = 0.6
+    least_end_unsure_either: float = 0.6
     sure_one_sided_mm: float = 0.75
     greatest_thermal_px: float = 1.2  # how far the thermal outline may lie off, sensor pixels
     good_misfit_px: float = 0.15
