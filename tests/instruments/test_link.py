@@ -282,7 +282,12 @@ def test_an_arms_or_stages_url_sets_the_lines_before_the_port_is_open(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     port = FakeSerial()
-    monkeypatch.setattr("serial.serial_for_url", lambda url, **_: port.done.append(url) or port)
+
+    def open_it(url: str, **_: object) -> FakeSerial:
+        port.done.append(url)
+        return port
+
+    monkeypatch.setattr("serial.serial_for_url", open_it)
     Link("COM5?dtr=off&rts=on", RealClock(), who="stage").reopen()
     lines = ["COM5", ("dtr", False), ("rts", True), ("open",)]
     assert port.done[:4] == lines
