@@ -221,9 +221,8 @@ def objections(
             ):
                 reasons[i] = "it isn't warm all over"
     kept: list[int] = []
-    warm = [i for i in clean if reasons[i] is None]
-    merit = _ranks(teats, evidence, warm, p)
-    for i in sorted(warm, key=lambda i: -merit[i]):
+    merit = evidence.merit
+    for i in sorted((i for i in clean if reasons[i] is None), key=lambda i: -merit[i]):
         if any(_passes_through(teats[i], teats[k], p.overlap) for k in kept):
             reasons[i] = _WORSE
         else:
@@ -236,18 +235,6 @@ def objections(
             if doubtful[i] or evidence.shaped[kept[i]]:
                 reasons[kept[i]] = _FAR
     return reasons
-
-
-def _ranks(teats: Array, evidence: Evidence, warm: list[int], p: Parameters) -> Array:
-    """Merits (m,); a short teat's is no greater where a fit of the usual shape, of those ``warm``,
-    is in the same place.
-    """
-    merit, unlike = evidence.merit, _unlike(evidence, p) | evidence.shaped
-    usual = [teats[k] for k in warm if not unlike[k]]
-    for i in warm:
-        if evidence.shaped[i] and any(_passes_through(teats[i], t, p.overlap) for t in usual):
-            merit[i] -= _SHAPED
-    return merit
 
 
 def _of_another(ends_mm: Array, merit: Array, udder_mm: float) -> list[int]:
@@ -306,22 +293,21 @@ def shapes(teats: Array, evidence: Evidence, reasons: list[str | None], p: Param
     """Of teats (m, 8), those that show an end in all pictures but don't fit: one a place."""
     end = evidence.end.min(axis=1) > _LEAST_SHAPED_END
     rejected = np.array([reason is not None for reason in reasons])
-    whole_side = evidence.side.max(axis=1) >= _WHOLE_SIDE
-    unlike = _unlike(evidence, p) | (rejected & ~whole_side)
+    unlike = (evidence.side.max(axis=1) < _WHOLE_SIDE) & (
+        rejected | (evidence.misfit_px > p.good_misfit_px / 3)
+    )
     same = on_one_bar(teats)
+    sound = [k for k, reason in enumerate(reasons) if reason is None and not unlike[k]]
     kept: list[int] = []
     for i in np.argsort(-evidence.merit, kind="stable").tolist():
-        sound = [k for k, r in enumerate(reasons) if r is None and not unlike[k]]
-        if end[i] and unlike[i] and not same[i, kept + sound].any():
+        if (
+            end[i]
+            and unlike[i]
+            and not same[i, kept + sound].any()
+            and not any(_passes_through(teats[i], teats[k], p.overlap) for k in sound)
+        ):
             kept.append(i)
     return kept[: p.most_shapes]
-
-
-def _unlike(evidence: Evidence, p: Parameters) -> NDArray[np.bool_]:
-    """Of which of m fits the usual shape has neither a whole side nor close edges."""
-    return np.asarray(
-        (evidence.side.max(axis=1) < _WHOLE_SIDE) & (evidence.misfit_px > p.good_misfit_px / 3)
-    )
 
 
 def maybe_hidden(reason: str | None) -> bool:
