@@ -143,7 +143,7 @@ def test_show_tells_a_fault_and_exits_3(tmp_path: Path, said: Said) -> None:
         tmp_path, 'faults = [{ instrument = "cameras", name = "saturated", camera = "right" }]'
     )
     captured = said(3, "camera show {}", rig)
-    assert "right: emulated 1360 x 1024" in captured.out
+    assert "right: emulated 340 x 256" in captured.out
     assert "right camera: saturated: " in captured.err
 
 

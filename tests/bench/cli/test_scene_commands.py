@@ -80,7 +80,7 @@ def test_a_recording_is_perturbed_in_scene_pictures_and_calibration(
     assert teat[1] > 2.0 * teat[0]  # 0.9 / 0.07 of half the light, if it isn't clipped
     assert pictures[1].max() <= 128
     refusal = said(2, f"{line} --perturb paint=1", rig, tmp_path / "none").err
-    assert "did you mean 'teat-paint'?" in refusal
+    assert 'did you mean "teat-paint"?' in refusal
     assert not (tmp_path / "none").exists()
 
 
