@@ -32,7 +32,8 @@ from detector.fused.thermal import Field
 from detector.geometry import Array, Camera, Motion
 
 _CLOSE_PX, _MOST_SD_PX = 0.6, 1.2
-_LEAST_FOLLOWED = 0.3  # of an end in one picture, where both sides were followed up to it
+# of an end in one picture, where both sides were followed up to it; and closely
+_LEAST_FOLLOWED, _LEAST_FOLLOWED_CLOSE = 0.3, 0.2
 _LEAST_BETWEEN, _LEAST_COLD = 0.65, 0.6  # of the end, where no side is warm; where one isn't
 # merit of the farthest end that sides lead to: a nearer one shows up to 0.28 more of itself, in two
 # pictures, twice
@@ -363,7 +364,7 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     # a gap has two sides too
     least = _LEAST_BETWEEN if evidence.followed[i] and not warm.any() else _LEAST_COLD
     between_two = not warm.all() and evidence.end[i, :2].mean() < least
-    least_end = (0.2 if sure else _LEAST_FOLLOWED) if followed else p.least_end
+    least_end = (_LEAST_FOLLOWED_CLOSE if sure else _LEAST_FOLLOWED) if followed else p.least_end
     short = end < least_end or alone or between_two
     if short and not thermal_ends(evidence, p)[i]:
         return "its end isn't seen"

@@ -89,10 +89,12 @@ class Parameters:
     most_doubts: int = 3
     most_shapes: int = 6  # fits that are tried again as short teats of any shape
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
-    least_end: float = 0.4  # of the rounded end's; where the thermal picture doesn't show it,
-    least_end_alone: float = 0.75  # where both sides were followed up to it,
+    # of the rounded end's: in each picture; in both where the thermal one doesn't show it; where both
+    # sides were followed up to it; that, closely and warm on both sides; where one side is seen
+    least_end: float = 0.4
+    least_end_alone: float = 0.75
     least_end_followed: float = 0.52
-    least_end_sure: float = 0.46  # (that closely, and warm on both sides), and with one side,
+    least_end_sure: float = 0.46
     least_end_one_sided: float = 0.45
     # of one that is less sure than this, of such a one that is warm all round, and in each picture
     least_end_unsure: float = 0.7
