@@ -89,8 +89,8 @@ class Parameters:
     most_doubts: int = 3
     most_shapes: int = 6  # fits that are tried again as short teats of any shape
     least_side: float = 0.5  # share of the better side's outline that must be seen, a picture
-    # of the rounded end's: in each picture; in both where the thermal one doesn't show it; where both
-    # sides were followed up to it; that, closely and warm on both sides; where one side is seen
+    # of the rounded end's: in each picture; in both where the thermal one doesn't show it; where
+    # both sides were followed up to it; that, closely and warm on both sides; where one is seen
     least_end: float = 0.4
     least_end_alone: float = 0.75
     least_end_followed: float = 0.52
