@@ -12,7 +12,10 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe  # type: ignore[import-untyped]
+from axe_playwright_python.sync_playwright import (  # type: ignore[import-untyped]
+    DEFAULT_OPTIONS,
+    Axe,
+)
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 Scheme = Literal["light", "dark"]
@@ -117,7 +120,10 @@ def browser_page(
         yield seen
 
 
-def violations(page: Page) -> list[tuple[str, str]]:
-    """What axe-core, as its package carries it, finds in an open page: rule and first element."""
-    found = Axe().run(page).response["violations"]
+def violations(page: Page, *rules: str) -> list[tuple[str, str]]:
+    """What axe-core, as its package carries it, finds in an open page: rule and first element. Where
+    ``rules`` are named, by those alone.
+    """
+    only = {"runOnly": list(rules)} if rules else {}
+    found = Axe().run(page, options={**DEFAULT_OPTIONS, **only}).response["violations"]
     return [(str(one["id"]), str(one["nodes"][0]["html"])[:200]) for one in found]

@@ -9,6 +9,7 @@ import sqlite3
 import sys
 import traceback
 from collections.abc import Sequence
+from functools import cache
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
@@ -137,8 +138,9 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+@cache
 def parser() -> argparse.ArgumentParser:
-    """The whole command line."""
+    """The whole command line; made once."""
     top = TopParser(
         prog="teatbench",
         description="A hardware-in-the-loop test bench for teat detectors.",

@@ -8,7 +8,6 @@ Linux and macOS.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import sys
@@ -35,6 +34,7 @@ from bench.safety.signals import CTRL_CLOSE_EVENT, Handler, installed
 from bench.script.model import load_script
 from instruments.camera.recording import RecordingCameras
 from instruments.stage.driver import Stage
+from tests.bench.forked import as_in_a_shell, context, take
 from tests.bench.real_rig import Child, RealRig
 
 MARK = "@@ "
@@ -150,18 +150,9 @@ def child(
     answers: Connection, said: Connection, step: str, rig: Path, script: Path, out: Path
 ) -> None:
     """The process: a bench at the two pipes."""
-    for theirs, ours in ((answers, 0), (said, 1), (said, 2)):
-        os.dup2(theirs.fileno(), ours)
-    answers.close()
-    said.close()
-    sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 - the process's own
-    sys.stdout = open(1, "w", encoding="utf-8", closefd=False, buffering=1)  # noqa: SIM115
-    sys.stderr = sys.stdout
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        signal.signal(
-            getattr(signal, name),
-            signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL,
-        )
+    take((answers, said, said))
+    sys.stdout = sys.stderr  # line by line
+    as_in_a_shell()
     MARKS.get(step, lambda: None)()
     register = ClosingWindow().register if step == "closing" else None
     loaded = load_rig(rig)
@@ -177,11 +168,11 @@ class MarkedBench(Child):
     """A running bench that tells of its steps."""
 
     def __init__(self, rig: RealRig, step: str) -> None:
-        context = multiprocessing.get_context("forkserver")
-        answers, self._answers = context.Pipe(duplex=False)
-        self._out, said = context.Pipe(duplex=False)
+        forking = context()
+        answers, self._answers = forking.Pipe(duplex=False)
+        self._out, said = forking.Pipe(duplex=False)
         paths = (rig.rig_path, rig.script_path, rig.out)
-        self.process = context.Process(
+        self.process = forking.Process(
             target=child, args=(answers, said, step, *paths), daemon=True
         )
         self.process.start()
@@ -221,8 +212,3 @@ def marked_bench(rig: RealRig, step: str) -> Iterator[MarkedBench]:
         yield running
     finally:
         running.close()
-
-
-def serve() -> None:
-    """Have the server load the bench once; before the first `MarkedBench`."""
-    multiprocessing.get_context("forkserver").set_forkserver_preload([__name__])

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import re
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -25,8 +24,8 @@ from instruments.camera.recording import RecordingWriter
 from instruments.clock import RealClock
 from instruments.operators.operator import Arrangement, Touch
 from tests.bench.commands import words
+from tests.bench.forked import Running, begin
 from tests.bench.operated_runs import write_calibration
-from tests.conftest import ROOT
 
 SCRIPT = """
 title = "Short"
@@ -220,7 +219,7 @@ class Child:
 class Bench(Child):
     """`teatbench run` as a child."""
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, process: Running) -> None:
         assert process.stdin
         assert process.stdout
         super().__init__(process.stdin.fileno(), process.stdout.fileno(), process.poll)
@@ -257,10 +256,7 @@ def touch_as_asked(
 def bench(rig: RealRig, more: Sequence[str] = ()) -> Iterator[Bench]:
     """`teatbench run` on the rig, in another process; killed at the end if it still runs."""
     given = words("run {} --rig {} --out {}", rig.script_path, rig.rig_path, rig.out)
-    command = [sys.executable, "-m", "bench.cli", *given, *more]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-    pipe, out = subprocess.PIPE, subprocess.STDOUT
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=out, env=environment) as process:
+    with begin([*given, *more], stdin=subprocess.PIPE) as process:
         running = Bench(process)
         try:
             yield running

@@ -4,12 +4,15 @@ click; all frames of a trial together.
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, FloatRect, Locator, Page, expect
 
+from reports.render import write_report
 from tests.chromium import Seen, window
+from tests.reports.sample import sample_page
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]  # a browser starts for some seconds
 
@@ -19,6 +22,15 @@ WHOLE: View = [-0.5, -0.5, 640, 480]
 # screen pixels: a pointer tells whole ones, and what it is short of grows with the zoom
 BY_POINTER = 2.0
 TEAT_2 = (285, 215)  # its truth, in pixels of every camera of the sample
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample's page with its trials and their list alone: no figure is looked at."""
+    folder = tmp_path_factory.mktemp("trials")
+    page = sample_page(folder)
+    sections = tuple(one for one in page.sections if one.id == "trial-list")
+    return write_report(replace(page, sections=sections), folder)
 
 
 @pytest.fixture

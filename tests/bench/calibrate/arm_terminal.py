@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import select
-import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -14,15 +13,12 @@ from pathlib import Path
 import pyte
 import pytest
 
+from tests.bench.forked import Running, begin
 from tests.conftest import ROOT
 
 PATIENCE_S = 240.0
 ENTER = "Enter"
 COLUMNS, ROWS = 200, 24
-OWN_TERMINAL = (
-    "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); from bench.cli.main import main;"
-    " sys.exit(main())"
-)
 
 
 class Rendered:
@@ -53,7 +49,7 @@ class Rendered:
 class Terminal:
     """The person's side: ``text`` is all that it said, ``screen`` what of it is to be seen."""
 
-    def __init__(self, child: subprocess.Popen[bytes], fd: int, columns: int) -> None:
+    def __init__(self, child: Running, fd: int, columns: int) -> None:
         self._child = child
         self._fd = fd
         self._at = 0
@@ -127,13 +123,11 @@ def at_terminal(
 
     near, far = pty.openpty()
     termios.tcsetwinsize(far, (ROWS, columns))
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm", "NO_COLOR": "1"}
+    environment = {**os.environ, "TERM": "xterm", "NO_COLOR": "1"}
     for of_another in ("COLUMNS", "LINES"):
         environment.pop(of_another, None)
-    command = [sys.executable, "-c", OWN_TERMINAL, *arguments]
-    child = subprocess.Popen(
-        command, stdin=far, stdout=far, stderr=far, env=environment, cwd=cwd, start_new_session=True
-    )
+    ends = {"stdin": far, "stdout": far, "stderr": far}
+    child = begin(arguments, **ends, cwd=cwd, environment=environment, terminal=True)
     os.close(far)
     terminal = Terminal(child, near, columns)
     try:

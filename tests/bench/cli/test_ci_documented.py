@@ -14,7 +14,8 @@ import yaml
 
 from tests.bench.commands import teatbench
 from tests.bench.small_recording import ENDS_MM, write_recording
-from tests.conftest import NO_FIGURE, ROOT
+from tests.conftest import ROOT
+from tests.undrawn import NO_FIGURE
 
 CI = ROOT / "docs" / "ci"
 SCRIPT = (CI / "score.sh").read_text(encoding="utf-8")

@@ -23,7 +23,7 @@ from instruments.clock import RealClock
 from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench
-from tests.bench.run.test_end_to_end import started
+from tests.bench.forked import begin
 from tests.conftest import ROOT
 
 SOME = 4
@@ -138,7 +138,7 @@ def test_detect_and_score_take_frames_that_another_program_rendered(
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal to a child")
 def test_emulate_serves_drivers_of_another_process(said: Said) -> None:
-    with started(["emulate"]) as child, contextlib.ExitStack() as ending:
+    with begin(["emulate"]) as child, contextlib.ExitStack() as ending:
         ending.callback(child.kill)
         assert child.stdout is not None
         urls = dict(child.stdout.readline().split() for _ in range(6))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -25,7 +24,8 @@ from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from tests.bench.campaign.small_campaign import write_small_rig
 from tests.bench.commands import NO_CAMERA, Said, lab_rig, teatbench, words
-from tests.bench.run.test_end_to_end import content, run_command, started
+from tests.bench.forked import Running, begin
+from tests.bench.run.test_end_to_end import content, run_command
 
 pytestmark = pytest.mark.slow
 
@@ -64,10 +64,10 @@ def check_capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def playing(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, str]]]:
+def playing(*arguments: str) -> Iterator[tuple[Running, dict[str, str]]]:
     """`replay-wire` as another process, and what it listens at."""
     links = arguments.count("--link") or len(read_capture(Path(arguments[0])).links)
-    with started(["replay-wire", *arguments]) as child:
+    with begin(["replay-wire", *arguments]) as child:
         try:
             assert child.stdout is not None
             lines = (line for line in child.stdout if "://" in line)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import json
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from instruments.operators.mailbox import read_prompt
+from tests.bench.forked import Running, begin
 from tests.bench.operated_runs import files
 
 SOON_S = 120.0  # for a machine with ten times too much to do
@@ -31,7 +31,7 @@ class Reply:
 class Served:
     """A console that runs; ``address`` is what it printed."""
 
-    process: subprocess.Popen[str]
+    process: Running
     address: str
 
     @property
@@ -66,8 +66,7 @@ class Served:
 
 def serve(runs: Path, here: Path) -> Served:
     """Start a console over ``runs``, with the rig files and scripts in ``here``."""
-    command = [sys.executable, "-m", "bench.cli", "console", "--runs", str(runs), "--no-open"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=here)
+    process = begin(["console", "--runs", runs, "--no-open"], cwd=here)
     assert process.stdout is not None
     word, address = process.stdout.readline().split()
     assert word == "console"
@@ -93,17 +92,12 @@ def end(served: Served) -> None:
 
 
 @contextmanager
-def operated_run(folder: Path, **more: Any) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
+def operated_run(folder: Path, **more: Any) -> Iterator[tuple[Running, Path]]:
     """A run in real time on emulators, without a terminal; gives its process and its folder."""
     arguments = files(folder, operator="browser:", **more)
     (folder / "runs").mkdir(exist_ok=True)
     with (folder / "run.log").open("wb") as log:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "bench.cli", *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-        )
+        process = begin(arguments, stdout=log.fileno(), stderr=subprocess.STDOUT)
     try:
         yield process, eventually(lambda: folder_of(folder), process)
     finally:
@@ -118,7 +112,7 @@ def folder_of(folder: Path) -> Path | None:
     return found[0] if found else None
 
 
-def eventually(look: Any, process: subprocess.Popen[bytes] | None = None) -> Any:
+def eventually(look: Any, process: Running | None = None) -> Any:
     """What ``look`` gives once it gives something."""
     end_s = time.monotonic() + SOON_S
     while time.monotonic() < end_s:

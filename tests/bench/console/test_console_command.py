@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 from bench.record.reader import read_run
 from tests.bench.commands import Said
 from tests.bench.console import served
+from tests.bench.forked import begin
 from tests.bench.operated_runs import files, folder_with_runs
 from tests.bench.small_run import SCRIPT
 
@@ -32,9 +32,8 @@ def test_an_address_that_is_not_to_be_had_is_named(said: Said, tmp_path: Path) -
 def test_a_run_of_a_rig_in_virtual_time_takes_its_real_time_beside_a_console(
     tmp_path: Path,
 ) -> None:
-    command = [sys.executable, "-m", "bench.cli", *files(tmp_path, script=SCRIPT), "--console"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=280)
-    assert "console http://127.0.0.1:" in done.stdout, done.stderr
+    said, _ = begin([*files(tmp_path, script=SCRIPT), "--console"]).communicate(timeout=280)
+    assert "console http://127.0.0.1:" in said
     (run,) = folder_with_runs(tmp_path)
     assert read_run(run).facts["asked"]["realtime"] is True
     assert not (run / "console").exists()  # gone at the run's end

@@ -10,14 +10,11 @@ import shutil
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
-from functools import cache
 from pathlib import Path
 
 import pytest
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from bench.cli.main import main, parser
+from bench.cli.main import main
 from bench.cli.store import DAMAGED
 from bench.record.check import NOT_AS_WRITTEN, PRINTED
 from bench.record.reader import read_run
@@ -32,8 +29,6 @@ from tests.bench.small_run import KEPT
 OF_A_TRIAL = ("frames", "touches", "truth", "found", "scores", "detections")
 EXPORTS = ("csv", "parquet", "mcap")
 FRAME = Path("frames") / "001-place-1"
-PARSER = cache(parser)
-EMPTY = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 72 72"></svg>'
 
 
 def written(name: Path | str, change: Callable[[bytes], bytes]) -> Damage:
@@ -161,16 +156,6 @@ DAMAGES: dict[str, Damage] = {
         )
     },
 }
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made up to their last artist, but not laid out or rendered; the command line is
-    made once. All that takes most of the time and sees nothing of the record.
-    """
-    monkeypatch.setattr("bench.cli.main.parser", PARSER)
-    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
-    monkeypatch.setattr(Figure, "savefig", lambda _, file, **__: file.write(EMPTY))
 
 
 @pytest.fixture

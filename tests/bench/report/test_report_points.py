@@ -23,8 +23,8 @@ from bench.results.verdicts import judge
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from reports.render import render
 from tests.chromium import Scheme, chromium, launched, violations, window
-from tests.conftest import NO_FIGURE
 from tests.reports.markup import Document, read
+from tests.undrawn import undrawn
 
 pytestmark = pytest.mark.slow
 
@@ -47,12 +47,10 @@ def document(folder: Path) -> Document:
     return read((folder / "report" / "index.html").read_text(encoding="utf-8"))
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made up to their last artist, but not rendered, where none is looked at."""
-    monkeypatch.setattr(
-        "matplotlib.figure.Figure.savefig", lambda _, file, **__: file.write(NO_FIGURE)
-    )
+@pytest.fixture(name="undrawn")
+def no_figure_is_looked_at() -> Iterator[None]:
+    with undrawn():
+        yield
 
 
 @pytest.fixture

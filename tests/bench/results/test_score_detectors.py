@@ -10,7 +10,6 @@ import json
 import shutil
 import signal
 import struct
-import subprocess
 import sys
 import time
 import zlib
@@ -25,9 +24,9 @@ from bench.report.tables import score_table
 from bench.results.verdicts import Latency, failures_text, judge, latency_of
 from bench.scoring.decisions import Verdict
 from tests.bench.commands import Said, teatbench, words
+from tests.bench.forked import begin
 from tests.bench.small_recording import ENDS_MM, write_recording
 from tests.bench.small_run import written_anew
-from tests.conftest import ROOT
 from tests.plain_text import plain_text
 
 pytestmark = pytest.mark.slow
@@ -232,11 +231,7 @@ def test_ctrl_c_while_a_program_is_silent_ends_both(recording: Path, tmp_path: P
         f"{silent}open({str(tmp_path / 'up')!r}, 'w')\ntime.sleep(600)", encoding="utf-8"
     )
     program = f"exec:{sys.executable} {tmp_path / 'silent.py'}"
-    command = [sys.executable, "-m", "bench.cli"]
-    command += words(f"{SCORE} --detector {{}}", recording, tmp_path / "runs", program)
-    with subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as bench:
+    with begin(words(f"{SCORE} --detector {{}}", recording, tmp_path / "runs", program)) as bench:
         deadline = time.monotonic() + 60
         while not (tmp_path / "up").is_file() and time.monotonic() < deadline:
             time.sleep(0.05)

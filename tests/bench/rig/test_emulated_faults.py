@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -23,8 +21,8 @@ from instruments.link import Link
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.unit import SHIPPED
 from instruments.stage.driver import Stage
+from tests.bench.forked import begin
 from tests.bench.operated_runs import shipped_rig
-from tests.conftest import ROOT
 
 
 def with_emulation(folder: Path, *lines: str) -> Path:
@@ -161,10 +159,7 @@ def test_an_arm_file_with_faults_is_shown_in_its_places(tmp_path: Path) -> None:
     not hasattr(os, "openpty"), reason="needs pseudo-terminals: Linux and macOS have them"
 )
 def test_serial_instruments_on_pseudo_terminals() -> None:
-    command = [sys.executable, "-m", "bench.cli", "emulate", "--pty", "--paced"]
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, encoding="utf-8", cwd=ROOT
-    )
+    process = begin(["emulate", "--pty", "--paced"])
     assert process.stdout is not None
     urls = dict(process.stdout.readline().split() for _ in range(3))
     assert urls["arm"].startswith("/dev/")

@@ -18,8 +18,8 @@ from bench.rig.loading import find_rig, load_rig
 from bench.script.phantom import shipped_phantom
 from detector.calibration import load_part
 from tests.bench.calibrate.small_rig import small_calibration, write_rig
+from tests.bench.forked import begin
 from tests.bench.real_rig import SCRIPT, real_rig, record_one
-from tests.bench.run.test_end_to_end import started
 
 pytestmark = pytest.mark.slow
 
@@ -55,7 +55,7 @@ def written_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     small = write_rig(folder, "[emulation]", "bath_start_c = 33.0", "hand_error_mm = 0.01")
     (folder / "lab").mkdir()
     path = folder / "lab" / "written.toml"
-    with started(["emulate", str(small), "--write-rig", str(path)]) as child:
+    with begin(["emulate", str(small), "--write-rig", str(path)]) as child:
         try:
             assert child.stdout is not None
             said: list[str] = []

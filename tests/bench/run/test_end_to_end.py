@@ -6,10 +6,8 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import signal
 import sqlite3
-import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ET
@@ -25,7 +23,7 @@ import pytest
 from bench.record.reader import RunRecord, read_run
 from bench.safety.stability import State
 from tests.bench.commands import Said, teatbench
-from tests.conftest import ROOT
+from tests.bench.forked import Running, begin
 
 pytestmark = pytest.mark.slow
 
@@ -189,26 +187,15 @@ def test_a_killed_bench_leaves_a_run_that_reports(short_script: Path, tmp_path: 
     assert "died before the run was over" in page
 
 
-def long_run(script: Path, out: Path, window_s: float = 60.0) -> subprocess.Popen[str]:
+def long_run(script: Path, out: Path, window_s: float = 60.0) -> Running:
     """A bench that runs ``script`` with 50 repeats and a stability gate of ``window_s``."""
     text = script.read_text(encoding="utf-8").replace("repeats = 1", "repeats = 50")
     long = out.with_name("long.toml")
     long.write_text(text.replace("window_s = 60.0", f"window_s = {window_s}"), encoding="utf-8")
-    return started(["run", str(long), "--out", str(out)])
+    return begin(["run", long, "--out", out])
 
 
-def started(arguments: Sequence[str]) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "bench.cli", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        encoding="utf-8",
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        cwd=ROOT,
-    )
-
-
-def wait_for_run(out: Path, child: subprocess.Popen[str]) -> Path:
+def wait_for_run(out: Path, child: Running) -> Path:
     while child.poll() is None:
         if found := list(out.glob("*/run.sqlite")):
             return found[0].parent

@@ -5,7 +5,6 @@ which may fail in any way: the run goes on, the others still get all, and it is 
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -32,6 +31,7 @@ from bench.run.events import (
 from bench.run.interruptions import GARBLED, GONE, POLICIES, REFUSES
 from bench.run.trial import TrialRun
 from tests.bench.commands import teatbench
+from tests.bench.forked import begin
 from tests.bench.killed_runs import Silent, killed_while, only_run, resume, start
 from tests.bench.operated_runs import files, run_of, texts
 from tests.conftest import ROOT
@@ -257,11 +257,7 @@ def test_what_is_asked_amid_a_question_is_not_swallowed() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="closes a pipe as a POSIX shell does")
 def test_a_reader_of_the_output_that_has_gone_ends_no_run(tmp_path: Path) -> None:
     """`teatbench run | head -1`."""
-    command = [sys.executable, "-m", "bench.cli", *files(tmp_path)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
-    ) as bench:
+    with begin(files(tmp_path), stderr=subprocess.PIPE) as bench:
         assert bench.stdout is not None
         assert bench.stderr is not None
         assert bench.stdout.readline().startswith("3 trials, ")

@@ -23,7 +23,7 @@ from tests.bench.real_rig import RealRig, real_rig, record_one, touch_as_asked
 if sys.platform == "win32":
     pytest.skip("sends POSIX signals to the bench", allow_module_level=True)
 
-from tests.bench.marked_bench import CLOSED_CODE, MARK, MarkedBench, marked_bench, serve
+from tests.bench.marked_bench import CLOSED_CODE, MARK, MarkedBench, marked_bench
 
 pytestmark = pytest.mark.slow
 
@@ -113,7 +113,6 @@ WAYS: dict[str, tuple[Callable[[RealRig, MarkedBench], float | None], str, int]]
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    serve()
     return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import subprocess
 import sys
 from functools import partial
 from pathlib import Path
@@ -32,6 +31,7 @@ from bench.run.trial import TrialRun
 from bench.truth.carrying import REFERENCE_FACT, CarriedTruth
 from instruments.camera.recording import Recording, RecordingWriter
 from tests.bench.commands import Said
+from tests.bench.forked import begin
 from tests.bench.killed_runs import (
     Person,
     Silent,
@@ -44,7 +44,6 @@ from tests.bench.killed_runs import (
     steps_of,
 )
 from tests.bench.operated_runs import CHECK_POINT, SCRIPT, STAGE, files, texts
-from tests.conftest import ROOT
 
 pytestmark = pytest.mark.slow
 
@@ -142,8 +141,8 @@ def test_a_trial_that_killed_the_bench_twice_is_skipped_and_reported(
     undisturbed: tuple[Path, int],
 ) -> None:
     folder, _ = undisturbed
-    for begin, deaths in ((start, 0), (resume, 1), (resume, 2)):
-        work = partial(begin, folder, "poison")
+    for go, deaths in ((start, 0), (resume, 1), (resume, 2)):
+        work = partial(go, folder, "poison")
         assert killed_while(f"'{SECOND}'", "_store_trial", TrialRun, work) is (deaths < 2)
     run = read_run(only_run(folder, "poison"))
     assert run.ending == "finished"
@@ -171,12 +170,10 @@ def test_a_run_that_is_under_way_is_left_alone(undisturbed: tuple[Path, int]) ->
     run = only_run(folder, "busy")
     before = read_run(run)
     with locked(run_lock(run), "somebody", print):
-        command = [sys.executable, "-m", "bench.cli", "resume", str(run)]
-        note = subprocess.run(
-            command, capture_output=True, text=True, cwd=ROOT, timeout=60, check=False
-        )
-    assert note.returncode == 3
-    assert "run: another bench has it" in note.stderr
+        refused = begin(["resume", run])
+        said, _ = refused.communicate(timeout=60)
+    assert refused.returncode == 3
+    assert "run: another bench has it" in said
     assert read_run(run).facts == before.facts
 
 

@@ -18,11 +18,9 @@ from tests.bench.safety.guards import HotBath, Measured
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of one frame, and a server from which benches are forked."""
-    from tests.bench.marked_bench import serve  # not on Windows
+    """A recording of one frame."""
     from tests.bench.real_rig import record_one
 
-    serve()
     return record_one(tmp_path_factory.mktemp("frames") / "recording")
 
 

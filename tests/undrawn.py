@@ -1,0 +1,46 @@
+"""What takes most of a short run, and most tests look at none of: figures, and the bench's own
+check of its cameras.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+from unittest.mock import patch
+
+NO_FIGURE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1"/>'
+DRAWN_IN = ("course", "drawing", "errors", "plane", "sensitivity", "situations")
+
+
+@contextmanager
+def undrawn() -> Iterator[None]:
+    """Each SVG is `NO_FIGURE`: figures are made up to their last artist, but neither laid out nor
+    rendered.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    render = Figure.savefig
+
+    def savefig(figure: Figure, file: Any, **how: Any) -> None:
+        if how["format"] == "svg":
+            file.write(NO_FIGURE)
+        else:
+            render(figure, file, **how)
+
+    with (
+        patch.object(Figure, "savefig", savefig),
+        patch.object(ConstrainedLayoutEngine, "execute", lambda *_: None),
+    ):
+        yield
+
+
+@contextmanager
+def bare() -> Iterator[None]:
+    """No figure is made at all, and the cameras of a run are not checked with its known ends."""
+    with ExitStack() as stack:
+        for name in DRAWN_IN:
+            stack.enter_context(patch(f"reports.figures.{name}.draw", lambda *_: NO_FIGURE))
+        stack.enter_context(patch("bench.run.trial.where_seen", lambda *_: {}))
+        yield
