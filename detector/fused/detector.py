@@ -181,14 +181,12 @@ def _detect(
     trace.append(Stage("decisions", shown))
     if wrong := disagreement(cameras, judged.fitted, calibration):
         raise pictures.UnusableError(wrong)
-    fitted, unsure = unaliased(judged.fitted.take(judged.accepted), p)
+    fitted = judged.fitted.take(judged.accepted)
     edges = sharpness(fitted, (maps[0].view, maps[1].view))
     if wrong := too_blurred(edges):
         raise pictures.UnusableError(wrong)
     hidden = _unexplained(fitted.teats, thermal, ends)
-    own = end_covariances(fitted, p) + unsure
-    own += unlike_covariances(fitted.teats, judged.evidence.take(judged.accepted), p)
-    answers = _answers(fitted.teats, own, cameras, edges, thermal, calibration, p)
+    answers = _answers(judged, cameras, edges, thermal, calibration, p)
     reason = None if answers else "nothing warm has the outline of a teat in both optical pictures"
     return Detection(answers, hidden, reason, tuple(trace))
 
@@ -377,22 +375,22 @@ def optical_views(
 
 
 def _answers(
-    teats: Array,
-    own: Array,
+    judged: _Judged,
     cameras: Agreement,
     edges: Sharpness,
     thermal: _Thermal,
     calibration: Calibration,
     p: Parameters,
 ) -> tuple[Teat, ...]:
-    """The ends of teats (m, 8) and their pixels, with covariances: their ``own`` (m, 3, 3) mm^2 in
-    the right camera's frame, the blur's and the calibration's.
-    """
-    if len(teats) == 0:
+    """Accepted ends with covariances, the calibration's included, and their pixels."""
+    if not judged.accepted:
         return ()
-    ends = apexes(teats)
+    accepted = judged.candidates.take(judged.accepted)
+    fitted, own = unaliased(accepted.fitted, p)
+    teats, ends = fitted.teats, apexes(fitted.teats)
     world = calibration.world_from_right.apply(ends)
-    own = own + calibration_covariances(cameras, ends, calibration, p)
+    own = own + end_covariances(fitted, p) + unlike_covariances(teats, accepted.evidence, p)
+    own += calibration_covariances(cameras, ends, calibration, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
     own = own + blur_covariances(edges, teats, px_a_mm, calibration.baseline_mm)
     covariances = world_covariances(own, ends, calibration)

@@ -381,8 +381,6 @@ def unaliased(fitted: Fitted, p: Parameters) -> tuple[Fitted, Array]:
     estimated for each optical picture from what the fits of all teats leave over.
     """
     m, n = len(fitted.teats), len(FINE_OUTLINE.part)
-    if m == 0:
-        return fitted, np.zeros((0, 3, 3))
     seen, optical = fitted.seen, slice(0, 2 * n)
     place = seen.pixels_px + np.nan_to_num(seen.offset_px)[..., None] * seen.normals
     wave = np.nan_to_num(seen.normals**3 * np.sin(2 * np.pi * place)).sum(axis=2)[:, optical]
