@@ -94,7 +94,7 @@ class Parameters:
     # both sides were followed up to it; that, closely and warm on both sides; where one is seen
     least_end: float = 0.4
     least_end_alone: float = 0.75
-    least_end_followed: float = 0.52
+    least_end_followed: float = 0.57
     least_end_sure: float = 0.46
     least_end_one_sided: float = 0.45
     # of one that is less sure than this, of such a one that is warm all round, and in each picture
