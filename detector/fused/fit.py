@@ -80,11 +80,11 @@ class Parameters:
     prior: Prior = field(default_factory=Prior)
     most_nominations: int = 20
     most_bars: int = 8
-    starts_per_nomination: int = 3
+    starts_per_nomination: int = 4
     first_starts: int = 16  # are enough where they lead to all teats of an udder
-    most_starts: int = 36
+    most_starts: int = 48
     more_bar_starts: int = 4  # of bars without a clear end, which others crowd out
-    most_fits: int = 28
+    most_fits: int = 36
     whole_end: float = 0.7  # share of the rounded end, below which a fit may have bridged two teats
     whole_end_both: float = 0.85  # where both sides are seen
     most_doubts: int = 3
