@@ -81,7 +81,7 @@ class Parameters:
     most_nominations: int = 20
     most_bars: int = 8
     starts_per_nomination: int = 4
-    first_starts: int = 16  # are enough where they lead to all teats of an udder
+    first_starts: int = 12  # are enough where they lead to all teats of an udder
     most_starts: int = 48
     more_bar_starts: int = 4  # of bars without a clear end, which others crowd out
     most_fits: int = 36
