@@ -21,21 +21,27 @@ from hypothesis import settings
 
 from bench.rig.loading import RIGS
 from bench.script.model import TRIALS
+from tests.examples import examples
 from tests.undrawn import bare, undrawn
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 TRIM_MIB, GROWN_MIB, MOST_MIB = 700.0, 32.0, 1024.0
+SLOW_S = 1.0 / 3.0  # as the marker says
+STANDBY, UNMARKED = "s to standby, ", "s of a processor, "
 # rooms and files whose tests run the bench and look at no figure; those of the second list make none
 UNDRAWN = (
     *("tests.bench.record.test_damaged_runs", "tests.bench.results.", "tests.bench.dry_run."),
     *("tests.bench.run.test_end_to_end", "tests.bench.truth.test_truth_runs"),
     *(f"tests.bench.calibrate.test_{name}" for name in ("checks", "live", "steps")),
     *("tests.bench.report.test_odd_recordings", "tests.bench.report.test_detector_errors"),
-    *("tests.bench.report.test_report_thesis", "tests.bench.campaign.test_campaign"),
+    "tests.bench.campaign.test_campaign",
 )
 ROOMS = ("cli", "console", "record", "rig", "run", "safety", "truth")
-BARE = (*(f"tests.bench.{room}." for room in ROOMS), "tests.test_docs")
+BARE = (
+    *(f"tests.bench.{room}." for room in ROOMS),
+    *("tests.bench.report.test_report_thesis", "tests.test_docs"),
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -45,7 +51,9 @@ def pytest_configure(config: pytest.Config) -> None:
     # hypothesis: the same examples in a CI
     fixed = settings().derandomize and config.getoption("hypothesis_seed") is None
     # how fast the machine is says nothing of the code
-    settings.register_profile("teatbench", deadline=None, derandomize=fixed)
+    settings.register_profile(
+        "teatbench", deadline=None, derandomize=fixed, max_examples=examples(50)
+    )
     settings.load_profile("teatbench")
     # numba takes a second of each process: only where that is what is tested
     os.environ.setdefault("TEATBENCH_KERNELS", "numpy")
@@ -68,23 +76,35 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: (item.path not in slow, len(item.path.parts)))
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Notes what takes as much of a processor as a slow test and isn't marked as one."""
+    before_s = time.process_time()
+    yield
+    took_s = time.process_time() - before_s
+    if took_s > SLOW_S and not item.get_closest_marker("slow"):
+        item.user_properties.append((f"{UNMARKED}{item.nodeid}", round(took_s, 2)))
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """What tests have measured and want to be seen: times from a death of the bench to the bath's
-    standby.
+    standby; what the inner loop should leave out.
     """
     reports = [
         report for kind in ("passed", "failed") for report in terminalreporter.stats.get(kind, ())
     ]
-    note = [
-        (name, value)
-        for report in reports
-        for name, value in report.user_properties
-        if name.startswith("s to standby")
-    ]
-    if note:
-        terminalreporter.section("seconds to standby")
-        for name, value in note:
-            terminalreporter.write_line(f"{value:8.3f}  {name.removeprefix('s to standby, ')}")
+    for begins, title in ((STANDBY, "seconds to standby"), (UNMARKED, "slow, not marked so")):
+        note = [
+            (name, value)
+            for report in reports
+            if report.when == "call"
+            for name, value in report.user_properties
+            if name.startswith(begins)
+        ]
+        if note:
+            terminalreporter.section(title)
+            for name, value in sorted(note):
+                terminalreporter.write_line(f"{value:8.3f}  {name.removeprefix(begins)}")
 
 
 @pytest.fixture(autouse=True)
@@ -167,6 +187,20 @@ def short_script(tmp_path_factory: pytest.TempPathFactory) -> Path:
         text = text.replace(old, new)
     path = tmp_path_factory.mktemp("scripts") / "short.toml"
     path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="session")
+def two_trials(short_script: Path) -> Path:
+    """The first two of them, where more trials would show nothing more."""
+    return first_trials(short_script, 2)
+
+
+def first_trials(script: Path, count: int) -> Path:
+    """A script beside ``script`` with its first so many trials alone."""
+    head, *trials = script.read_text(encoding="utf-8").split("[[trials]]")
+    path = script.with_name(f"first-{count}.toml")
+    path.write_text("[[trials]]".join([head, *trials[:count]]), encoding="utf-8")
     return path
 
 

@@ -126,13 +126,13 @@ DRAWINGS: dict[str, Draw] = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [0, 1, 2, 40])
+@pytest.mark.parametrize("size", [0, 1, 40])
 @pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
 def test_any_amount_of_data_makes_a_sound_drawing_that_turns_for_the_dark(
     draw: Draw, size: int
 ) -> None:
     svg, sheet = draw(size), SHEET.read_text(encoding="utf-8")
-    assert size != 2 or svg == draw(size), "the same bytes"
+    assert size != 1 or svg == draw(size), "the same bytes"
     assert svg_facts(svg, "drawing").ids == tuple(dict.fromkeys(svg_facts(svg, "drawing").ids))
     assert ("not measured" in svg) == (size == 0 or (draw is DRAWINGS["axes"]))
     assert "nan" not in svg.lower()

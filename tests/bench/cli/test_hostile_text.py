@@ -152,6 +152,7 @@ def test_the_console_shows_no_markup_and_no_controls_of_others(
     assert capsys.readouterr().out == f"x[/red]{REPLACED}[2J {REPLACED}y\n"
 
 
+@pytest.mark.slow
 @given(st.text(st.characters(exclude_categories=[])))
 def test_any_text_is_xml_and_no_formula(text: str) -> None:
     kept = sanitized(text)

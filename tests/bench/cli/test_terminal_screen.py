@@ -66,10 +66,10 @@ def test_beside_a_refusal_there_is_no_bar(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_bar_is_there_while_something_goes_on_and_gone_after_it(
-    tmp_path: Path, short_script: Path, said: Said
+    tmp_path: Path, two_trials: Path, said: Said
 ) -> None:
     words = "going through the script on emulators"
-    dry = f"run {short_script} --dry-run --rig {write_small_rig(tmp_path)} --out {tmp_path}"
+    dry = f"run {two_trials} --dry-run --rig {write_small_rig(tmp_path)} --out {tmp_path}"
     with at_terminal(dry.split()) as terminal:
         terminal.expect(words)
         assert terminal.code() == 0

@@ -42,9 +42,9 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="sends a POSIX signal
 
 
 @pytest.fixture(scope="module")
-def a_run(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> list[str]:
+def a_run(tmp_path_factory: pytest.TempPathFactory, two_trials: Path) -> list[str]:
     """The command of a run with small pictures."""
-    return words("run {} --rig {}", short_script, write_small_rig(tmp_path_factory.mktemp("rig")))
+    return words("run {} --rig {}", two_trials, write_small_rig(tmp_path_factory.mktemp("rig")))
 
 
 @pytest.fixture(scope="module")

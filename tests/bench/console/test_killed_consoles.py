@@ -76,7 +76,7 @@ def answered(here: Path, kills: int) -> tuple[Path, dict[int, str]]:
                 except OSError:
                     served.end(one)
                     one = served.serve(here / "runs", here)
-                time.sleep(0.02)
+                time.sleep(0.1)  # each look costs the console some of a processor
         finally:
             served.end(one)
     assert (process.returncode, left) == (0, 0)

@@ -174,7 +174,7 @@ def test_hostile_notes_come_out_as_text_and_faults_are_reported(
     facts = {"identities": {**run.facts["identities"], "cameras": {**cameras, "right": "opencv:1"}}}
     facts |= {"camera faults": {"left: frozen": 3}, "retries": {"bath": 2}}
     trials = []
-    for trial in run.trials:
+    for trial in run.trials[:3]:  # more would draw the same
         invalid = HOSTILE if trial.head["number"] == 2 else None
         head = {**trial.head, "note": HOSTILE, "situation": HOSTILE, "invalid": invalid}
         words = {"reason": HOSTILE, "wall_stderr": HOSTILE}

@@ -24,6 +24,7 @@ from bench.record.reader import RunRecord, read_run
 from bench.safety.stability import State
 from tests.bench.commands import Said, teatbench
 from tests.bench.forked import Running, begin
+from tests.conftest import first_trials
 
 pytestmark = pytest.mark.slow
 
@@ -131,10 +132,11 @@ def content(folder: Path) -> dict[str, Any]:
 
 
 def test_another_seed_gives_other_noise(done: Done, short_script: Path, tmp_path: Path) -> None:
-    _, folder = run_command(["run", str(short_script), "--seed", "2"], tmp_path)
+    script = first_trials(short_script, 1)
+    _, folder = run_command(["run", str(script), "--seed", "2"], tmp_path)
     first, second = content(done.run.folder), content(folder)
-    assert first["touches"] != second["touches"]
-    assert first["bath"] != second["bath"]
+    for table in ("touches", "bath"):
+        assert first[table][: len(second[table])] != second[table]
     picture = "frames/001-non-vertical-1/left.png"
     assert first[picture] != second[picture]
 

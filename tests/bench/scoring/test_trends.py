@@ -63,6 +63,7 @@ def test_the_error_is_near_statsmodels_cluster_robust_one() -> None:
     assert (found.low, found.high) == pytest.approx((low, high), abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("same_place", [True, False])
 def test_chance_is_taken_for_a_trend_in_no_more_than_5_percent(same_place: bool) -> None:
     rng = np.random.default_rng(2)

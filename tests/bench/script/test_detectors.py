@@ -150,6 +150,7 @@ def test_the_list_tells_a_faulty_file_and_goes_on(
     assert "thesis: " in listed
 
 
+@pytest.mark.slow
 def test_a_program_sees_the_variables_of_the_list_and_those_that_its_file_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

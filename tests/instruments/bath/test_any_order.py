@@ -26,6 +26,7 @@ from instruments.bath.profile import load_register_profile, load_relay
 from instruments.bath.reading import BathReading
 from instruments.errors import InstrumentError
 from instruments.listener import Listener
+from tests.examples import examples
 from tests.instruments.bath.devices import (
     REGISTER_FAMILIES,
     MovingClock,
@@ -264,7 +265,7 @@ def test_any_order(name: str) -> None:
     run_state_machine_as_test(
         machine,
         settings=settings(
-            max_examples=25,
+            max_examples=examples(15),
             stateful_step_count=20,
             deadline=None,
             # as found: to shrink a run that hangs takes minutes

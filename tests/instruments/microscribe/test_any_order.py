@@ -19,6 +19,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from instruments.errors import InstrumentError, LinkError
 from instruments.microscribe.faults import Fault
 from instruments.microscribe.kinematics import Floats
+from tests.examples import examples
 from tests.instruments.microscribe.rigs import UNIT, Rig
 
 PEG = UNIT.geometry().forward(UNIT.home)[0][0]
@@ -244,4 +245,6 @@ class ArmInAnyOrder(RuleBasedStateMachine):
 
 
 TestArmInAnyOrder = pytest.mark.slow(ArmInAnyOrder.TestCase)
-TestArmInAnyOrder.settings = settings(max_examples=40, stateful_step_count=30, deadline=None)
+TestArmInAnyOrder.settings = settings(
+    max_examples=examples(25), stateful_step_count=30, deadline=None
+)

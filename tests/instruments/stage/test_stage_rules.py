@@ -29,6 +29,7 @@ from instruments.stage.emulator import (
     Fault,
 )
 from instruments.stage.emulator.grbl import GrblController
+from tests.examples import examples
 from tests.instruments.stage.board import Bench
 
 TRAVEL = (300.0, 275.0, 50.0, 360.0)
@@ -229,7 +230,7 @@ class StageRules(RuleBasedStateMachine):
 
 
 StageRules.TestCase.settings = settings(
-    max_examples=100,
+    max_examples=examples(50),
     stateful_step_count=30,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
