@@ -24,12 +24,11 @@ from tests.bench.commands import Person, Said, teatbench, words
 from tests.conftest import ROOT
 
 HOMING = "Was the stylus on its peg"
-pytestmark = pytest.mark.slow
-
 OWN = "--port emulator: --out {}"
 Patch = pytest.MonkeyPatch
 
 
+@pytest.mark.slow
 def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
     """At a terminal of its own."""
     out = tmp_path / "arm-frame.toml"
@@ -51,6 +50,7 @@ def test_a_new_user_sets_a_table_frame(tmp_path: Path) -> None:
     assert list(frame.residuals_mm) == ["check 1", "check 2"]
 
 
+@pytest.mark.slow
 def test_a_new_user_verifies_the_arm(tmp_path: Path, monkeypatch: Patch) -> None:
     out = tmp_path / "arm-verification.toml"
     plan = "--distances 1 --touches 5 --length-mm 250 --directions 2 --length-u-mm 0.01"

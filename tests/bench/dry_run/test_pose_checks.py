@@ -16,8 +16,6 @@ from bench.script.phantom import Layout, PhantomFile, find_layout, load_layout
 from bench.script.planned_trials import Trial, plan
 from instruments.stage.settings import AxisLimits
 
-pytestmark = pytest.mark.slow
-
 TRAVEL = {"X": AxisLimits(-300.0, 0.0), "Y": AxisLimits(-275.0, 0.0), "Z": AxisLimits(-50.0, 0.0)}
 HEAD = {"name": "t", "situation": "s", "layout": "table-5-1", "set_up": "Teats as in table 5.1."}
 
@@ -44,6 +42,7 @@ def kinds(rig: LoadedRig, loaded: LoadedScript) -> dict[str, str]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["six-situations", "plane-map", "repeatability", "random-udder"])
 def test_what_ships_is_clean(rig: LoadedRig, name: str) -> None:
     assert dry_run(rig, load_script(find_script(name)), TRAVEL) == ((), ())

@@ -9,7 +9,7 @@ import random
 import shutil
 import sqlite3
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, nullcontext
 from pathlib import Path
 
 import pytest
@@ -25,6 +25,7 @@ from tests.bench.killed_runs import Silent, start
 from tests.bench.operated_runs import files
 from tests.bench.record.test_record import Damage, flipped, sql
 from tests.bench.small_run import KEPT
+from tests.undrawn import bare
 
 OF_A_TRIAL = ("frames", "touches", "truth", "found", "scores", "detections")
 EXPORTS = ("csv", "parquet", "mcap")
@@ -116,6 +117,18 @@ DAMAGES: dict[str, Damage] = {
         )
     },
     **{f"schema {number}": sql(f"PRAGMA user_version = {number}") for number in (2, 1, 99)},
+    **{
+        f"{name}, {what}": written(name, change)
+        for name in ("script.toml", "calibration.toml", "rig.toml")
+        for what, change in (
+            ("empty", lambda _: b""),
+            ("cut", lambda data: data[: len(data) // 2]),
+            ("not UTF-8", lambda data: data + b"\xff"),
+            ("a digit changed", lambda data: data.replace(b"0", b"1", 1)),
+        )
+    },
+}
+OF_THE_FOLDER: dict[str, Damage] = {  # what a figure shows is as it was, or can't be read
     "no database": lambda run: (run / DATABASE).unlink(),
     "an empty database": written(DATABASE, lambda _: b""),
     "half a database": written(DATABASE, lambda data: data[: len(data) // 2]),
@@ -135,16 +148,6 @@ DAMAGES: dict[str, Damage] = {
     "all pictures lost": lambda run: shutil.rmtree(run / "frames"),
     "a folder for a picture": a_folder_for_a_picture,
     **{
-        f"{name}, {what}": written(name, change)
-        for name in ("script.toml", "calibration.toml", "rig.toml")
-        for what, change in (
-            ("empty", lambda _: b""),
-            ("cut", lambda data: data[: len(data) // 2]),
-            ("not UTF-8", lambda data: data + b"\xff"),
-            ("a digit changed", lambda data: data.replace(b"0", b"1", 1)),
-        )
-    },
-    **{
         f"the last report's run.json is {text}": printed(text)
         for text in (
             "",
@@ -156,6 +159,7 @@ DAMAGES: dict[str, Damage] = {
         )
     },
 }
+DAMAGES |= OF_THE_FOLDER
 
 
 @pytest.fixture
@@ -220,7 +224,8 @@ def test_a_damaged_run_is_refused_or_marked_as_damaged(
     # they take turns: a report takes its time, and writes its own run.json anew
     others = [name for name in asked if name != "report"]
     for name in (others[turn % len(others)], "report"):
-        code = main([*asked[name], "--despite-damage"])
+        with bare() if what in OF_THE_FOLDER else nullcontext():
+            code = main([*asked[name], "--despite-damage"])
         note = no_traceback(capsys)
         if code == 0:
             assert name in EXPORTS, f"{name} gave a verdict"

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, expect
 
@@ -19,10 +20,12 @@ from bench.cli.main import main
 from bench.config import read_calibration
 from bench.record.reader import read_run
 from bench.report.page import build_page, stored_rules
+from bench.report.thesis import thesis_chapter
 from bench.results.verdicts import judge
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from reports.render import render
-from tests.chromium import Scheme, chromium, launched, violations, window
+from tests.bench.report.test_report_thesis import rows_of
+from tests.chromium import chromium, launched, violations, window
 from tests.reports.markup import Document, read
 from tests.undrawn import undrawn
 
@@ -202,6 +205,58 @@ def test_hostile_notes_come_out_as_text_and_faults_are_reported(
     assert "right: opencv:1" not in said
 
 
+def test_the_six_situations_have_all_the_thesis_figures(folder: Path) -> None:
+    """Beside those of the thesis's detector; the other's stand apart."""
+    run, rules = read_run(folder), stored_rules(folder)
+    run = dataclasses.replace(run, facts={**run.facts, "detectors": ["thesis"]})
+    calibration = read_calibration(folder / "calibration.toml")
+    (chapter,) = thesis_chapter(run, rules, calibration)
+    rows = rows_of(chapter)
+    start = "teats found, "
+    found = {name.removeprefix(start): row for name, row in rows.items() if name.startswith(start)}
+    assert {name: row[1] for name, row in found.items()} == {
+        "non-vertical teats": "4 of 4",
+        "overlapping teats": "3 of 4",
+        "spurious teat": "4 of 4",
+        "hot body at the base": "4 of 4",
+        "hot body at the ends": "0 of 4",
+        "cooler bodies": "3 of 4",
+        "all 6": "18 of 24",
+    }
+    assert found["hot body at the ends"][3].startswith("0 of 4, ")
+    mean = "test 1: mean of the signed components: the thesis's “average error” of test 1"
+    assert rows[mean][:3] == ("5.1.1 and 5.1.3", "0.5 mm", "+0.54 mm (n = 4)")
+    assert rows["test 1: mean distance to the teat end"][1:3] == ("", "2.09 mm (n = 4)")
+    upright = [t for t in run.trials if t.head["situation"] not in ("non_vertical", "overlapping")]
+    errors = np.concatenate([t.scores["thesis"].errors_mm for t in upright])
+    far, counted = rows["test 1: largest distance to the teat end"][3].split(" mm ")
+    assert float(far) == pytest.approx(np.linalg.norm(errors, axis=1).max(), abs=0.005)
+    assert counted == f"(n = {len(errors)})"
+    assert rows["camera to table: determinant and singular values"][1:4] == (
+        "0.911; 1.000, 0.990, 0.920",
+        "",
+        "1.000; 1.000, 1.000, 1.000",
+    )
+    assert rows["distance of the teats from the cameras"][1:3] == ("1750 mm", "1034 to 1137 mm")
+    # as the fact sheet has it
+    assert "the printed ones: 5.8 px on the mean" in rows["homography from thermal to optical"][3]
+    assert rows_of(chapter, "Printed figures without a counterpart")
+    judged = rows_of(chapter, "Ends found by thesis as the thesis judged them")
+    assert judged["all 6"][0] == "18 of 24"
+    in_thermal = int(judged["all 6"][2].split(" of ")[0])
+    assert in_thermal > int(judged["all 6"][1].split(" of ")[0])  # in mm
+    assert sum(int(row[2].split(" of ")[0]) for row in judged.values()) == 2 * in_thermal
+    assert judged["hot body at the ends"][2] == "0 of 4"
+    refined = rows_of(chapter, "Refined against unrefined ends of thesis")
+    assert {*refined, "all 6"} == set(judged)
+    # other cameras are not held against the printed homographies
+    other = dataclasses.replace(
+        calibration, left=dataclasses.replace(calibration.left, fc=(1300.0, 1300.0))
+    )
+    (chapter,) = thesis_chapter(run, rules, other)
+    assert "printed" not in rows_of(chapter)["homography from thermal to optical"][3]
+
+
 def test_the_same_run_gives_the_same_bytes(folder: Path) -> None:
     files = [path for path in (folder / "report").iterdir() if path.is_file()]
     before = {path: path.read_bytes() for path in files}
@@ -313,14 +368,11 @@ def test_the_first_screen_says_what_and_why_and_what_next(
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_browser_shows_all_of_it_without_a_network(
-    browser: Browser, folder: Path, scheme: Scheme
-) -> None:
+def test_a_browser_shows_all_of_it_without_a_network(browser: Browser, folder: Path) -> None:
     """Every picture, a trial by its link with its frames, nothing beside a telephone's screen, and
     nothing that axe-core finds.
     """
-    with window(browser, width=390, height=800, scheme=scheme) as seen:
+    with window(browser, width=390, height=800) as seen:
         page = seen.open(folder / "report" / "index.html", "trial-004")
         widths = seen.image_widths()
         assert len(widths) == 6 * 4  # by address: those of the first page are trials' too
@@ -336,6 +388,8 @@ def test_a_browser_shows_all_of_it_without_a_network(
         expect(page.locator(anchor)).to_contain_text("missed")
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         assert violations(page) == []
+        page.emulate_media(color_scheme="dark")
+        assert violations(page, "color-contrast") == []
         assert seen.network_requests() == []
         assert not [url for url in seen.requests if url.startswith("http")]
         assert seen.complaints == []

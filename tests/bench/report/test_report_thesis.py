@@ -14,10 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.cli.main import main
-from bench.config import read_calibration
-from bench.record.reader import RunRecord, read_run
-from bench.report.page import stored_rules
+from bench.record.reader import RunRecord
 from bench.report.thesis import (
     PLANE,
     elsewhere_table,
@@ -40,8 +37,6 @@ from detector.calibration.thesis_rig import (
 from reports.page import Cell, Section, Table
 from tests.bench.results.test_error_rows import record, trial
 from tests.conftest import SHARED
-
-pytestmark = pytest.mark.slow
 
 MIDDLE = np.array([-185.0, 235.0, 136.0])
 
@@ -200,62 +195,6 @@ def test_the_plane_has_the_chapter_with_the_earlier_system(plane: RunRecord) -> 
     )
     trials = tuple(replace(t, head={**t.head, "situation": "mine"}) for t in plane.trials)
     assert thesis_chapter(replace(plane, trials=trials), rules, calibration) == ()
-
-
-@pytest.fixture(scope="module")
-def situations(tmp_path_factory: pytest.TempPathFactory, short_script: Path) -> Path:
-    out = tmp_path_factory.mktemp("situations")
-    assert main(["run", str(short_script), "--out", str(out)]) in (0, 1, 4)
-    (run,) = out.iterdir()
-    return run
-
-
-def test_the_six_situations_have_all_their_figures(situations: Path) -> None:
-    run, rules = read_run(situations), stored_rules(situations)
-    (chapter,) = thesis_chapter(run, rules, read_calibration(situations / "calibration.toml"))
-    rows = rows_of(chapter)
-    start = "teats found, "
-    found = {name.removeprefix(start): row for name, row in rows.items() if name.startswith(start)}
-    assert {name: row[1] for name, row in found.items()} == {
-        "non-vertical teats": "4 of 4",
-        "overlapping teats": "3 of 4",
-        "spurious teat": "4 of 4",
-        "hot body at the base": "4 of 4",
-        "hot body at the ends": "0 of 4",
-        "cooler bodies": "3 of 4",
-        "all 6": "18 of 24",
-    }
-    assert found["hot body at the ends"][3].startswith("0 of 4, ")
-    mean = "test 1: mean of the signed components: the thesis's “average error” of test 1"
-    assert rows[mean][:3] == ("5.1.1 and 5.1.3", "0.5 mm", "+0.54 mm (n = 4)")
-    assert rows["test 1: mean distance to the teat end"][1:3] == ("", "2.09 mm (n = 4)")
-    upright = [t for t in run.trials if t.head["situation"] not in ("non_vertical", "overlapping")]
-    errors = np.concatenate([t.scores["thesis"].errors_mm for t in upright])
-    far, counted = rows["test 1: largest distance to the teat end"][3].split(" mm ")
-    assert float(far) == pytest.approx(np.linalg.norm(errors, axis=1).max(), abs=0.005)
-    assert counted == f"(n = {len(errors)})"
-    assert rows["camera to table: determinant and singular values"][1:4] == (
-        "0.911; 1.000, 0.990, 0.920",
-        "",
-        "1.000; 1.000, 1.000, 1.000",
-    )
-    assert rows["distance of the teats from the cameras"][1:3] == ("1750 mm", "1034 to 1137 mm")
-    # as the fact sheet has it
-    assert "the printed ones: 5.8 px on the mean" in rows["homography from thermal to optical"][3]
-    assert rows_of(chapter, "Printed figures without a counterpart")
-    judged = rows_of(chapter, "Ends found by thesis as the thesis judged them")
-    assert judged["all 6"][0] == "18 of 24"
-    in_thermal = int(judged["all 6"][2].split(" of ")[0])
-    assert in_thermal > int(judged["all 6"][1].split(" of ")[0])  # in mm
-    assert sum(int(row[2].split(" of ")[0]) for row in judged.values()) == 2 * in_thermal
-    assert judged["hot body at the ends"][2] == "0 of 4"
-    refined = rows_of(chapter, "Refined against unrefined ends of thesis")
-    assert {*refined, "all 6"} == set(judged)
-    # other cameras are not held against the printed homographies
-    calibration = read_calibration(situations / "calibration.toml")
-    other = replace(calibration, left=replace(calibration.left, fc=(1300.0, 1300.0)))
-    (chapter,) = thesis_chapter(run, rules, other)
-    assert "printed" not in rows_of(chapter)["homography from thermal to optical"][3]
 
 
 def published(script: Path) -> tuple[Section, tuple[Outcome, ...]]:

@@ -29,7 +29,7 @@ from tests.bench.truth.touches import (
 )
 
 ARM = arm_settings()
-POSES = 2000
+POSES = 1000
 Draw = Callable[[np.random.Generator], TrueStage]
 
 
@@ -81,7 +81,7 @@ def test_the_stated_region_holds_the_truth_in_95_of_100_poses() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scale", [0.0, 1e-3, 2.5e-3, 5e-3])
+@pytest.mark.parametrize("scale", [0.0, 5e-3])
 def test_it_does_so_for_one_stage_too_better_or_ten_times_worse_than_stated(scale: float) -> None:
     # more than stated is a pity, less is a lie
     assert 0.93 <= coverage(off_by(scale), 700) <= 0.985
@@ -230,6 +230,7 @@ def test_a_carried_end_keeps_its_budget_and_gets_a_line() -> None:
     assert isinstance(there.uncertainty.components[-1], Component)
 
 
+@pytest.mark.slow
 def test_the_region_is_the_ellipsoid_of_95_percent() -> None:
     assert pytest.approx(scipy.stats.chi2.ppf(0.95, 3)) == CHI2_95
     truth = touched(np.zeros((1, 3)), ARM)
