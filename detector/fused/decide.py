@@ -94,7 +94,7 @@ class Evidence(Rows):
 
     @property
     def merit(self) -> Array:
-        """One number (m,) to tell the better of two."""
+        """One number (m,) by which the better of two is chosen."""
         return np.asarray(
             (2 * self.end + self.side + self.both)[:, :2].sum(axis=1)
             - 4 * self.misfit_px
