@@ -179,7 +179,7 @@ def _thermal_near(seen: _Seen, there: Array, view: View, moved: Array) -> Array:
         looked = look(there, views, FINE_OUTLINE, fine=True)
         hidden = np.zeros(looked.offset_px.shape, dtype=bool)
         off, weight = thermal_offsets(replace(seen.fitted, seen=looked, hidden=hidden))
-        near = np.abs(np.nan_to_num(looked.offset_px[:, 2 * n :], nan=9.0)) < _THERMAL_CLOSE_PX
+        near = np.abs(looked.offset_px[:, 2 * n :]) < _THERMAL_CLOSE_PX
         shown = near.mean(axis=1) >= _LEAST_SEEN
         shown &= near[:, FINE_OUTLINE.part == END].mean(axis=1) >= _LEAST_END
         some = (weight > _LEAST_INFORMATION) & seen.measured[:, None]
@@ -217,7 +217,7 @@ def _best(fitted: Fitted, known: Array) -> NDArray[np.intp]:
 
 def _close(fitted: Fitted) -> NDArray[np.bool_]:
     """Which of the outlines' points (m, views * n) have an edge near them."""
-    off = np.abs(np.nan_to_num(fitted.seen.offset_px, nan=9.0))
+    off = np.abs(fitted.seen.offset_px)
     return np.asarray((fitted.weight > 0) & (off < _CLOSE_PX))
 
 
