@@ -151,7 +151,8 @@ def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array
     along2 = (p.end_unlike_share * unlike_mm) ** 2 + in_part_mm**2 * in_part
     along2 += (short & ~evidence.shaped) * SHAPE_ALONG_MM**2
     along2 += thermal_ends(evidence, p) * p.thermal_end_sd_mm**2
-    across2 = one_side * np.where(short, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
+    short_seen = evidence.shaped | (evidence.side[:, :2].max(axis=1) < _WHOLE_SIDE)
+    across2 = one_side * np.where(short_seen, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
     sight = teats[:, :3] / np.linalg.norm(teats[:, :3], axis=1, keepdims=True)
     deep2 = (np.ptp(evidence.both[:, :2], axis=1) > _UNLIKE_SIDES) * p.one_sees_sd_mm**2
     deep2 += _one_sees_a_side(evidence) * p.one_sees_in_part_sd_mm**2
@@ -369,7 +370,7 @@ def _alone(teats: Array, evidence: Evidence, p: Parameters) -> list[str | None]:
         (~sized, _SIZE),
         (np.abs(teats[:, [LEAN_X, LEAN_Z]]).max(axis=1) > p.greatest_lean, _LEANS),
         (~within, "it is outside of the working volume"),
-        (np.isnan(evidence.warmth).any(axis=1), "the thermal picture doesn't reach it"),
+        (np.isnan(evidence.warmth.sum(axis=1)), "the thermal picture doesn't reach it"),
         (_elsewhere(evidence, p), ELSEWHERE),
         (evidence.sd_mm > p.greatest_sd_mm, _UNSURE),
     ]
