@@ -233,9 +233,8 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findi
 def _check_ends(given: argparse.Namespace, part: Part) -> int:
     """Whether the cameras show touched teat ends where the calibration says."""
     from bench.report.calibration import check_ends_page
-    from bench.results.cameras_agree import check_folder, decide
+    from bench.results.cameras_agree import DEFAULT, check_folder, decide_cameras
     from bench.scoring.decisions import Verdict
-    from bench.script.model import CamerasRequirement
 
     if given.frames or given.points or given.board:
         raise ConfigError.plain("--ends is in the place of pictures, --points and --board")
@@ -252,9 +251,8 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     if anew and not found.thermal:
         print("no end in the thermal picture: it is not checked while the phantom is cold")
         found = replace(found, thermal=None)
-    rule = CamerasRequirement(kind="cameras_agree", name="cameras agree with the known ends")
-    decision = decide(rule, found)
-    print(f"{found.told} of {found.ends} ends told")
+    decision = decide_cameras(DEFAULT, found)
+    print(f"{found.measured} of {found.ends} ends measured")
     for one in found.offsets:
         print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
     _write_page(check_ends_page(found, decision, _record(given, ()), command_line()), given.page)

@@ -414,7 +414,8 @@ def check_ends_page(found: CamerasCheck, decision: Decision, record: Record, com
         "What touched teat ends are off in the pictures",
         "figure | >off [px] ~+z.2f | >± [px] ~.2f | >poses or ends",
         [(one.name, one.value, one.uncertainty, one.poses) for one in found.offsets],
-        f"{found.told} of {found.ends} ends told. px of the sensor for the thermal camera; 95 %.",
+        f"{found.measured} of {found.ends} ends measured. px of the sensor for the thermal camera;"
+        " 95 %.",
     )
     return _check(
         {"ends": ("Where the cameras show touched ends", [shown])},

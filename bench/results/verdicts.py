@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
-from bench.results.cameras_agree import decide_cameras
+from bench.results.cameras_agree import cameras_of, decide_cameras
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
 from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
 from bench.scoring.decisions import (
@@ -264,7 +264,7 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
         case CalibrationRequirement():
             return decide_calibration(rule, run.facts)
         case CamerasRequirement():
-            return decide_cameras(rule, run.counted)
+            return decide_cameras(rule, cameras_of(run.counted))
     u_mm = truth_u_mm([run], scores, detector)
     return decide_detector(rule, scores, latency_of(run, detector), u_mm)
 
