@@ -59,8 +59,9 @@ def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Ite
             + ((one.mm, abs(one.value) * one.deg) if one.name == DISPARITY else ("", ""))
             for who, one in found
         ],
-        f"{check.measured} of {check.ends} ends measured in left and right{thermal}. Means over poses,"
-        " with 95 % confidence; px of the sensor for the thermal camera. Answers: of matched ends.",
+        f"{check.measured} of {check.ends} ends measured in left and right{thermal}. Means over"
+        " poses, with 95 % confidence; px of the sensor for the thermal camera. Answers: of matched"
+        " ends.",
     )
     if text := check.unseen:
         yield Paragraph(f"{text[0].upper()}{text[1:]}.", tone="warn")

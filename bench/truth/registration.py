@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 from pydantic import AwareDatetime, Field
 from scipy.special import chdtrc
 
-from bench.config import Section, located, read_config, read_text
+from bench.config import Positive, Section, located, read_config, read_text
 from bench.rig.arm_files import NotNegative, Three, refuse_changed, write_file
 from bench.toml import toml_text
 from bench.truth.uncertainty import Floats, Triple
@@ -48,15 +48,14 @@ NAMES = ("scale x", "scale y", "squareness xy", "scale z", "squareness xz", "squ
 _FLAT_MM = 1.0  # a height that varies by less has not been exercised
 
 
-@dataclass(frozen=True, slots=True)
-class StageAccuracy:
+class StageAccuracy(Section):
     """What the stage is stated to be good for, as standard uncertainties: scale of each axis,
     squareness, and coming back to a place.
     """
 
-    scale_u: float
-    squareness_u_rad: float
-    repeatability_mm: float
+    scale_u: NotNegative
+    squareness_u_rad: NotNegative
+    repeatability_mm: NotNegative
 
     @property
     def deformation(self) -> Floats:
@@ -334,19 +333,11 @@ start of a run. Lengths in mm. X_world = R(om) X_stage + T, om in rad, for the e
 teat that was touched. Make it anew when stage, table frame or arm were moved. Scale and
 squareness (0 is ideal) are diagnostics: the rigid motion carries."""
 
-Above = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
-
-class _Stated(Section):
-    scale_u: NotNegative
-    squareness_u_rad: NotNegative
-    repeatability_mm: NotNegative
-
 
 class _Station(Section):
     stage_mm: Three
     touched_mm: Three
-    u_mm: Above
+    u_mm: Positive
     residual_mm: NotNegative
 
 
@@ -357,11 +348,11 @@ class _RegistrationFile(Section):
     teat: Annotated[int, Field(ge=1)]
     om: Three
     T: Three
-    u_mm: Above
+    u_mm: Positive
     fre_mm: NotNegative
     expected_fre_mm: NotNegative
     p_value: Annotated[float, Field(ge=0, le=1)]
-    stated: _Stated
+    stated: StageAccuracy
     stations: Annotated[tuple[_Station, ...], Field(min_length=3)]
     # for people: they follow from the touches
     diagnostics: tuple[dict[str, Any], ...]
@@ -383,7 +374,7 @@ def as_dict(registration: Registration) -> dict[str, Any]:
         "fre_mm": fits.rigid.fre_mm,
         "expected_fre_mm": r.expected_fre_mm,
         "p_value": r.p_value,
-        "stated": asdict(r.stated),
+        "stated": r.stated.model_dump(),
         "stations": [
             {**asdict(s), "residual_mm": residual}
             for s, residual in zip(r.stations, residuals, strict=True)
@@ -443,5 +434,4 @@ def registration_from_facts(facts: Mapping[str, Any]) -> Registration | None:
 
 def _registration(file: _RegistrationFile) -> Registration:
     stations = tuple(Station(s.stage_mm, s.touched_mm, s.u_mm) for s in file.stations)
-    stated = StageAccuracy(**file.stated.model_dump())
-    return Registration(file.made, file.serial_number, file.stage, file.teat, stations, stated)
+    return Registration(file.made, file.serial_number, file.stage, file.teat, stations, file.stated)

@@ -70,5 +70,5 @@ def register(
         point, _ = toucher.touch_one(teat, ends_of(phantom.moved(there), known=False))
         stations.append(Station(stands_at(stage), point.point_mm, u_mm))
     identity = " ".join(str(part) for part in asdict(stage.identity).values() if part)
-    stated = StageAccuracy(settings.scale_u, settings.squareness_u_rad, settings.repeatability_mm)
+    stated = StageAccuracy.model_validate(settings, from_attributes=True)
     return Registration(made, serial_number, identity, teat, tuple(stations), stated)
