@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.config import read_calibration, read_config
+from bench.config import read_calibration
 from bench.files import sha256_of
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, read_run
@@ -39,12 +39,13 @@ from bench.results.verdicts import (
     judge,
     latency_of,
     scored,
+    stored_rules,
     truth_u_mm,
 )
 from bench.scoring.guard_band import acceptance_limit_mm
 from bench.scoring.rates import zero_failure_n
 from bench.script.calibration_age import CALIBRATION_FACT
-from bench.script.model import ErrorRequirement, Rules, Script, SuccessRequirement, TimeRequirement
+from bench.script.model import ErrorRequirement, Rules, SuccessRequirement, TimeRequirement
 from detector.calibration import Calibration
 from instruments.camera.settings import AUTOMATIC, UNSEEN_SIZE
 from instruments.world.situations import spoken
@@ -94,16 +95,6 @@ def write_run_report(
     if single_file:
         write_single_file(page, folder / REPORT, folder / REPORT / SINGLE_FILE)
     return path, run, judgements
-
-
-def stored_rules(folder: Path) -> Rules:
-    """The script as the run used it, or the rules that a recording was scored by."""
-    script = folder / SCRIPT
-    return (
-        read_config(script, Script, stored=True)
-        if script.is_file()
-        else read_config(folder / RULES, Rules, stored=True)
-    )
 
 
 def build_page(

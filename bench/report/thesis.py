@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from operator import attrgetter
 from pathlib import Path
 from typing import Literal
 
@@ -27,16 +28,14 @@ from bench.results.error_rows import error_rows, plane_cells
 from bench.results.thesis_figures import (
     Kind,
     Situation,
-    Statistics,
     Thesis,
     errors_of_test_mm,
-    statistics,
     thesis,
 )
 from bench.results.thesis_pictures import GATE_PX, PICTURES, RADIUS_MM, InPictures, in_pictures
 from bench.results.verdicts import latency_of, scored
 from bench.rig.loading import LoadedRig
-from bench.scoring.errors import Bools, Floats
+from bench.scoring.errors import Bools, ErrorSummary, Floats, summarise
 from bench.scoring.rates import percent
 from bench.script.model import Rules, Script
 from bench.script.pixel_offsets import (
@@ -68,12 +67,14 @@ from reports.page import (
 from reports.render import write_report
 
 LAYOUT = "table-5-1"  # whose ends those of the test are
+SIGNED_MEAN = "components.bias_mm"
+# of an `ErrorSummary`: the components as the thesis averages them, and the distances
 STATISTICS = {
-    "signed_mean": "mean of the signed components: the thesis's “average error” of test 1",
-    "mean_absolute": "mean of the components' amounts: that of test 2",
-    "largest_absolute": "largest component: its “maximum error”",
-    "mean_distance": "mean distance to the teat end",
-    "largest_distance": "largest distance to the teat end",
+    SIGNED_MEAN: "mean of the signed components: the thesis's “average error” of test 1",
+    "components.mean_abs_mm": "mean of the components' amounts: that of test 2",
+    "components.max_abs_mm": "largest component: its “maximum error”",
+    "radial.mean_mm": "mean distance to the teat end",
+    "radial.max_mm": "largest distance to the teat end",
 }
 PLANE = "plane_map"  # the situation
 STEP_MM = 12.5  # half widths of regions are tried in these steps
@@ -233,26 +234,27 @@ def rows_of_test(
 ) -> Iterator[Row]:
     """Test 1 (known ends) or 2 (ends put off on purpose) beside our errors (n, 3), by name."""
     test = figures.test_1 if which == 1 else figures.test_2
-    average = "signed_mean" if which == 1 else "mean_absolute"
-    printed = {average: f"{test.average_mm:g} mm", "largest_absolute": f"{test.largest_mm:g} mm"}
-    theirs = statistics(errors_of_test_mm(figures, which))
-    stats = {name: statistics(errors) for name, errors in ours.items()}
+    average = SIGNED_MEAN if which == 1 else "components.mean_abs_mm"
+    printed = {average: f"{test.average_mm:g} mm"}
+    printed["components.max_abs_mm"] = f"{test.largest_mm:g} mm"
+    theirs = summarise(errors_of_test_mm(figures, which))
+    stats = {name: summarise(errors) for name, errors in ours.items()}
     same = (
         "In this run the same ends (table 5.1's) were found by a detector, in scenes that have"
         " them; n counts ends. "
     )
     for key, what in STATISTICS.items():
         sentence = _each({name: _figure(one, key) for name, one in stats.items()}) if stats else ""
-        wrong = f"{same if which == 1 and ours else ''}{test.wrong}" if key == "signed_mean" else ""
+        wrong = f"{same if which == 1 and ours else ''}{test.wrong}" if key == SIGNED_MEAN else ""
         row = (printed.get(key, ""), _figure(theirs, key), sentence, wrong)
         yield f"test {which}: {what}", test.section, *row
 
 
-def _figure(of: Statistics, key: str) -> str:
-    value = getattr(of, key)
+def _figure(of: ErrorSummary, key: str) -> str:
+    value: float | None = attrgetter(key)(of)
     if value is None:
         return NOT_MEASURED
-    text = f"{value:+.2f}" if key == "signed_mean" else number(value)
+    text = f"{value:+.2f}" if key == SIGNED_MEAN else number(value)
     return f"{text} mm (n = {of.n})"
 
 

@@ -15,10 +15,10 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bench.config import ConfigError, did_you_mean, read_config
+from bench.config import ConfigError, did_you_mean
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord, TrialRecord, read_run
-from bench.record.schema import RULES, SCRIPT
+from bench.record.schema import SCRIPT
 from bench.results.verdicts import (
     DetectorRequirement,
     Judgement,
@@ -26,12 +26,12 @@ from bench.results.verdicts import (
     decide_detector,
     held_back,
     latency_of,
+    stored_rules,
     truth_u_mm,
 )
 from bench.scoring.comparison import Compared, Gate, ScenePair, compare
 from bench.scoring.decisions import Verdict
 from bench.scoring.scene import Pool
-from bench.script.model import Rules, Script
 from instruments.camera.recording import FILES
 
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
@@ -193,8 +193,7 @@ def _same_place(one: TrialRecord, other: TrialRecord) -> bool:
 def check_limits(old: Side, new: Side) -> None:
     """Raises ConfigError where the limit of the error, or of the time, differs."""
     errors = [{t.scores[side.detector].limit_mm for t in side.trials} for side in (old, new)]
-    rules = [rules_of(side.run) for side in (old, new)]
-    times = [{rule.time_limit_s} if rule else set() for rule in rules]
+    times = [{stored_rules(side.run.folder).time_limit_s} for side in (old, new)]
     for what, limits in (("mm", errors), ("s", times)):
         if all(limits) and limits[0] != limits[1]:
             note = " and ".join(", ".join(f"{one:g}" for one in sorted(each)) for each in limits)
@@ -202,14 +201,6 @@ def check_limits(old: Side, new: Side) -> None:
                 f"{old.label} and {new.label} were held against different limits ({note} {what}):"
                 " success would mean two things. Run or score both by the same rules."
             )
-
-
-def rules_of(run: RunRecord) -> Rules | None:
-    """The run's script, or the rules of a recording; None where neither is in its folder."""
-    for name, kind in ((SCRIPT, Script), (RULES, Rules)):
-        if (run.folder / name).is_file():
-            return read_config(run.folder / name, kind, stored=True)
-    return None
 
 
 def poses_of(run: RunRecord) -> str:
@@ -252,7 +243,7 @@ def judge_folders(
     ]
     if not names:
         raise _none_shared(runs, detectors, "all")
-    rules = rules_of(runs[0]) or read_config(runs[0].folder / RULES, Rules, stored=True)
+    rules = stored_rules(runs[0].folder)
     held = [rule for rule in rules.requirements if isinstance(rule, DetectorRequirement)]
     found = []
     for name in names:

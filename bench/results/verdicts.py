@@ -8,12 +8,15 @@ from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bench.config import read_config
 from bench.record.check import NOT_AS_WRITTEN
 from bench.record.reader import RunRecord
+from bench.record.schema import RULES, SCRIPT
 from bench.results.cameras_agree import cameras_of, decide_cameras
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
 from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
@@ -39,6 +42,7 @@ from bench.script.model import (
     FalseRequirement,
     Requirement,
     Rules,
+    Script,
     SuccessRequirement,
     TimeRequirement,
 )
@@ -201,6 +205,14 @@ class Judgement:
     def verdict(self) -> Verdict:
         """The worst of the decisions."""
         return overall(decision.verdict for decision in self.decisions)
+
+
+def stored_rules(folder: Path) -> Rules:
+    """The script as the run used it, or the rules that a recording was scored by."""
+    script = folder / SCRIPT
+    if script.is_file():
+        return read_config(script, Script, stored=True)
+    return read_config(folder / RULES, Rules, stored=True)
 
 
 def judge(run: RunRecord, rules: Rules) -> tuple[Judgement, ...]:

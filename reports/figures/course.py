@@ -151,11 +151,6 @@ def found_bars(
     name: str = "found-bars",
 ) -> str:
     """Share found in each situation, ours over the thesis's (None: no figure), with counts."""
-    if not len(situations) == len(found) == len(present) == len(thesis_found):
-        raise ValueError(
-            f"found_bars: {len(situations)} situations, {len(found)} found, {len(present)} present,"
-            f" {len(thesis_found)} of the thesis; the lengths differ"
-        )
     inches = (HALF_INCHES, 0.9 + 0.52 * max(len(situations), 3))
     if not situations:
         return not_measured(name, inches, "no situation was run")

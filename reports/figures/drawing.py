@@ -44,14 +44,8 @@ def finite(function: str, argument: str, values: ArrayLike) -> Floats:
 
 
 def together(function: str, **named: ArrayLike) -> list[Floats]:
-    """The named arrays (n,), flat, of one length. Raises ValueError if not, or if not finite."""
-    arrays = {key: finite(function, key, values).ravel() for key, values in named.items()}
-    if len({array.size for array in arrays.values()}) > 1:
-        raise ValueError(
-            f"{function}: lengths differ:"
-            f" {', '.join(f'{key} {array.size}' for key, array in arrays.items())}"
-        )
-    return list(arrays.values())
+    """The named arrays, flat. Raises ValueError where one is not finite."""
+    return [finite(function, key, values).ravel() for key, values in named.items()]
 
 
 # One colour a role. The hex value is the light scheme's and stands in the file; the style sheet
@@ -276,12 +270,6 @@ def cross_and_circle(axes: Axes, reach: float, limit_mm: float, width: float) ->
 def circle(axes: Axes, radius_mm: float, role: str, **more: Any) -> None:
     """About 0; `more` are a patch's properties."""
     axes.add_patch(Circle((0, 0), radius_mm, fill=False, edgecolor=COLOURS[role], **more))
-
-
-def one_each(function: str, links: Sequence[str] | None, points: int) -> None:
-    """Raises ValueError where there are links, and not one for each point."""
-    if links is not None and len(links) != points:
-        raise ValueError(f"{function}: {len(links)} links for {points} points; give one a point")
 
 
 def _grouped(run: re.Match[str]) -> str:

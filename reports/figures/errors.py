@@ -34,7 +34,6 @@ from reports.figures.drawing import (
     linked,
     marks,
     not_measured,
-    one_each,
     plain,
     row_names,
     telling,
@@ -138,7 +137,6 @@ def error_scatter(
     many. Equal scales, so that the shape of the cloud is the shape of the error.
     """
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
-    one_each("error_scatter", links, across.size)
     if not across.size:
         return not_measured(name, _SQUARE, NO_PAIR)
 
@@ -207,7 +205,7 @@ def per_axis_errors(
     """Signed errors of each situation (n_k, 3) mm: points, mean, limits; a panel an axis. `point`
     and `bound` are what the legend calls a point and the limit.
     """
-    arrays = _arrays("per_axis_errors", situations, errors_mm, (-1, 3))
+    arrays = [finite("per_axis_errors", "errors_mm", one).reshape(-1, 3) for one in errors_mm]
     inches = (WIDE_INCHES, 0.9 + 0.3 * max(len(situations), 3))
     if not any(array.size for array in arrays):
         return not_measured(name, inches, NO_PAIR)
@@ -233,15 +231,6 @@ def per_axis_errors(
     return draw(name, inches, plot)
 
 
-def _arrays(
-    function: str, names: Sequence[str], errors_mm: Sequence[ArrayLike], shape: tuple[int, ...]
-) -> list[Floats]:
-    """One array of that shape a name. Raises ValueError where it isn't so."""
-    if len(names) != len(errors_mm):
-        raise ValueError(f"{function}: {len(names)} names for {len(errors_mm)} arrays")
-    return [finite(function, str(k), one).reshape(shape) for k, one in enumerate(errors_mm)]
-
-
 def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
     """Points of one situation in a fixed zigzag, so equal values stay apart, and their mean."""
     if not values.size:
@@ -262,7 +251,7 @@ def teat_boxes(
     name: str = "teat-boxes",
 ) -> str:
     """Radial errors of each teat (n_k,) as box plots (whiskers 1.5 quartile ranges)."""
-    arrays = _arrays("teat_boxes", teats, errors_mm, (-1,))
+    arrays = [finite("teat_boxes", "errors_mm", one).ravel() for one in errors_mm]
     if not any(array.size for array in arrays):
         return not_measured(name, _FLAT, NO_PAIR)
 
@@ -311,7 +300,6 @@ def error_drift(
     `error_scatter`.
     """
     time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
-    one_each("error_drift", links, time.size)
     if not time.size:
         return not_measured(name, _FLAT, NO_PAIR)
 

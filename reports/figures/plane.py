@@ -30,7 +30,6 @@ from reports.figures.drawing import (
     limits,
     linked,
     not_measured,
-    one_each,
     plain,
     telling,
 )
@@ -68,13 +67,6 @@ class TeatPlaces:
         self.errors = finite("error_map", "error_mm", error_mm).ravel()
         self.missed = finite("error_map", "missed_mm", missed_mm).reshape(-1, 3)
         self.links, self.missed_links = links, missed_links
-        if len(self.errors) != len(self.places):
-            raise ValueError(
-                f"error_map: teat {name}: lengths differ: places_mm {len(self.places)}, error_mm"
-                f" {len(self.errors)}"
-            )
-        one_each(f"error_map: teat {name}", links or None, len(self.places))
-        one_each(f"error_map: teat {name}", missed_links or None, len(self.missed))
 
     @property
     def everywhere(self) -> Floats:
@@ -207,24 +199,6 @@ class ErrorGroup:
     outlines_mm: Sequence[ArrayLike] = ()
     links: tuple[str, ...] = ()
 
-    def checked(self, views: int) -> tuple[list[Floats], list[Floats]]:
-        """Points and outlines by view. Raises ValueError for what isn't finite or doesn't fit."""
-        what = f"error_regions: {self.name}"
-        points, outlines = (
-            [finite(what, argument, part).reshape(-1, 2) for part in given]
-            for argument, given in (
-                ("points_mm", self.points_mm),
-                ("outlines_mm", self.outlines_mm),
-            )
-        )
-        same = len({len(part) for part in points}) <= 1
-        if len(points) != views or len(outlines) not in {0, views} or not same:
-            raise ValueError(
-                f"{what}: {len(points)} clouds and {len(outlines)} outlines for {views} views"
-            )
-        one_each(what, self.links or None, len(points[0]))
-        return points, outlines
-
 
 def error_regions(
     groups: Sequence[ErrorGroup],
@@ -234,28 +208,21 @@ def error_regions(
     name: str = "error-regions",
 ) -> str:
     """A panel a view, with the names of its two axes: each group's errors, its ellipsoid, and the
-    limit as a circle. Equal scales.
-
-    Raises ValueError for more groups than can be told apart, and for arrays that don't fit.
+    limit as a circle. Equal scales; at most `MOST_GROUPS` groups.
     """
-    if len(groups) > MOST_GROUPS:
-        raise ValueError(
-            f"error_regions: {len(groups)} groups; at most {MOST_GROUPS} can be told apart, so pool"
-            " some"
-        )
-    clouds = [group.checked(len(views)) for group in groups]
-    counts = [len(points[0]) for points, _ in clouds]
+    clouds = [_flat(group.points_mm) for group in groups]
+    outlines = [_flat(group.outlines_mm) for group in groups]
+    counts = [len(cloud[0]) for cloud in clouds]
     if not sum(counts):
         return not_measured(name, _REGIONS, NO_PAIR)
-    ends = np.concatenate([part.ravel() for points, _ in clouds for part in points])
-    lines = [part.ravel() for _, outlines in clouds for part in outlines]
+    ends = np.concatenate([part.ravel() for cloud in clouds for part in cloud])
+    lines = [part.ravel() for of_group in outlines for part in of_group]
     farthest = max(limit_mm, float(np.abs(ends).max()))
     everything = np.abs(np.concatenate([ends, *lines])).max()
     reach = 1.08 * min(max(float(everything), farthest), _BEYOND * farthest)
     each = _MOST_MARKS // (len(groups) * len(views))
     drawn = [
-        telling(np.max([np.hypot(*flat.T) for flat in points], axis=0), each)
-        for points, _ in clouds
+        telling(np.max([np.hypot(*flat.T) for flat in cloud], axis=0), each) for cloud in clouds
     ]
 
     def plot(figure: Figure) -> None:
@@ -263,13 +230,13 @@ def error_regions(
             across, up = (f"{plain(axis)} error (mm)" for axis in views[panel])
             axes.set(aspect="equal", xlabel=across, ylabel=up)
             cross_and_circle(axes, reach, limit_mm, 1.2)
-            for k, (points, outlines) in enumerate(clouds):
-                x, y = points[panel].T
+            for k, cloud in enumerate(clouds):
+                x, y = cloud[panel].T
                 role, links = _ROLES[k], groups[k].links
                 look: dict[str, Any] = {"size": 20, "marker": _MARKERS[k], "alpha": 0.75}
                 linked(axes, x, y, drawn[k], links, role=role, **look)
-                if outlines:
-                    axes.plot(*outlines[panel].T, color=COLOURS[role], linewidth=1.3)
+                if outlines[k]:
+                    axes.plot(*outlines[k][panel].T, color=COLOURS[role], linewidth=1.3)
         entries: list[LegendEntry] = []
         for k, (group, n) in enumerate(zip(groups, counts, strict=True)):
             few = "" if group.outlines_mm else " (too few)"
@@ -280,3 +247,8 @@ def error_regions(
             figure.supxlabel(count_text(shown, sum(counts)), fontsize=8.5, color=COLOURS["muted"])
 
     return draw(name, _REGIONS, plot)
+
+
+def _flat(views: Sequence[ArrayLike]) -> list[Floats]:
+    """Points (n, 2) of each view."""
+    return [finite("error_regions", "points", view).reshape(-1, 2) for view in views]

@@ -70,13 +70,9 @@ def sensitivity(
     """Errors over the quantity ``label``: medians as lines with discs, p95 thin and dashed with
     triangles, bounds; shares found below.
 
-    Raises ValueError for numbers that aren't finite, errors that aren't above zero on their
-    logarithmic scale, or too many curves.
+    Raises ValueError for numbers that aren't finite, and errors that aren't above zero on their
+    logarithmic scale. At most `MOST_CURVES` curves.
     """
-    if len(curves) > MOST_CURVES:
-        raise ValueError(
-            f"sensitivity: {len(curves)} curves; at most {MOST_CURVES} can be told apart"
-        )
     errors = [
         together("sensitivity", x=c.x, median_mm=c.median_mm, p95_mm=c.p95_mm) for c in curves
     ]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from bench.record.reader import RunRecord, TrialRecord
+from bench.record.schema import RULES
 from bench.report.comparison import notes
 from bench.results.comparison import Side, compare_sides, scored_together
 from bench.results.error_rows import (
@@ -25,7 +26,7 @@ from bench.results.error_rows import (
 from bench.scoring.errors import Floats
 from bench.scoring.rates import Rate
 from bench.scoring.scene import score_scene
-from bench.script.model import TRIALS, load_script
+from bench.script.model import RECORDING_RULES, TRIALS, load_script
 
 ENDS = np.array([[-260.0, 267.0, 136.0], [-110.0, 284.0, 136.0]])
 
@@ -193,6 +194,9 @@ def test_two_runs_are_two_appraisers(tmp_path: Path) -> None:
 
 def test_a_comparison_of_two_runs_tells_how_well_their_truths_agree(tmp_path: Path) -> None:
     runs = [set_ups(tmp_path / name, repeats=1) for name in ("old", "new")]
+    for run in runs:
+        run.folder.mkdir(exist_ok=True)
+        shutil.copy(RECORDING_RULES, run.folder / RULES)
     old, new = (Side(run, "fused") for run in runs)
     of_truth = "The truth itself"
     (text,) = [note for note in notes(compare_sides(old, new)) if note.startswith(of_truth)]
