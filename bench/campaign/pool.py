@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from typing import IO, Any, cast
 
 from bench.campaign.chunk import Rows, Scene, set_aside
-from bench.campaign.plan import Chunk, Job
+from bench.campaign.plan import Chunk, Job, Plan
 from bench.campaign.worker import ONE_THREAD
 from instruments.clock import stopwatch_s
 
@@ -45,10 +45,12 @@ class PoolError(Exception):
     """No worker can be started; the message says why."""
 
 
-def patience_s(limit_s: float, chunk_s: Sequence[float]) -> float:
-    """How long nothing may be heard: ``limit_s``, where that is 0 ten times what a chunk took."""
-    if limit_s:
-        return limit_s
+def silence_limit_s(plan: Plan, chunk_s: Sequence[float]) -> float:
+    """Longest time without a message: the plan's ``chunk_limit_s``; where that is 0, ten times what
+    a chunk took.
+    """
+    if plan.chunk_limit_s:
+        return plan.chunk_limit_s
     if not chunk_s:
         return FIRST_LIMIT_S
     return max(LEAST_LIMIT_S, USUAL_TIMES * statistics.median(chunk_s))
@@ -85,16 +87,16 @@ class _Part:
 
 
 class _Worker:
-    """A process, and a thread that passes on what it says; ``None`` is its end."""
+    """A process, and a thread that passes on its messages; ``None`` is its end."""
 
     def __init__(
-        self, job: Job, number: int, heard: queue.SimpleQueue[tuple[_Worker, Any]]
+        self, job: Job, number: int, messages: queue.SimpleQueue[tuple[_Worker, Any]]
     ) -> None:
         self.number = number
         self.parts: deque[_Part] = deque()
         self.ready, self.killed = False, ""
-        self.heard_s = stopwatch_s()
-        self._heard = heard
+        self.last_message_s = stopwatch_s()
+        self._messages = messages
         self._process = subprocess.Popen(
             [sys.executable, "-m", "bench.campaign.worker"],
             stdin=subprocess.PIPE,
@@ -118,7 +120,7 @@ class _Worker:
 
     def give(self, part: _Part) -> None:
         if not self.parts:
-            self.heard_s = stopwatch_s()
+            self.last_message_s = stopwatch_s()
         self.parts.append(part)
         # a few bytes however large the chunk is: a stopped one's pipe doesn't fill up
         self.ask(replace(part.whole.chunk, members=part.left[:1] if part.alone else part.left))
@@ -156,22 +158,19 @@ class _Worker:
                     value = pickle.load(source)  # noqa: S301 - of a process that we started
                 except Exception:  # cut by its death, or garbage of one that went wrong
                     break
-                self._heard.put((self, value))
-        self._heard.put((self, None))
+                self._messages.put((self, value))
+        self._messages.put((self, None))
 
 
 class LocalPool:
     """``workers`` processes, until it is closed. ``say`` gets a sentence for whatever went wrong.
-    ``limit_s``: seconds without a word after which a worker is killed; 0: ten usual chunk times.
+    A worker that is silent for longer than `silence_limit_s` is killed.
     """
 
-    def __init__(
-        self, job: Job, workers: int, *, say: Say, chunk_scenes: int, limit_s: float = 0.0
-    ) -> None:
+    def __init__(self, job: Job, workers: int, *, say: Say) -> None:
         self.say = say
         self._job, self._count = job, workers
-        self._chunk_scenes, self._limit_s = chunk_scenes, limit_s
-        self._heard: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
+        self._messages: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
         self._workers: list[_Worker] = []
         self._again: deque[_Part] = deque()
         self._waiting: deque[_Part] = deque()  # a chunk a worker, so that the end is seen before
@@ -207,7 +206,7 @@ class LocalPool:
             if not any(worker.parts for worker in self._workers) and not self._again:
                 return
             try:
-                worker, value = self._heard.get(timeout=LOOK_S)
+                worker, value = self._messages.get(timeout=LOOK_S)
             except queue.Empty:
                 self._kill_silent()
                 continue
@@ -218,7 +217,7 @@ class LocalPool:
             else:
                 worker.ready = self._began = True
                 self._starts_failed, part = 0, None
-                worker.heard_s = stopwatch_s()
+                worker.last_message_s = stopwatch_s()
             if part and (rows := part.whole.rows):
                 yield part.whole.chunk, rows
             self._kill_silent()
@@ -263,14 +262,14 @@ class LocalPool:
 
     def _start(self) -> _Worker:
         self._started += 1
-        worker = _Worker(self._job, self._started, self._heard)
+        worker = _Worker(self._job, self._started, self._messages)
         self._workers.append(worker)
         return worker
 
     def _take(self, worker: _Worker, rows: Rows) -> _Part:
         now_s = stopwatch_s()
-        self._chunk_s.append((now_s - worker.heard_s) * self._chunk_scenes)
-        worker.heard_s = now_s
+        self._chunk_s.append((now_s - worker.last_message_s) * self._job.plan.chunk_scenes)
+        worker.last_message_s = now_s
         part = worker.parts[0]
         part.left = part.left[1:]
         part.whole.done.append(rows)
@@ -319,13 +318,13 @@ class LocalPool:
         return current
 
     def _kill_silent(self) -> None:
-        if not self._heard.empty():  # who said something while the rows were written is heard first
+        if not self._messages.empty():  # came while rows were written; taken first
             return
         now_s = stopwatch_s()
+        usual_s = silence_limit_s(self._job.plan, self._chunk_s)
         for worker in self._workers:
-            # to begin takes its time on a busy machine
-            limit_s = patience_s(self._limit_s, self._chunk_s) if worker.ready else START_LIMIT_S
-            if worker.parts and not worker.killed and now_s - worker.heard_s > limit_s:
+            limit_s = usual_s if worker.ready else START_LIMIT_S
+            if worker.parts and not worker.killed and now_s - worker.last_message_s > limit_s:
                 worker.kill(f"gave no sign of life for {limit_s:.0f} s and was killed")
 
 

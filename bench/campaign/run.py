@@ -18,13 +18,20 @@ from filelock import FileLock, Timeout
 
 from bench.campaign.chunk import ASIDE, Rows
 from bench.campaign.plan import Chunk, Plan, differences, open_plan, plan_text, read_plan
-from bench.campaign.shards import SHARDS, Shards
+from bench.campaign.shards import SHARDS, Shards, no_campaign
 from bench.config import ConfigError
 from bench.files import write_synced
 from bench.scoring.rates import Rate
 from bench.scoring.sequential import tight_enough
 
 PLAN, LOCK = "plan.toml", "campaign.lock"
+
+
+def plan_of(folder: Path) -> Plan:
+    """The plan of the campaign in ``folder``. Raises ConfigError where there is none."""
+    if not (folder / PLAN).is_file():
+        raise no_campaign(folder)
+    return read_plan(folder / PLAN)
 
 
 class OtherCampaignError(ConfigError):

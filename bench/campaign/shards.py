@@ -200,15 +200,19 @@ def quoted(path: Path) -> str:
     return "'" + str(path).replace("'", "''") + "'"
 
 
+def no_campaign(folder: Path) -> ConfigError:
+    return ConfigError.plain(
+        f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out' was"
+        " given"
+    )
+
+
 def query(folder: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
     """The columns' names and the rows that ``sql`` asks for of `scenes` and `teats`. Raises
     ConfigError for a folder without shards, and with the database's own words.
     """
     if not (folder / SHARDS).is_dir():
-        raise ConfigError.plain(
-            f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out'"
-            " was given"
-        )
+        raise no_campaign(folder)
     with Shards(folder).connect() as db:
         try:
             # nothing at all for nothing asked

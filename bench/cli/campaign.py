@@ -246,11 +246,9 @@ def executor(
     """Processes of this machine, all its processors for None, or a cluster. Raises ConfigError."""
     from bench.campaign.pool import LocalPool, usable_processors
 
-    scenes, limit_s = campaign.plan.chunk_scenes, campaign.plan.chunk_limit_s
     pool: LocalPool | DaskPool
     if dask is None:
-        count = workers or usable_processors()
-        pool = LocalPool(campaign.job, count, say=say, chunk_scenes=scenes, limit_s=limit_s)
+        pool = LocalPool(campaign.job, workers or usable_processors(), say=say)
     else:
         try:
             from bench.campaign.dask_cluster import DaskPool
@@ -258,7 +256,7 @@ def executor(
             raise ConfigError.plain(
                 f"--dask needs another package: pip install 'teatbench[campaign]' ({error})"
             ) from error
-        pool = DaskPool(campaign.job, dask, say=say, chunk_scenes=scenes, limit_s=limit_s)
+        pool = DaskPool(campaign.job, dask, say=say)
     with closing(pool):
         yield pool
 

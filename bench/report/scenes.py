@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from bench.campaign.chunk import Bench, Scene, digest_of_frames, draw_scene
-from bench.campaign.plan import Plan, differences, open_plan, read_plan
-from bench.campaign.run import PLAN
+from bench.campaign.plan import Plan, differences, open_plan
+from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
 from bench.config import ConfigError
 from bench.files import write_pictures
@@ -103,12 +103,7 @@ def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[st
 
 
 def _asked(folder: Path, names: Sequence[str]) -> tuple[Plan, list[Scene]]:
-    if not (folder / PLAN).is_file():
-        raise ConfigError.plain(
-            f"{folder}: no campaign is there; name the folder that 'teatbench campaign run --out'"
-            " was given"
-        )
-    plan, found = read_plan(folder / PLAN), []
+    plan, found = plan_of(folder), []
     for name in dict.fromkeys(names):
         family, _, number = name.rpartition("-")
         last = plan.first + plan.most_scenes - 1
