@@ -19,7 +19,7 @@ from filelock import FileLock, Timeout
 from bench.campaign.chunk import ASIDE, Rows
 from bench.campaign.plan import Chunk, Plan, differences, open_plan, plan_text, read_plan
 from bench.campaign.shards import SHARDS, Shards, no_campaign
-from bench.config import ConfigError
+from bench.config import ConfigError, writing
 from bench.files import write_synced
 from bench.scoring.rates import Rate
 from bench.scoring.sequential import tight_enough
@@ -109,7 +109,7 @@ class Campaign:
 
     def begin(self) -> None:
         """Write the plan, where it isn't there. Raises ConfigError where it can't be written."""
-        try:
+        with writing(self.folder):
             (self.folder / SHARDS).mkdir(parents=True, exist_ok=True)
             if not (self.folder / PLAN).exists():
                 text = plan_text(self.plan, self.made_by)
@@ -117,8 +117,6 @@ class Campaign:
                 new = self.folder / f"plan-{uuid.uuid4().hex}"
                 write_synced(new, text.encode("utf-8"))
                 new.replace(self.folder / PLAN)
-        except OSError as error:
-            raise ConfigError.plain(f"{self.folder}: can't be written: {error}") from error
 
     def run(self, executor: Executor, report: Callable[[Status], None]) -> Status:
         """Do what is not done yet; ``report`` gets how far it is after each chunk."""

@@ -13,7 +13,7 @@ from bench.campaign.chunk import Bench, Scene, digest_of_frames, draw_scene
 from bench.campaign.plan import Plan, differences, open_plan
 from bench.campaign.run import plan_of
 from bench.campaign.shards import Shards
-from bench.config import ConfigError
+from bench.config import ConfigError, writing
 from bench.files import write_pictures
 from bench.record.reader import RunRecord, TrialRecord
 from bench.report.trials import trial_parts
@@ -35,8 +35,8 @@ NOTHING = dict.fromkeys(("captured_s", "bath_c", "bath_state", "note", "invalid"
 def draw_again(
     bench: Bench, scenes: Sequence[Scene], folder: Path, title: str
 ) -> tuple[RunRecord, Calibration]:
-    """The scenes as the trials of a run, their frames in ``folder``/scenes, and what detectors were
-    told of the cameras. Raises OSError.
+    """The scenes as the trials of a run, with their frames in ``folder``/scenes, and the
+    calibration that detectors were given. Raises OSError.
     """
     trials, stated = [], bench.calibration
     for number, scene in enumerate(scenes, 1):
@@ -85,18 +85,18 @@ def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[st
     detectors = job.make_detectors()
     title = plan.title or "Campaign"
     try:
-        run, stated = draw_again(job.bench(job.renderer(), detectors), scenes, folder, title)
-        _refuse_changed(folder, run, differences(plan, plan.made_by, plan, made_by))
-        place = folder / SCENES / (names[0] if len(names) == 1 else "several")
-        parts = tuple(scene_parts(run, stated, place))
-        outcomes = [
-            (trial.id, name, "success" if score.success else why_failed(score))
-            for trial in run.trials
-            for name, score in trial.scores.items()
-        ]
-        path = write_report(_page(plan, run, parts, outcomes), place)
-    except OSError as error:
-        raise ConfigError.plain(f"{folder}: can't be written: {error}") from error
+        with writing(folder):
+            bench = job.bench(job.renderer(), detectors)
+            run, stated = draw_again(bench, scenes, folder, title)
+            _refuse_changed(folder, run, differences(plan, plan.made_by, plan, made_by))
+            place = folder / SCENES / (names[0] if len(names) == 1 else "several")
+            parts = tuple(scene_parts(run, stated, place))
+            outcomes = [
+                (trial.id, name, "success" if score.success else why_failed(score))
+                for trial in run.trials
+                for name, score in trial.scores.items()
+            ]
+            path = write_report(_page(plan, run, parts, outcomes), place)
     finally:
         close_detectors(detectors)
     return path, outcomes
