@@ -28,9 +28,7 @@ class Term:
 
 
 class Explained:
-    """Texts with their terms as links to the list, which stands in the file `base`; a word that is
-    one of `names` is no term.
-    """
+    """Texts with links to the terms in the file `base`; one of `names` is no term."""
 
     def __init__(self, terms: Sequence[Term], base: str = "", names: Sequence[str] = ()) -> None:
         self._base = base

@@ -130,9 +130,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of cells. `searchable` adds a filter box and sorting; rows whose first link is a trial's
-    then hide that trial with them.
-    """
+    """Rows of cells; `searchable` adds a filter, which also hides the trials of hidden rows."""
 
     caption: str
     columns: tuple[Column, ...]
@@ -151,9 +149,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A drawing of `reports.figures`, with a caption and the words that stand for it where it can't
-    be seen. `wide` fills the page.
-    """
+    """A drawing of `reports.figures`, its caption and text alternative; `wide` fills the page."""
 
     svg: str
     caption: str

@@ -60,9 +60,7 @@ View = tuple[int, int, int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a file stands and what it holds: the trials in it; images by their data (`src` to data
-    URI) where it travels alone.
-    """
+    """Where a file stands, the trials in it, and its images' data where it stands alone."""
 
     trials: tuple[TrialPart, ...]
     base: str = ""  # from this file to the report's folder

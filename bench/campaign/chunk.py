@@ -143,9 +143,7 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """What some scenes gave. ``taken`` belongs to ``scenes``, row by row. ``cpu_s`` and ``seconds``
-    are of all of it, drawing included.
-    """
+    """The rows of some scenes; ``taken`` belongs to ``scenes``. Times include drawing."""
 
     scenes: tuple[SceneRow, ...] = ()
     teats: tuple[TeatRow, ...] = ()
@@ -159,8 +157,8 @@ class Rows:
 
 
 def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Rows:
-    """The rows of one scene; ``found`` is its situation where it isn't the family's own member.
-    Raises ValueError for one that can't be drawn before these cameras.
+    """The rows of one scene, ``found`` its situation where it isn't the member's. Raises
+    ValueError.
     """
     started_s, used_before_s = stopwatch_s(), processor_s()
     parameters: Mapping[str, Parameter] = {}

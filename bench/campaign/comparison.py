@@ -42,9 +42,7 @@ def compare_campaigns(
     margin_rate: float = MARGIN_RATE,
     confidence: float = 0.95,
 ) -> tuple[Comparison, ...]:
-    """Each later campaign with the first, or the detectors of one with its first. Raises
-    ConfigError where nothing can be compared.
-    """
+    """Each later campaign with the first, or the detectors of one. Raises ConfigError."""
     plans = {folder: plan_of(folder) for folder in folders}
     runs = [_as_run(folder, plan) for folder, plan in plans.items()]
     found = []

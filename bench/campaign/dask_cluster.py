@@ -81,9 +81,7 @@ def clear(key: str) -> None:
 
 
 class DaskPool:
-    """The cluster of a scheduler at ``address``; to be closed. As `LocalPool`. Raises PoolError
-    where none answers.
-    """
+    """The cluster of a scheduler at ``address``, as `LocalPool`. Raises PoolError for none."""
 
     def __init__(self, job: Job, address: str, *, say: Say) -> None:
         self._job, self._address, self._say = job, address, say
@@ -106,9 +104,7 @@ class DaskPool:
         self._disconnect()
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
-        """The rows of each chunk, as they are done. ``chunks`` is asked for one when there is room.
-        Raises PoolError where the cluster can't be reached or can't work.
-        """
+        """As `LocalPool.results`. Raises PoolError where the cluster can't be used."""
         self._last_result_s, warned = stopwatch_s(), False
         while True:
             self._fill(chunks)

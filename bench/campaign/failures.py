@@ -176,9 +176,7 @@ def read_failures(folder: Path) -> tuple[Plan, dict[int, Failure]]:
 
 
 def keep(folder: Path, number: int, recording: Path, name: str | None = None) -> str:
-    """Add failure ``number`` of the search in ``folder`` to a recording, which may be there; gives
-    back the frame's name. Raises ConfigError, with nothing written.
-    """
+    """Add a failure of a search to a recording; gives back the frame's name. Raises ConfigError."""
     plan, failures = read_failures(folder)
     if (one := failures.get(number)) is None:
         known = f"1 to {len(failures)}" if failures else "none"

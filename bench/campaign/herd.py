@@ -146,9 +146,7 @@ def run_herd(
     workers: int | None = None,
     shown: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> tuple[Guess, ...]:
-    """The guesses of a herd; ``folder`` gets the visits and a row a guess. ``shown`` is told of the
-    visits that are done. Raises ConfigError.
-    """
+    """The guesses of a herd; ``folder`` gets the visits and a row a guess. Raises ConfigError."""
     if folder.exists() and any(folder.iterdir()):
         raise ConfigError.plain(f"{folder} is there already. Name a new folder.")
     folder.mkdir(parents=True, exist_ok=True)
@@ -222,9 +220,7 @@ def judged(
     swapped: Detection,
     context: Context,
 ) -> Iterator[Guess]:
-    """What became of each unseen end, and predictions of no teat at all. A prediction never counts
-    as found.
-    """
+    """What became of each unseen end, and predictions of no teat at all."""
     ends = stand.ends_mm
     answered = [
         any(np.linalg.norm(teat.world_mm - end) < NEAR_MM / 2 for teat in answer.teats)

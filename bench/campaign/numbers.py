@@ -108,9 +108,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Map:
-    """The scenes and failures of a family in cells of the two ``parameters`` that matter most, rows
-    along the second.
-    """
+    """Scenes and failures of a family in cells of two ``parameters``, rows along the second."""
 
     parameters: tuple[Parameter, Parameter]
     scenes: list[list[int]]
@@ -119,9 +117,7 @@ class Map:
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """All that a page says of a campaign's rows; ``worst`` rows as `WORST_OF` has them, by detector
-    (the plan's order).
-    """
+    """The figures of a campaign's page; ``worst`` are rows of `WORST_OF` by detector."""
 
     rates: list[FamilyRate]
     aside: Mapping[str, str]
@@ -211,9 +207,7 @@ def _parameters(db: duckdb.DuckDBPyConnection, plan: Plan) -> list[Parameter]:
 def _map(
     db: duckdb.DuckDBPyConnection, plan: Plan, detector: str, parameters: Sequence[Parameter]
 ) -> Iterator[Map]:
-    """Of the family in which a detector's failures depend most on a parameter; none where all of it
-    may be chance.
-    """
+    """The family whose failures depend most on a parameter; none where it may be chance."""
     mine = [one for one in parameters if one.detector == detector and one.p_value < ALPHA]
     if not mine:
         return

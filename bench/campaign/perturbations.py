@@ -55,9 +55,7 @@ class Kind:
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """A perturbation of a plan. Raises ValueError for a name that isn't in the table, or an amount
-    that makes no sense.
-    """
+    """A perturbation of a plan. Raises ValueError for an unknown name or amount out of range."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 

@@ -115,9 +115,7 @@ class Plan(Section):
         return len(self.families) * self.chunks_a_family
 
     def interval(self, failures: int, scenes: int) -> tuple[float, float] | None:
-        """Of a failure rate, 95 %: exact for a number of scenes, one that holds at every look where
-        the plan stops by it; None of nothing.
-        """
+        """The 95 % interval of a failure rate, with ``half_width`` one that holds at every look."""
         if self.half_width is not None and scenes:
             return confidence_sequence(failures, scenes)
         return Rate(failures, scenes).interval()

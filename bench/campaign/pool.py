@@ -46,9 +46,7 @@ class PoolError(Exception):
 
 
 def silence_limit_s(plan: Plan, chunk_s: Sequence[float]) -> float:
-    """Longest time without a message: the plan's ``chunk_limit_s``; where that is 0, ten times what
-    a chunk took.
-    """
+    """The plan's ``chunk_limit_s``; where that is 0, ten times what a chunk took."""
     if plan.chunk_limit_s:
         return plan.chunk_limit_s
     if not chunk_s:
@@ -197,9 +195,7 @@ class LocalPool:
         return [worker.pid for worker in self._workers]
 
     def results(self, chunks: Iterator[Chunk]) -> Iterator[tuple[Chunk, Rows]]:
-        """The rows of each chunk, as they are done. ``chunks`` is asked for one when there is room.
-        Raises PoolError where no worker can be started.
-        """
+        """The rows of each chunk, as they are done. Raises PoolError where no worker starts."""
         self._ending = False
         while True:
             self._fill(chunks)
@@ -235,9 +231,7 @@ class LocalPool:
                     (worker or self._start()).give(part)
 
     def _next(self, chunks: Iterator[Chunk], *, new: bool) -> _Part | None:
-        """What is to be done next. One to be tried alone is for a ``new`` process; it waits for the
-        place of the one that it killed, so there is one.
-        """
+        """What to do next; a part that is tried alone needs a ``new`` process."""
         fitting = (part for part in self._again if new or not part.alone)
         # those first: a place is left for each
         if part := max(fitting, key=lambda one: one.alone, default=None):

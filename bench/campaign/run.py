@@ -56,9 +56,7 @@ class Status:
 
 @dataclass(slots=True)
 class _Family:
-    """Chunks of a family that are done, with failures and scenes by detector; from ``stopped`` on
-    none is wanted. ``whole`` and ``done`` are the sums of all.
-    """
+    """A family's chunks with failures and scenes by detector; none is needed from ``stopped``."""
 
     stopped: int
     chunks: dict[int, dict[str, Rate]] = field(default_factory=dict)
@@ -83,9 +81,7 @@ def _add(sums: dict[str, Rate], rates: Mapping[str, Rate]) -> None:
 
 
 class Campaign:
-    """A campaign in ``folder``, new or gone on with. Raises ConfigError for a plan that can't be
-    opened, and for a folder whose rows were made by something else.
-    """
+    """A campaign in ``folder``, new or continued. Raises ConfigError for another one's rows."""
 
     def __init__(self, plan: Plan, folder: Path) -> None:
         self.plan, self.folder = plan, folder
@@ -170,9 +166,7 @@ class Campaign:
         return families
 
     def _look(self, name: str, family: _Family) -> None:
-        """Count the chunks from the first on, one by one, until the interval is tight enough: which
-        chunk ended first changes nothing.
-        """
+        """Count chunks in order until the interval is tight enough, whichever ended first."""
         width = self.plan.half_width
         while family.looked_at in family.chunks and family.looked_at < family.stopped:
             _add(family.sums, family.chunks[family.looked_at])

@@ -39,9 +39,7 @@ GATE_MM = 25.0  # a missed or false teat is as bad as an error so large
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tried:
-    """A scene that was scored: its point (d,), in shares of the parameters' ranges, and its grade,
-    which is above the limit where the detector failed.
-    """
+    """A scored scene: its point (d,) in shares of the ranges; a grade above the limit failed."""
 
     point: Floats
     grade_mm: float
@@ -97,9 +95,7 @@ def search(
 
 
 class _Kind:
-    """Failures of one origin. ``redrawn`` and ``kept`` count (d,): how often a parameter was drawn
-    anew, and how often it failed all the same.
-    """
+    """Failures of one origin; (d,) counts of parameters drawn anew, and of these failures."""
 
     def __init__(self, first: Tried) -> None:
         self.failures = [first]
@@ -158,9 +154,7 @@ class _Search:
         return new
 
     def _spread(self) -> Iterator[Tried]:
-        """From known failures to others beside them, until `BARREN` scenes bring none, or `LEG` are
-        done: other kinds are to be found too, by a generation of a climb.
-        """
+        """Draw beside known failures until `BARREN` scenes bring no new one, or `LEG` are done."""
         barren = done = 0
         while self._kinds and barren < BARREN and done < LEG:
             done += 1
@@ -186,9 +180,7 @@ class _Search:
             yield one
 
     def _beside(self, kind: _Kind) -> tuple[Floats, NDArray[np.intp]]:
-        """A failure with parameters drawn anew until it is apart from what it was, and which ones;
-        those first that seem not to matter to it.
-        """
+        """A failure with parameters drawn anew, least important first, until it is apart."""
         whole = kind.failures[self._chance.integers(len(kind.failures))].point
         matters_not = (1.0 + kind.kept) / (2.0 + kind.redrawn)
         order = np.argsort(-SURE * np.log(matters_not) - self._chance.gumbel(size=len(whole)))

@@ -61,9 +61,7 @@ class Measured:
 
 
 def opened(plan: Study, folder: Path) -> Campaign:
-    """The study's campaign in a folder: gone on with, or new in place of another study's. Raises
-    ConfigError as `Campaign`.
-    """
+    """The study's campaign: continued, or new in place of another study's. Raises ConfigError."""
     try:
         return Campaign(plan, folder)
     except OtherCampaignError:
@@ -73,9 +71,7 @@ def opened(plan: Study, folder: Path) -> Campaign:
 
 
 def measured(campaign: Campaign, quantity: Quantity) -> Iterator[Measured]:
-    """What every detector did at each value, one by one. Raises ConfigError for a scene that was
-    set aside.
-    """
+    """What every detector did at each value. Raises ConfigError for a scene set aside."""
     plan, job = campaign.plan, campaign.job
     members, renderer = range(plan.first, plan.first + plan.most_scenes), job.renderer()
     for value in quantity.values:

@@ -103,9 +103,7 @@ class Shards:
         self._store(f"{family}-{number:06d}")
 
     def merge(self, *, rest: bool) -> None:
-        """Merge each whole block of chunks of a family into one file; with ``rest``, what remains
-        too.
-        """
+        """Merge each whole block of chunks of a family; with ``rest``, the others too."""
         blocks: dict[tuple[str, int], list[Shard]] = {}
         for shard in self.files():
             blocks.setdefault((shard.family, shard.first // MERGED), []).append(shard)
@@ -125,9 +123,7 @@ class Shards:
             shard.path.unlink(missing_ok=True)
 
     def connect(self) -> duckdb.DuckDBPyConnection:
-        """A database with the views `scenes`, `teats` and `parameters`. Raises ConfigError for no
-        shards.
-        """
+        """A database with the views `scenes`, `teats` and `parameters`."""
         paths = [shard.path for shard in self.files()]
         db = duckdb.connect()
         if paths:

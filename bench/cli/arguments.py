@@ -52,9 +52,7 @@ def complain(text: str, code: int) -> int:
 def refuse_existing(
     out: Path, *, replace: bool, option: str = "--out", makes_folder: bool = False
 ) -> None:
-    """Raises ConfigError before anybody has worked for a file that can't be written. With
-    ``makes_folder`` the command makes the folder when it writes.
-    """
+    """Raises ConfigError for a file that can't be written; with ``makes_folder`` into a new one."""
     from bench.config import ConfigError
 
     parents = out.resolve().parents

@@ -311,9 +311,7 @@ def _record(
     cameras: Mapping[str, str] | None = None,
     more: Mapping[str, str] | None = None,
 ) -> Record:
-    """Who, today, with this program, from these files: by their names, with the folder before it
-    where two files have one name.
-    """
+    """Who, today, with this program, from these files by name."""
     names = [path.name for path in inputs]
     hashes = {
         f"{path.parent.name}/{path.name}" if names.count(path.name) > 1 else path.name: file_hash(
@@ -343,9 +341,7 @@ def _write_page(page: Page, folder: Path | None) -> None:
 
 
 def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
-    """Say what was found wrong; the exit code for it. Of several of a kind only the first where the
-    page has them all.
-    """
+    """Print the findings, with ``on_page`` one of each kind; gives back the exit code."""
     kinds = Counter(finding.name for finding in findings)
     said: set[str] = set()
     for finding in findings:

@@ -161,9 +161,7 @@ class TerminalProgress:
 
 
 class Terminal(Console):
-    """The program's standard output, or ``file``. Only control segments, which rich makes itself,
-    are written as they are.
-    """
+    """The program's standard output, or ``file``; rich's own control segments pass."""
 
     def __init__(self, file: TextIO | None = None) -> None:
         super().__init__(file=unfiltered(file or sys.stdout), markup=False, emoji=False)

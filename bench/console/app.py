@@ -108,18 +108,14 @@ class Console:
         return JSONResponse({**found, "lease": self.lease.as_seen_by(_client(request))})
 
     async def stream(self, request: Request) -> Response:
-        """Server-sent events: `snapshot` first, then `event` with its number as id, `live`,
-        `prompt` and `lease` where they change.
-        """
+        """Server-sent events: `snapshot`, then `event` (by number), `live`, `prompt`, `lease`."""
         folder, last = self._folder(request), request.headers.get("last-event-id", "")
         after = int(last) if last.isdecimal() else None
         lines = self._watched(folder, _client(request), after)
         return StreamingResponse(lines, media_type="text/event-stream")
 
     async def _watched(self, folder: Path, client: str, after: int | None) -> AsyncIterator[bytes]:
-        """Written as fast as it is read: whoever stops reading stops the looking, and goes on from
-        where he was.
-        """
+        """Generates as fast as the client reads."""
         first = {**await _off(watching.snapshot, folder), "lease": self.lease.as_seen_by(client)}
         yield _sse("snapshot", first)
         events = watching.Events(folder)

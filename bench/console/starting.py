@@ -95,9 +95,7 @@ def dry_run(arguments: Sequence[str], runs: Path) -> dict[str, Any]:
 
 
 def start(arguments: Sequence[str], runs: Path, clock: Clock, known: str = "") -> str:
-    """Start a run; gives back its folder's name once it has one, which is ``known`` where it goes
-    on. Raises NotStartedError.
-    """
+    """Start a run; gives back its folder's name (``known`` to resume). Raises NotStartedError."""
     logs = runs / LOGS
     logs.mkdir(parents=True, exist_ok=True)
     log = logs / f"{wall_time().strftime('%Y%m%d-%H%M%S')}-{os.urandom(3).hex()}.log"

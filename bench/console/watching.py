@@ -146,9 +146,7 @@ def curve(folder: Path) -> list[list[float]]:
 
 
 def trials(folder: Path) -> list[dict[str, Any]]:
-    """The trials that have their truth: scores by detector, and where truth and answers lie in each
-    camera's picture.
-    """
+    """The trials with their truth: scores, and truth and answers in each camera's pixels."""
     run = read_run(folder)
     calibration = read_calibration(folder / "calibration.toml")
     found = []

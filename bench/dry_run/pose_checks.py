@@ -54,9 +54,7 @@ def dry_run(
     travel: Mapping[str, AxisLimits] | None,
     why_no_travel: str = "its controller doesn't answer",
 ) -> tuple[tuple[Finding, ...], tuple[str, ...]]:
-    """What is wrong with the poses of ``script``, and what can't be checked. ``travel`` is the
-    stage's, in machine coordinates; None where it is unknown, and why.
-    """
+    """What is wrong with the poses, and what can't be checked (``travel`` None: unknown)."""
     distinct = {(one.name, one.side): one for one in script.planned}.values()
     views = _views_of(rig.calibration)
     places = [(one.name, pose) for one in distinct for pose in (one.approach, one.pose) if pose]

@@ -107,9 +107,7 @@ class NoTwinError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Rehearsal:
-    """``trials`` were done; ``recovered`` counts what the run recovered from; ``rendered`` frame
-    sets passed.
-    """
+    """``trials`` done, findings, what the run recovered from, frame sets rendered."""
 
     trials: int
     findings: tuple[Finding, ...]
@@ -132,9 +130,7 @@ class PicturelessStore(Store):
 
 
 class Course:
-    """The screen of a rehearsal: sets ``trial``, the id of the trial now; ``shown`` gets how many
-    were begun, of how many.
-    """
+    """The progress of a rehearsal; ``shown`` gets how many trials have begun, of how many."""
 
     def __init__(self, planned: Sequence[PlannedTrial], shown: Callable[[int, int], None]) -> None:
         self._ids = {one.number: one.id for one in planned}
@@ -204,9 +200,7 @@ def rehearse(
 
 
 def _findings(lines: Sequence[Mapping[str, Any]]) -> tuple[tuple[Finding, ...], Mapping[str, int]]:
-    """What would end the run, or leave a trial without a truth, with the trial's name; and what the
-    run gets over by itself, counted.
-    """
+    """What would end the run or cost a trial's truth; and what the run recovers from, counted."""
     where = BEFORE
     found: dict[Finding, None] = {}
     recovered: Counter[str] = Counter()
@@ -253,9 +247,7 @@ def _emulated(
 
 
 def twin_of(rig: LoadedRig, script: LoadedScript, stage: StageSettings | None) -> LoadedRig:
-    """``rig`` with an emulator at each address; ``stage`` is what its controller reports, None
-    where it has none or can't be asked.
-    """
+    """``rig`` with an emulator at each address; ``stage`` is what its controller reports."""
     r = rig.rig
     checks = r.cameras.checks
     if not r.emulated:  # emulated cameras can't show how sharp the real ones are
@@ -361,9 +353,7 @@ def _stage_settings(
 
 
 def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozenset[str]:
-    """Ids of the trials whose frames are rendered: the first of each of the script's tables, and
-    evenly spaced poses; at most ``most``.
-    """
+    """Ids of trials to render: the first of each table, then evenly spaced poses."""
     tables = list({one.trial.name: one.id for one in reversed(planned)}.values())[::-1][:most]
     poses = list({one.name: one.id for one in reversed(planned)}.values())[::-1]
     left = [one for one in poses if one not in tables]

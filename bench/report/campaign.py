@@ -62,9 +62,7 @@ UNITS = ("mm", "deg", "rad", "k")
 def write_campaign_page(
     folder: Path, plan: Plan, made_by: Mapping[str, str], bench: Bench | None = None
 ) -> Path:
-    """``report/index.html`` of the campaign in ``folder``; gives back its path. ``bench`` draws the
-    first scenes to look at. Raises OSError.
-    """
+    """Write the campaign's page; ``bench`` draws the scenes to look at. Raises OSError."""
     names = [one.name for one in bench.detectors] if bench else []
     numbers = campaign_numbers(folder, plan, names)
     looks, parts = _looked_at(folder, numbers, plan, bench) if bench else ((), ())

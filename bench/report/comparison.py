@@ -307,9 +307,7 @@ Text = TypeVar("Text")
 
 
 def worded(one: Comparison, value: Text) -> Text:
-    """A text, or a part of a page, in the words of what was compared: campaigns have scenes where
-    runs have poses.
-    """
+    """A text or page in the words of its kind: campaigns have scenes, runs have poses."""
     return value if one.compared.gate.margin_rate is None else _of_scenes(value)
 
 

@@ -431,9 +431,7 @@ def provenance_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def fault_parts(run: RunRecord) -> Iterator[Part]:
-    """Frames taken again, requests repeated, what the rig file allows of cameras; nothing where
-    there was none.
-    """
+    """Frames taken again, requests repeated, and what the rig file allows of cameras."""
     cameras = (run.facts.get("identities") or {}).get("cameras", {})
     for note, title in ALLOWED.items():
         if said := [f"{name}: {who}" for name, who in cameras.items() if note in str(who)]:

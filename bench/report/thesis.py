@@ -166,9 +166,7 @@ def _situations(run: RunRecord, known: Sequence[Situation]) -> Iterator[Row]:
 def _pictured(
     run: RunRecord, known: Sequence[Situation], calibration: Calibration
 ) -> Iterator[Part]:
-    """Of each detector with the thesis's stages: its counts by the pictures, and refined ends
-    against unrefined ones by teat.
-    """
+    """Of a detector with the thesis's stages: counts by the pictures, and refined ends by teat."""
     for detector in run.detectors:
         if (seen := in_pictures(run.counted, detector, calibration)) is None:
             continue
@@ -313,9 +311,7 @@ def places_of(run: RunRecord, detector: str) -> Places:
 
 
 def largest_region_mm(places: Places, within_mm: float) -> tuple[float, float] | None:
-    """Width and depth of the largest centred region whose average error is within so much; None
-    where none is.
-    """
+    """Sides of the largest centred region with an average error within so much; or None."""
     sides = (np.arange(0.0, span + SLACK_MM, 2.0 * STEP_MM).tolist() for span in places.span_mm)
     averages = {(w, d): places.average_mm(places.within(w, d)) for w, d in product(*sides)}
     good = [size for size, mm in averages.items() if mm is not None and mm <= within_mm]

@@ -390,9 +390,7 @@ def _write(image: NDArray[np.uint8], path: Path, setting: int, value: int) -> No
 
 
 def project_all(calibration: Calibration, world_mm: Points) -> dict[str, Points | None]:
-    """Pixels (n, 2) of world points (n, 3) by camera, thermal un-mirrored; None without a pose. A
-    depth camera is among them where there is one.
-    """
+    """Pixels (n, 2) of world points (n, 3) by camera, thermal un-mirrored; None without a pose."""
     left, right = calibration.project(world_mm)
     in_right = calibration.world_from_right.inverse().apply(world_mm)
     lens, pose = calibration.thermal.lens, calibration.thermal_from_right

@@ -38,9 +38,7 @@ LOCATIONS = (
 
 
 def cameras_parts(run: RunRecord, rules: Rules, calibration: Calibration) -> Iterator[Part]:
-    """Where the cameras show the known ends, and whether the detectors' answers share what they are
-    off; nothing where no picture was held against an end.
-    """
+    """The check of the cameras on known ends, and whether answers share their shift."""
     check = cameras_of(run.counted)
     if not check.ends:
         return

@@ -126,9 +126,7 @@ def _numbers(given: Any, shape: tuple[int, ...], what: str, wanted: str) -> Any:
 
 
 def _trace(trace: Any) -> tuple[tuple[Stage, ...], str | None]:
-    """The stages that the record can hold, and how many not: a fault in the trace never costs an
-    answer.
-    """
+    """The stages that the record can hold, and a note of how many it can't."""
     stages = trace if isinstance(trace, tuple | list) else (trace,)
     kept = {
         stage.name.casefold().replace(" ", "-"): stage

@@ -119,9 +119,7 @@ class CamerasCheck:
 
     @property
     def depth_error_mm(self) -> float:
-        """The least error of depth that the disparity shows, with confidence; 0 where it may be
-        right.
-        """
+        """The least depth error that the disparity shows, with confidence."""
         one = self.disparity
         return 0.0 if one is None else max(abs(one.value) - one.uncertainty, 0.0) * one.mm
 
@@ -189,9 +187,7 @@ def _median(values: Array) -> float:
 
 
 def _pooled(name: str, values: Array, common: float, mm: float, deg: float) -> CameraOffset | None:
-    """The mean over poses (n,); ``common``: the standard uncertainty that all share, px. None below
-    `LEAST_POSES`.
-    """
+    """The mean over poses (n,); ``common`` is the uncertainty that all share, px."""
     values = values[np.isfinite(values)]
     n = len(values)
     if n < LEAST_POSES:
@@ -270,9 +266,7 @@ def cameras_of(trials: Sequence[TrialRecord]) -> CamerasCheck:
 def answers_of(
     trials: Sequence[TrialRecord], detector: str, calibration: Calibration
 ) -> CameraOffset | None:
-    """The disparity between a detector's answers and the truth, pooled as that of the cameras; None
-    where fewer than `LEAST_POSES` poses have an answer at an end.
-    """
+    """The disparity between a detector's answers and the truth; None below `LEAST_POSES`."""
     by_pose: dict[str, list[float]] = defaultdict(list)
     scales, u_mm = [], 0.0
     for trial in trials:
@@ -303,9 +297,7 @@ def share_shift(cameras: CameraOffset, answers: CameraOffset) -> bool:
 
 
 def shift_text(check: CamerasCheck, answers: CameraOffset | None, limit_px: float) -> str:
-    """Whether a common shift of the answers is the detector's or the calibration's; empty where
-    they have none beyond the limit.
-    """
+    """Whose a common shift of the answers is; empty where there is none beyond the limit."""
     if answers is None or not answers.exceeds(limit_px):
         return ""
     sentence = (

@@ -233,9 +233,7 @@ Touches = dict[Part, dict[str, list[tuple[float, float, float]]]]
 
 @dataclass(frozen=True, slots=True)
 class TruthGage:
-    """The studies along the world's x, y and z, mm; None where the record doesn't hold one, and
-    ``why`` not. ``left_out`` parts had too few touches or set-ups.
-    """
+    """The studies along x, y and z, mm, or ``why`` there are none; parts that were left out."""
 
     studies: tuple[GageStudy, GageStudy, GageStudy] | None
     left_out: int = 0

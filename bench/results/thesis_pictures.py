@@ -55,9 +55,7 @@ class InPictures:
         )
 
     def moved(self, rows: Bools) -> tuple[int, int]:
-        """How many ends the optical pictures moved nearer to the truth, and how many farther off,
-        each picture by itself.
-        """
+        """How many ends the optical pictures moved nearer to the truth, and how many farther."""
         nearer = (self.off_px[:, (2, 4)] - self.off_px[:, (1, 3)])[rows]
         return int((nearer < 0.0).sum()), int((nearer > 0.0).sum())
 
@@ -135,9 +133,7 @@ def _compared(
 
 
 def _seen(points_mm: Floats, calibration: Calibration) -> tuple[Floats, Floats]:
-    """Where the five pictures show points (k, 3), (5, k, 2), and their focal lengths (5,), px; the
-    thermal one not-a-number without a lens.
-    """
+    """Points (k, 3) in the five pictures, (5, k, 2), and their focal lengths (5,), px."""
     left, right = calibration.project(points_mm)
     lens, pose = calibration.thermal.lens, calibration.thermal_from_right
     thermal, focal_px = np.full_like(left, np.nan), np.nan

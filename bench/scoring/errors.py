@@ -24,9 +24,7 @@ Bools = npt.NDArray[np.bool_]
 
 
 def as_points(value: npt.ArrayLike, name: str) -> Floats:
-    """`value` as float64 (n, 3); anything empty becomes (0, 3). Raises ValueError on another shape
-    or on a value that is not finite.
-    """
+    """`value` as float64 (n, 3). Raises ValueError for another shape, or one not finite."""
     points = np.asarray(value, dtype=np.float64)
     if points.size == 0:
         return np.zeros((0, 3))
@@ -60,9 +58,7 @@ def as_values(value: npt.ArrayLike, name: str) -> Floats:
 
 
 def numbered(names: Sequence[Hashable], rows: int | None = None) -> npt.NDArray[np.intp]:
-    """Names (n,) as numbers from 0, in order of their first appearance. Raises ValueError where
-    there are not as many as `rows`.
-    """
+    """Names (n,) as numbers from 0 in order of appearance. Raises ValueError unless `rows`."""
     if rows not in (None, len(names)):
         raise ValueError(f"poses: {len(names)} names for {rows} rows; give the pose of each")
     numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
@@ -96,9 +92,7 @@ class RadialSummary:
 
 @dataclass(frozen=True, slots=True)
 class ErrorSummary:
-    """Errors in one frame of reference. `components` pools the axes (3 n values): the thesis's
-    average.
-    """
+    """Errors in one frame of reference; `components` pools the three axes (3 n values)."""
 
     n: int
     frame: str
@@ -156,9 +150,7 @@ def summarise(
 
 
 def percentile(values: npt.ArrayLike, percent: float) -> float:
-    """The smallest of the values with at least `percent` of them at or below it. Raises ValueError
-    for none.
-    """
+    """Smallest value with at least `percent` at or below it. Raises ValueError for none."""
     given = as_values(values, "values")
     if not len(given):
         raise ValueError("percentile: there are no values; say 'not measured' instead")

@@ -69,9 +69,7 @@ def added(parts: Iterable[Counts]) -> Counts:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """The assignment of one scene. `pairs` and `hidden_pairs` are (found, truth) indices in order
-    of truth; distances belong to `pairs`.
-    """
+    """The assignment of one scene: (found, truth) indices in order of truth."""
 
     pairs: tuple[tuple[int, int], ...]
     distances_mm: tuple[float, ...]
@@ -89,9 +87,7 @@ class Match:
 
     @property
     def gospa_mm(self) -> float:
-        """sqrt(sum d^2 + c^2/2 (missed + false)), c = gate; hidden teats and findings on them cost
-        nothing.
-        """
+        """sqrt(sum d^2 + c^2/2 (missed + false)), c = gate; hidden teats cost nothing."""
         outliers = len(self.missed) + len(self.false)
         return sqrt(sum(d * d for d in self.distances_mm) + self.gate_mm**2 / 2 * outliers)
 

@@ -65,9 +65,7 @@ class GageStudy:
 
 
 def gage_study(values: npt.ArrayLike) -> GageStudy:
-    """The study of full cells `values` (parts, appraisers, repeats), at least 2 of each. Raises
-    ValueError.
-    """
+    """The study of cells (parts, appraisers, repeats), at least 2 of each. Raises ValueError."""
     table = np.asarray(values, dtype=np.float64)
     if table.ndim != 3 or min(table.shape) < 2 or not np.isfinite(table).all():
         raise ValueError(
@@ -109,9 +107,7 @@ def gage_study(values: npt.ArrayLike) -> GageStudy:
 
 @dataclass(frozen=True, slots=True)
 class PoseAccuracy:
-    """AP = |mean - commanded|, and RP = mean(l) + 3 sd(l), l_j = |p_j - mean| (None for one
-    repeat).
-    """
+    """AP = |mean - commanded|; RP = mean(l) + 3 sd(l), l_j = |p_j - mean|."""
 
     n: int
     ap_mm: float | None = None
@@ -130,9 +126,7 @@ class DistanceAccuracy:
 
 @dataclass(frozen=True, slots=True)
 class Precision:
-    """Standard deviations: s_r within a pose or set-up, s_L between, s_R = sqrt(s_r^2 + s_L^2);
-    None where the groups don't tell.
-    """
+    """s_r within a pose or set-up, s_L between, s_R = sqrt(s_r^2 + s_L^2); None where not shown."""
 
     n: int
     groups: int
@@ -167,9 +161,7 @@ def distance_accuracy(distances_mm: npt.ArrayLike, commanded_mm: float) -> Dista
 
 
 def drift_mm(points_mm: npt.ArrayLike, commanded_mm: npt.ArrayLike, repeats: int) -> float | None:
-    """The largest |AP(first block) - AP(later block)|, blocks of `repeats` points (n, 3) in order
-    of time; None below two blocks.
-    """
+    """The largest |AP(first block) - AP(later block)| of points (n, 3); None below two blocks."""
     points = as_points(points_mm, "points")
     if repeats < 1:
         raise ValueError(f"drift: blocks of {repeats} points; at least 1")

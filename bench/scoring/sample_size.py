@@ -97,9 +97,7 @@ def mcnemar_power(trials: int, lost: float, won: float, alpha: float = 0.05) -> 
 
 
 def detectable_loss(trials: int, power: float = 0.8, alpha: float = 0.05) -> float | None:
-    """The smallest share of scenes lost, none won, that so many show with `power`; None
-    for none.
-    """
+    """Smallest share of scenes lost, none won, shown with `power`; None for none."""
     check_open("power", power)
     if trials < discordant_needed(alpha):
         return None

@@ -30,9 +30,7 @@ from bench.scoring.sample_size import failures_allowed, shown_error_mm
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneScore:
-    """`errors_mm` (k, 3) are found - truth in world axes, a row a pair of `match.pairs` (visible
-    teats only); compare scores by `as_dict()`.
-    """
+    """The score of one scene; `errors_mm` (k, 3) are found - truth of `match.pairs`."""
 
     match: Match
     errors_mm: Floats
@@ -191,9 +189,7 @@ def _frozen(errors: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """Scenes with the name of the pose that each belongs to; adding puts one pool behind
-    the other.
-    """
+    """Scenes, and the pose of each; pools add."""
 
     scores: tuple[SceneScore, ...] = ()
     poses: tuple[Hashable, ...] = ()

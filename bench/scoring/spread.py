@@ -32,9 +32,7 @@ LEAST_POSES = AXES + 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ellipsoid:
-    """Centre (3,) mm, half axes (3,) mm, longest first, and their unit directions, rows
-    of (3, 3).
-    """
+    """Centre (3,) and half axes (3,) mm, longest first; their unit directions are rows."""
 
     n: int
     centre_mm: Floats
@@ -324,9 +322,7 @@ def trend(
 def _sums(
     x: Floats, y: Floats, group: npt.NDArray[np.intp], stratum: npt.NDArray[np.intp], count: int
 ) -> tuple[float, float, Floats, Floats]:
-    """Sxx and Sxy about each stratum's means, and how much of them each group takes away when left
-    out.
-    """
+    """Sxx and Sxy about the stratum means, and what each group adds to them."""
     blocks, block = (
         (np.arange(count), group)
         if not stratum.any()

@@ -77,9 +77,7 @@ class Proposal:
 
     @classmethod
     def around(cls, failures: Floats, even: float = EVEN) -> Proposal:
-        """By the mean and variance of failures (n, d), NaN where one has no such parameter; few of
-        them give a wider density.
-        """
+        """By mean and variance of failures (n, d), NaN where one has no such parameter."""
         count = np.isfinite(failures).sum(axis=0)
         mean = np.clip(np.nanmean(failures, axis=0), NARROWEST, 1.0 - NARROWEST)
         variance = np.nanvar(failures, axis=0) * (1.0 + FEW / count) + NARROWEST**2

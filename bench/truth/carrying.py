@@ -108,9 +108,7 @@ def carried(
 def moved(
     point: TruthPoint, to_mm: Floats, carry_mm2: Floats, source: str, registration_mm: float | None
 ) -> TruthPoint:
-    """``point`` carried to (3,): its budget, with the table frame's part there and a line for the
-    carry.
-    """
+    """``point`` carried to (3,), with a line for the carry in its budget."""
     kept = [
         c if c.name != REGISTRATION or registration_mm is None else replace(c, u_mm=registration_mm)
         for c in point.uncertainty.components
@@ -314,9 +312,7 @@ class CarriedTruth(TouchedTruth):
 
 
 def resumed(run: RunRecord) -> CarryState:
-    """The state that a stopped run left: the reference, and the carried trials without a good
-    check.
-    """
+    """The state that a stopped run left."""
     stored, unconfirmed = run.facts.get(REFERENCE_FACT), list(run.facts.get(UNCONFIRMED_FACT, ()))
     last = run.checks[-1]["after_trial"] if run.checks else None
     order = [trial.id for trial in run.trials]

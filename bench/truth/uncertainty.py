@@ -33,9 +33,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class TruthUncertainty:
-    """The budget of the ground truth, per axis. Raises ValueError for two components of
-    one name.
-    """
+    """The budget per axis. Raises ValueError for two components of one name."""
 
     components: tuple[Component, ...]
 

@@ -296,9 +296,7 @@ def error_drift(
     place: tuple[int, int] = (0, 1),
     name: str = "error-drift",
 ) -> str:
-    """Radial errors (n,) over capture times (n,), with their line; `links` by point, `place` as in
-    `error_scatter`.
-    """
+    """Radial errors (n,) over capture times (n,), with their line."""
     time, errors = together("error_drift", time_min=time_min, error_mm=error_mm)
     if not time.size:
         return not_measured(name, _FLAT, NO_PAIR)
