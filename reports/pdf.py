@@ -60,9 +60,8 @@ def print_pdf(
     *,
     appendix: bool = False,
 ) -> Path:
-    """Print the HTML file `page` to `target`, what is folded with the `appendix` only.
-
-    Raises PageError with the browser's own words.
+    """Print the HTML file `page`, with `appendix` also what is folded. Raises PageError with the
+    browser's output.
     """
     draft = target.with_name(target.name + ".part")
     draft.unlink(missing_ok=True)
@@ -104,11 +103,8 @@ def _printed(browser: str, address: str, draft: Path, time_limit_s: float) -> tu
 
 
 def travelling(pdf: bytes, folder: Path) -> bytes:
-    """`pdf` signed by us and without this machine's paths in its links: they become paths from
-    `folder`.
-
-    Every part stays as long as it was, since a PDF's table of contents counts bytes (ISO 32000-1,
-    7.5.4).
+    """`pdf` signed by us, its links relative to `folder`. Every part keeps its length: a PDF's
+    table of contents counts bytes (ISO 32000-1, 7.5.4).
     """
 
     def link(found: re.Match[bytes]) -> bytes:

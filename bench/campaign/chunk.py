@@ -71,16 +71,8 @@ class Bench:
 
 @dataclass(frozen=True, slots=True)
 class SceneRow:
-    """One scene and detector. Counts are of teat ends: ``visible`` ones were found or missed.
-
-    ``failure`` is the gravest that applies, empty for a success: `ASIDE`, the outcome where there
-    was no answer, "false", "missed", "error" (above the limit). Errors are of found teats, None
-    without. ``frames`` is the start of the SHA-256 of all pictures' pixels, in hex.
-
-    ``sure_wrong``: teats beyond `WRONG_MM` and `WRONG_SD` of their stated standard deviations, and
-    false ones that state less than `FALSE_SD_MM`. ``stated``: found ones with a covariance,
-    ``nees`` their mean, ``inside`` those within their stated 95 % region. ``shares`` of their
-    ranges, in 255ths, are the family's ``parameters``, whose names a comma parts.
+    """One scene and detector, in counts of teat ends (docs/campaigns.md). ``failure`` is the
+    gravest: `ASIDE`, an outcome without an answer, one of `WRONG`, or empty.
     """
 
     family: str
@@ -111,9 +103,8 @@ class SceneRow:
 
 @dataclass(frozen=True, slots=True)
 class TeatRow:
-    """One teat of a scene, or one false finding (``teat`` 0). ``status``: "found", "missed",
-    "false", "hidden", or "hidden found". Errors are found - truth, none of a false one; sd the
-    detector's own, both along world axes in mm; nees is e' C^-1 e, 3 on average where C is true.
+    """One teat of a scene, or a false finding (``teat`` 0): found, missed, false, hidden, or hidden
+    found. Errors are found - truth; nees is e' C^-1 e, 3 on average where C is true.
     """
 
     family: str

@@ -51,9 +51,8 @@ FIRST = 3  # visits that only make the history
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """One unseen end at one visit, or one that was invented (``teat`` 0). Errors in mm, None
-    without a prediction: by own history, by the last visit alone, by another cow's history.
-    ``inside`` its 95 % region, whose volume is ``volume_ml``; ``found``: the detector saw it.
+    """One unseen end at one visit, or an invented one (``teat`` 0). Errors are by own history, by
+    the last visit, by another cow's history; ``inside`` its 95 % region.
     """
 
     cow: int

@@ -27,9 +27,8 @@ ORDER = "false_teats DESC, missed DESC, max_mm DESC NULLS FIRST, family, member"
 
 @dataclass(frozen=True, slots=True)
 class FamilyRate:
-    """Scenes of a family that a detector was asked about, how many failed and how; then teats, as
-    in a `SceneRow`, summed. ``nees`` is their mean; ``spread_mm`` are quantiles (5, 25, 50, 75,
-    95 %) of each scene's largest error. None where nothing was found, or stated.
+    """Scenes of a family and detector, failures by kind, and sums over teats as in `SceneRow`.
+    ``spread_mm``: quantiles (5, 25, 50, 75, 95 %) of each scene's largest error.
     """
 
     family: str
@@ -94,9 +93,8 @@ FROM (
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """How a detector's failures in a family depend on one parameter: failures and scenes in each
-    quarter of its range, and the chance of so uneven ones (chi-square, adjusted after Holm for all
-    parameters of the family).
+    """Failures and scenes in each quarter of a parameter's range, and the chance of such counts
+    (chi-square, adjusted after Holm over the family).
     """
 
     family: str

@@ -57,9 +57,8 @@ SomePlan = TypeVar("SomePlan", bound="Plan")
 
 
 class Plan(Section):
-    """A file of a campaign. ``scenes`` are of each family: so many, or with ``half_width`` (of the
-    95 % interval of the failure rate) at most. Files are named from the plan's folder. Without
-    ``chunk_scenes`` (0) chunks suit the number of scenes.
+    """A file of a campaign. ``scenes`` are of each family, with ``half_width`` at most so many.
+    Files are named from the plan's folder; 0 ``chunk_scenes`` suit the number of scenes.
     """
 
     title: str = ""
@@ -159,9 +158,8 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """A plan opened for the processes that work on it, without a file: ``cameras`` is the table of
-    the calibration that frames are drawn by, ``stated`` the calibration that detectors get; the
-    plan's sensors are whole. ``exact``: both are the same.
+    """A plan opened, without a file: ``cameras`` is the table that frames are drawn by, ``stated``
+    the detectors' calibration (``exact``: the same); the plan's sensors are whole.
     """
 
     plan: Plan
@@ -205,9 +203,8 @@ def with_whole_paths(plan: SomePlan, folder: Path) -> SomePlan:
 
 
 def open_plan(plan: Plan, members: int | None = None) -> tuple[Job, dict[str, str]]:
-    """What a plan's processes need, and the identity of the rows that they make. ``members`` of
-    each family are worked on, else as many as scenes. Raises ConfigError for a rig, calibration or
-    detector that isn't there or is wrong, and for scenes that a detector was trained on.
+    """The plan's job, and the identity of the rows that it makes, for so many ``members`` of a
+    family. Raises ConfigError, also for scenes that a detector was trained on.
     """
     rig = load_rig(find_rig(plan.rig))
     if plan.calibration and not plan.calibration.endswith(FILE):

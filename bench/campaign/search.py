@@ -56,11 +56,8 @@ class NothingFitsError(Exception):
 
 
 def grade_mm(rows: Rows, detector: str, limit_mm: float) -> tuple[float, bool]:
-    """How near a detector came to failing on one scene, and whether it did.
-
-    For a success the worst of its teats' errors and of their standard deviations by the detector's
-    own account, at most the limit. A failure is the limit, and `GATE_MM` for each teat missed or
-    false, and the worst error above the limit.
+    """How near a detector came to failing, and whether it did. A success: the worst of errors and
+    stated deviations; a failure: the limit, `GATE_MM` a lost teat, and the excess error.
     """
     row: SceneRow = next(one for one in rows.scenes if one.detector == detector)
     worst = row.max_mm or 0.0

@@ -168,11 +168,8 @@ def open_bath(
 
 
 def seconds_to_stable(gate: StabilityGate, rate_k_per_s: float | None) -> float | None:
-    """How long at the least until the gate opens; None where the bath doesn't come nearer to its
-    set point.
-
-    While heating that is the way at the present rate, and a window behind it; while settling what
-    is missing of the window.
+    """The least time until the gate opens: the way at the present rate and a window, or what is
+    left of the window. None where the bath doesn't approach its set point.
     """
     if gate.state is State.STABLE:
         return 0.0

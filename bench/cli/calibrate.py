@@ -360,10 +360,8 @@ def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
 def _gather_views(
     given: argparse.Namespace, known: Part | None = None, request: ViewsRequest = STEREO
 ) -> dict[str, str]:
-    """Views of ``given.board`` from the cameras of ``given.rig``, which are those of ``known``, as
-    ``given.frames``. Gives back who the cameras are.
-
-    Raises ConfigError, InstrumentError, OperatorAbort.
+    """Take views of ``given.board`` as ``given.frames``; gives back the cameras' identities. Raises
+    ConfigError, InstrumentError, OperatorAbort.
     """
     board, _ = find_board(given.board)
     folder = free_folder(given.out)

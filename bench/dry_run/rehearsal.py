@@ -161,10 +161,8 @@ def rehearse(
     seed: int | None = None,
     shown: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> Rehearsal:
-    """Go through ``script`` on the twin of ``rig``; ``stage`` is what its controller reports.
-
-    ``shown`` gets how many trials are done, of how many. Raises NoTwinError, and KeyboardInterrupt
-    for Ctrl-C.
+    """Run ``script`` on the twin of ``rig``; ``stage`` is what its controller reports. Raises
+    NoTwinError, KeyboardInterrupt.
     """
     clock, twin_rig, url = VirtualClock(), twin_of(rig, script, stage), rig.rig.operator.url
     course = Course(script.planned, shown)
@@ -362,9 +360,8 @@ def to_render(planned: Sequence[PlannedTrial], most: int = MOST_SETS) -> frozens
 
 
 class StandInCameras:
-    """The cameras of ``twin`` render at some of the ``planned`` trials, and these frames have to
-    pass the checks of ``rig``; the first ``rendered`` set is shown to each detector. Otherwise they
-    give a set of ramps from dark to light.
+    """Cameras that render and check frames at some trials, and show the first set to each detector;
+    at the others they give a set of ramps.
     """
 
     def __init__(

@@ -78,10 +78,8 @@ def _page(
     first: str = "",
     **banner: Any,
 ) -> Page:
-    """The page: scores and what is wrong by name, then the chapter ``first``; the rest folds.
-
-    ``findings`` None: nothing was looked for; ``missing`` None: no views. ``banner`` has the fields
-    of a `Banner`.
+    """A step's page: scores and findings (None: not looked for), then the chapter ``first``; the
+    rest folds. ``missing`` views may be None; ``banner`` are fields of a `Banner`.
     """
     rows = [*scores]
     wrong: list[Part] = []

@@ -78,9 +78,8 @@ def write_run_report(
     *,
     single_file: bool = False,
 ) -> tuple[Path, RunRecord, tuple[Judgement, ...]]:
-    """(Re)write a run's report and exports; return the page's path. Raises ConfigError.
-
-    ``chapters`` come after the results; ``single_file`` writes the file for mail too.
+    """Write a run's report and exports, with ``chapters`` after the results and, if wanted, the
+    file for mail; gives back the page's path. Raises ConfigError.
     """
     run = read_run(folder, damage)
     rules = stored_rules(folder)

@@ -76,9 +76,8 @@ def scene_parts(run: RunRecord, stated: Calibration, folder: Path) -> Iterator[T
 
 
 def show_scenes(folder: Path, names: Sequence[str]) -> tuple[Path, list[tuple[str, str, str]]]:
-    """Write a page of scenes of the campaign in ``folder``, in its ``scenes``; gives back the
-    page's path, and scene, detector and outcome of each answer. Raises ConfigError, also where this
-    version of the program draws or answers otherwise.
+    """Write a page of scenes of a campaign; gives back its path, and scene, detector and outcome of
+    each answer. Raises ConfigError, also where this version draws other pictures.
     """
     plan, scenes = _asked(folder, names)
     job, made_by = open_plan(plan)

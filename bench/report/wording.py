@@ -65,9 +65,8 @@ def spanned(values: Any, form: str = ".2f", unit: str = "") -> str:
 
 
 def shown(value: Any, form: str = "") -> str | Cell:
-    """A table's value as text: with the format ``form``, else as `number` has it.
-
-    Several numbers are listed. None is ``not measured``; empty where ``form`` ends with ``?``.
+    """A table's value as text, by the format ``form`` or as `number`; several are listed. None is
+    ``not measured``, or empty where ``form`` ends with ``?``.
     """
     if isinstance(value, str | Cell):
         return value
@@ -87,11 +86,8 @@ def table(
     *,
     searchable: bool = False,
 ) -> Table:
-    """A table of values, as `shown` has them.
-
-    ``heads`` are texts ``title | >title [unit] ~form # hint``: ``>`` sets figures to the right,
-    ``form`` is the numbers' format. A title that anybody gave, as a detector's name, comes as a
-    `Column`: it may hold such signs.
+    """A table. ``heads`` are ``title | >title [unit] ~form # hint``: ``>`` aligns right, ``form``
+    formats the values as `shown` does. A title from a user comes as a `Column`.
     """
     made: list[tuple[Column, str]] = []
     for head in [heads] if isinstance(heads, str) else heads:

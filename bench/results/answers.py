@@ -173,11 +173,8 @@ TIMEOUT_S = 30.0  # a slower answer counts as none; a rig says its own (limits.d
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a detector answered on one frame set, and how long it took (real seconds).
-
-    cold: the first call of the detector or of its process; no latency is taken from it. start_up_s:
-    of its process before this call, not part of ``seconds``. cpu_s: processor seconds that the
-    bench's process used, None for a detector elsewhere. load: of the machine, a processor.
+    """The answer on one frame set and its real time; ``cold``: the first call of a process.
+    ``cpu_s`` is None for a detector in another process; ``load`` is that of the machine.
     """
 
     detector: str

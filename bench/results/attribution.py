@@ -52,10 +52,8 @@ class Attributed:
 def attributed(
     run: RunRecord, detector: str, calibration: Calibration | None = None
 ) -> tuple[Attributed, ...]:
-    """All of ``detector`` in the order of the trials; then the trials that were not judged. What is
-    the calibration's is so by the bench's own check of the cameras: a depth that is off, or
-    nothing found at all. By ``calibration`` the answers are asked too: a detector's that don't
-    share the cameras' disparity stay its own.
+    """The faults of ``detector`` in the order of the trials, then the trials that were not judged.
+    An answer that doesn't share the cameras' shift stays the detector's.
     """
     found = []
     check = cameras_of(run.counted)

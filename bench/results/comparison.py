@@ -61,8 +61,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two sides compared. `same_frames` of the pairs have identical frames; `only_old` and
-    `only_new` had no counterpart; of `elsewhere` trials one by name, with its teats at other
+    """Two sides compared; ``elsewhere`` counts trials of one name whose teats stood at other
     places.
     """
 
@@ -231,9 +230,8 @@ def _name(trial: TrialRecord) -> Hashable:
 def judge_folders(
     folders: Sequence[Path], detectors: Sequence[str] = (), damage: tuple[str, ...] = ()
 ) -> tuple[Judgement, ...]:
-    """Each detector that all runs have (of those named, if any), judged by the first run's
-    requirements; ``damage`` is that of their records. Raises ConfigError where there is none, or
-    where the runs were held against other limits.
+    """Each detector that all runs have (of those named), judged by the first run's requirements.
+    Raises ConfigError where there is none, or limits differ.
     """
     runs = [read_run(folder, damage) for folder in folders]
     names = [

@@ -40,9 +40,8 @@ WITHIN = ("time_s", "bath_c")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorRows:
-    """One row a visible teat and trial of one detector, in order of time. ``places_mm`` (n, 3) is
-    the true end; ``found`` (n,); ``errors_mm`` (k, 3) of the found rows. The rest is (n,),
-    not-a-number where not known.
+    """One row a visible teat and trial of one detector, in order of time; ``errors_mm`` (k, 3) are
+    of the ``found`` rows. What is not known is not-a-number.
     """
 
     places_mm: Floats

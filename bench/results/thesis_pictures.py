@@ -35,9 +35,8 @@ STAGES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InPictures:
-    """One row a visible teat end and trial: distances (n, 5) px of the answer nearest to it in each
-    of `PICTURES` and (n, 2) mm unrefined and refined, not-a-number where none is near; whether it
-    lies on the end there (n, 5); ``astray`` by situation: ends that were nominated at no teat.
+    """One row a visible end and trial: distances of its answer in each of `PICTURES` (n, 5) px, and
+    unrefined and refined (n, 2) mm; ``astray``: ends nominated at no teat, by situation.
     """
 
     situations: tuple[str, ...]

@@ -53,10 +53,8 @@ _CHECKS = {when: CHECK_FACT.format(when) for when in (BEFORE, AFTER)}
 
 
 def decide_arm(rule: ArmRequirement, facts: Mapping[str, Any]) -> Decision:
-    """Not met where a check or the dated verification breaks a limit, inconclusive where one is
-    missing or shows too little, not measured where the rig names neither. There is no guard band:
-    the figure is the arm's own error, with the divot's in it. Not met too where touches or lengths
-    refute the uncertainty that the rig states.
+    """Not met where a check or the dated verification breaks a limit, or refutes the stated
+    uncertainty; inconclusive where one is missing. The figure is the arm's own error.
     """
     checks = {when: facts[key] for when, key in _CHECKS.items() if key in facts}
     dated = from_dict(facts[VERIFICATION_FACT]) if VERIFICATION_FACT in facts else None
@@ -284,9 +282,8 @@ def _decide(rule: Requirement, run: RunRecord, scores: Pool, detector: str) -> D
 def decide_detector(
     rule: DetectorRequirement, scores: Pool, timed: Latency, u_mm: float | None
 ) -> Decision:
-    """A detector's requirement held against its scores and times, of one run or of several;
-    ``u_mm`` as ``truth_u_mm`` gives it. A frame set without an answer shows no error, no false teat
-    and no time, so that nothing is met by silence.
+    """A detector's requirement decided on scores and times of one or several runs. Frame sets
+    without an answer show nothing, so that none is met by silence.
     """
     decision = _decided(rule, scores, timed, u_mm)
     silent = timed.silent if isinstance(rule, ErrorRequirement | FalseRequirement) else timed.failed
@@ -379,9 +376,8 @@ _TIMED = (Outcome.ANSWERED.value, Outcome.TIMEOUT.value)
 
 @dataclass(frozen=True, slots=True)
 class Latency:
-    """seconds: what counts, in the order of the trials, with ``poses``, cpu_s and loads (as in
-    `Answer`). cold_s: first calls. start_up_s: the longest of a process. unanswered: how often each
-    outcome but an answer, of ``asked`` calls.
+    """Times in the order of the trials, with pose, processor time and load; first calls stand
+    apart. ``unanswered`` counts each outcome but an answer, of ``asked`` calls.
     """
 
     seconds: tuple[float, ...] = ()

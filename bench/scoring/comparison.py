@@ -65,9 +65,8 @@ class Discordance:
         return min(1.0, 2.0 * float(bdtr(fewer, discordant, 0.5))) if discordant else 1.0
 
     def interval(self, confidence: float = 0.95) -> tuple[float, float] | None:
-        """Score interval of `difference` (Tango, Statistics in Medicine 17, 1998); None where
-        nothing was compared. Approximate: where it and the exact `p_value` disagree, `p_value`
-        decides.
+        """Score interval of `difference` (Tango, Statistics in Medicine 17, 1998), approximate: the
+        exact `p_value` decides. None where nothing was compared.
         """
         estimate = self.difference
         if estimate is None:
@@ -95,9 +94,8 @@ class Discordance:
 
 @dataclass(frozen=True, slots=True)
 class PairedDifference:
-    """Mean over poses of new - old, in the values' unit; each change counts at most `limit`. `low`
-    and `high` are one-sided bounds of confidence (1 + `confidence`) / 2; None where nothing was
-    compared.
+    """Mean over poses of new - old; `low` and `high` are one-sided bounds of confidence (1 +
+    `confidence`) / 2. None where nothing was compared.
     """
 
     poses: int
@@ -262,9 +260,8 @@ class ScenePair:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What differs in one situation, or in all (None): errors in mm of teats that both found, along
-    `axes` absolute; `success` counts poses. `_holm`: adjusted over the situations, None in the
-    pooled row.
+    """What differs in one situation, or in all (None): errors in mm of teats that both found,
+    `success` in poses. `_holm`: adjusted over the situations.
     """
 
     situation: str | None
@@ -309,9 +306,8 @@ def compare(
     seed: int = 0,
     unpaired: int = 0,
 ) -> Compared:
-    """Compare on `pairs`; `unpaired` scenes of the old one have no counterpart. `margin_mm` is by
-    default a twentieth of the limit; without `margin_rate` each scene lost counts. Raises
-    ValueError for no pair, a margin below 0, or a scene with two limits.
+    """Compare on `pairs`. `margin_mm` is by default a twentieth of the limit; without `margin_rate`
+    each scene lost counts. Raises ValueError.
     """
     if not pairs:
         raise ValueError("compare: the two have no scene in common")

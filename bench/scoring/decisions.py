@@ -44,9 +44,8 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
-    """One requirement decided; by default not measured. Figures are in `unit`; `margin` is positive
-    on the good side of `limit`, `uncertainty` one-sided at the rule's confidence. `accept` is an
-    error's acceptance limit.
+    """One requirement decided; by default not measured. ``margin`` is positive on the good side,
+    ``uncertainty`` one-sided; ``accept`` is an error's acceptance limit.
     """
 
     name: str
@@ -83,9 +82,8 @@ def decide_rate(
     shown: Rate | None = None,
     possible: Rate | None = None,
 ) -> Decision:
-    """Is the true rate at least `required`? Met on the exact one-sided lower bound, not met on the
-    upper one. `rate` counts poses. The lower bound is of `shown` (successes that the truth's
-    uncertainty can't turn), the upper one of `possible` (all but the failures that it can't turn).
+    """Is the true rate at least `required`? By exact bounds over poses: the lower of `shown` (sure
+    successes), the upper of `possible` (all but sure failures).
     """
     sure, open_to = shown or rate, possible or rate
     least = trials_needed(sure.failures, required, confidence)
@@ -139,9 +137,8 @@ def decide_time(
     confidence: float = 0.95,
     poses: Sequence[Hashable] | None = None,
 ) -> Decision:
-    """Are the detections (n,) in time? With a `rate` it is inconclusive where the poses show less.
-    A p95 is claimed for 95 %. `poses` names the pose of each time (None: each its own); a pose is
-    in time when all its detections are.
+    """Are the detections (n,) in time? With a `rate` inconclusive where the poses show less. A pose
+    is in time when all its detections are.
     """
     values = as_values(seconds, "seconds")
     if rate is not None and statistic == "p95" and rate != 0.95:
@@ -247,9 +244,8 @@ def decide_error(
     poses: Sequence[Hashable] | None = None,
     missed: int = 0,
 ) -> Decision:
-    """Is the distance (n,) below `limit_mm` in a share `rate` of poses? Decided is the largest.
-    u_mm is that of the truth along an axis; None (not stated) accepts nothing. `missed` have no
-    error.
+    """Is the distance (n,) below `limit_mm` in a share `rate` of poses? Decided on the largest;
+    without u_mm nothing is accepted.
     """
     worst = worst_per_pose(np.abs(as_values(errors_mm, "errors")), poses)
     accept = None if u_mm is None else acceptance_limit_mm(limit_mm, u_mm)

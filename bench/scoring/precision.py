@@ -25,9 +25,8 @@ STUDY_SDS = 6.0  # a study variation is 6 standard deviations: 99.73 % of a norm
 
 @dataclass(frozen=True, slots=True)
 class GageStudy:
-    """Standard deviations along one axis, in the values' unit: touch after touch, set-up after
-    set-up (the interaction included), between teat ends. `interaction_p` is None where it can't be
-    tested.
+    """Standard deviations along one axis: touch after touch, set-up after set-up (with the
+    interaction), between teat ends. `interaction_p` may be None.
     """
 
     parts: int

@@ -117,8 +117,7 @@ def score_scene(
     hidden_claimed: int | None = None,
 ) -> SceneScore:
     """Score findings (n, 3) against teats (m, 3) with flags (m,), world mm; u_mm is the truth's
-    standard uncertainty along an axis. A detection that failed has no findings. Raises ValueError
-    on impossible input.
+    along an axis. Raises ValueError on impossible input.
     """
     found, truth = as_points(found_mm, "found"), as_points(truth_mm, "truth")
     if not (isfinite(seconds) and seconds >= 0.0):

@@ -185,9 +185,8 @@ def error_map(
     *,
     step_mm: float | None = None,
 ) -> tuple[Cell, ...]:
-    """Cells in order of y, then x, of true ends (n, 2), which of them were `found` (n,; None: all),
-    and their errors (k, 3). Cells are squares of `step_mm`, one centred on (0, 0); None: places,
-    rounded to 0.01 mm. Raises ValueError where the numbers of rows don't fit.
+    """Cells in order of y, then x, of true ends (n, 2), which were `found` (n,), and their errors
+    (k, 3). `step_mm` None: cells are places, rounded to 0.01 mm.
     """
     places = np.asarray(places_mm, dtype=np.float64).reshape(-1, 2)
     errors = as_points(errors_mm, "errors")
@@ -229,9 +228,8 @@ LEAST_TREND_POSES = 5  # groups: fewer leave the spread of the slope itself unkn
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """Slope of a response (mm) per unit of a quantity of range `span`, from rows in so many
-    independent groups; None for too few groups, or a quantity that did not vary. `p_holm`: adjusted
-    for all questions.
+    """Slope of a response (mm) per unit of a quantity of range `span`, over independent groups;
+    None where it can't be fitted. `p_holm`: adjusted for all.
     """
 
     quantity: str

@@ -66,9 +66,8 @@ def weighted_rate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposal:
-    """Where to draw scenes in a unit cube: evenly in a share, else by a beta density of each
-    parameter, of shapes ``a`` and ``b`` (d,), fitted to failures (cross-entropy method, Rubinstein
-    and Kroese, 2004).
+    """Where to draw scenes in a unit cube: evenly in a share, else by beta densities fitted to
+    failures (cross-entropy method, Rubinstein and Kroese, 2004).
     """
 
     a: Floats

@@ -135,11 +135,8 @@ class CarryState:
 
 
 class CarriedTruth(TouchedTruth):
-    """Touched once for each thing that stands there, carried by the stage afterwards, checked by
-    touch after ``every`` carried trials (0: only before a rearrangement and at the end) within
-    ``limit_mm``.
-
-    ``settled`` gets the trials that a check has confirmed (True) or invalidated.
+    """Touched once, then carried by the stage, and checked by touch after ``every`` carried trials
+    within ``limit_mm``. ``settled`` gets trials that a check confirmed or invalidated.
     """
 
     def __init__(

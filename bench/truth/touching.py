@@ -61,9 +61,8 @@ class NoTruthError(DeviceError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ends:
-    """What is to be touched: ``expected_mm`` (n, 3) places of all the ends, ``axes`` (n, 3) unit,
-    from base to end. Places not ``known`` well enough to tell teats apart aren't used. ``names``:
-    what each is called, by its number where there are none.
+    """What is to be touched: expected places (n, 3), ``axes`` (n, 3) from base to end, ``names``.
+    Places are used only where they are ``known`` well enough.
     """
 
     expected_mm: Floats
@@ -210,9 +209,8 @@ class Toucher:
 
 
 def touched(tips_mm: Floats, arm: Arm, *, registration_mm: float | None = None) -> TruthPoint:
-    """The mean of readings (n, 3) of one teat end, tip radius already taken off; their scatter
-    enters as the uncertainty of their mean. ``registration_mm`` is the table frame's part, None
-    without one. Raises ValueError without a reading.
+    """The mean of readings (n, 3), tip radius taken off, with its budget; ``registration_mm`` is
+    the table frame's part. Raises ValueError without a reading.
     """
     tips = np.asarray(tips_mm, dtype=np.float64)
     if tips.ndim != 2 or tips.shape[1] != 3 or not len(tips):
@@ -358,10 +356,8 @@ def truth_row(
 
 
 class TouchedTruth:
-    """The truth of trials: every end of every trial is touched. ``stage_mm`` reads back the stage.
-
-    The engine calls `begin` once, then for each trial `before`, `unattended`, `of_trial` and, when
-    it is in the store, `stored`; `end` after the last.
+    """Every end of every trial is touched. The engine calls `begin`, then for each trial `before`,
+    `unattended`, `of_trial` and `stored`, then `end`.
     """
 
     def __init__(self, toucher: Toucher, stage_mm: Callable[[], Triple | None]) -> None:

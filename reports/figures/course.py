@@ -46,11 +46,8 @@ def bath_curve(
     *,
     name: str = "bath-curve",
 ) -> str:
-    """Bath temperature (n,) over time (n,), above; its deviation from the set point at the scale of
-    the band (+- band_k), below.
-
-    `captures_s` (m,): when frames were taken, ticks between the panels. `stable_spans_s`: (start,
-    end) of the times the gate called stable.
+    """Bath temperature (n,) over time (n,), and below its deviation from the set point with the
+    band; ticks at `captures_s`, shaded where the gate called it stable.
     """
     times, temps = together("bath_curve", times_s=times_s, temps_c=temps_c)
     captures = finite("bath_curve", "captures_s", captures_s).ravel()

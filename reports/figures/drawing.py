@@ -116,11 +116,8 @@ _LINKS = re.compile(
 
 
 def draw(name: str, inches: tuple[float, float], plot: Callable[[Figure], None]) -> str:
-    """The SVG of what `plot` draws on a figure of the given width and height; `name` is a slug,
-    unique in the page.
-
-    matplotlib's settings are its own defaults and ours, whatever the user's matplotlibrc says, and
-    are as before when this returns.
+    """The SVG of what `plot` draws; `name` is a slug, unique in the page. A user's matplotlibrc
+    changes nothing, and is as before afterwards.
     """
     checked_slug(name, "figure name")
     with warnings.catch_warnings(), style.context(["default", _SETTINGS]):

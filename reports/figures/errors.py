@@ -130,11 +130,8 @@ def error_scatter(
     place: tuple[int, int] = (0, 1),
     name: str = "error-scatter",
 ) -> str:
-    """Error across (n,) against error along the viewing axis (n,), with the limit as a circle and,
-    dashed, the acceptance limit.
-
-    `links`: for each point the `#id` that a click opens. `place`: the detector's, from 0, of so
-    many. Equal scales, so that the shape of the cloud is the shape of the error.
+    """Error across (n,) against error along the viewing axis (n,), equal scales, with both limits
+    as circles. `links` open on a click; `place`: the detector's, from 0, of so many.
     """
     across, along = together("error_scatter", lateral_mm=lateral_mm, depth_mm=depth_mm)
     if not across.size:

@@ -188,10 +188,8 @@ _MARKERS: tuple[Marker, ...] = get_args(Marker)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorGroup:
-    """The errors of one teat as each view has them: points (n, 2) mm a view, and its ellipsoid's
-    outline (m, 2) mm a view, or none.
-
-    ``links``: for each error the `#id` that a click opens.
+    """The errors of one teat: points (n, 2) mm a view, its ellipsoid's outline (m, 2) mm a view, or
+    none, and the `#id` that a click on each error opens.
     """
 
     name: str

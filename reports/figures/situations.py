@@ -56,10 +56,7 @@ def error_strips(
     links: Mapping[str, Sequence[Sequence[str]]] | None = None,
     name: str = "error-strips",
 ) -> str:
-    """Radial errors (n_k,) of each situation by detector, with the limit.
-
-    `links`: for each error the `#id` that a click opens.
-    """
+    """Radial errors (n_k,) of each situation by detector; `links` open on a click."""
     arrays = {
         detector: [finite("error_strips", f"{detector}[{k}]", one) for k, one in enumerate(each)]
         for detector, each in errors_mm.items()
@@ -198,9 +195,8 @@ def failure_map(
     *,
     name: str = "failure-map",
 ) -> str:
-    """Scenes and failures (rows, columns) counted in cells of two parameters: the first of
-    ``labels`` and ``ranges`` goes along the columns. The redder a cell, the more of it failed,
-    beside the worst.
+    """Scenes and failures (rows, columns) in cells of two parameters, the first along the columns.
+    The redder a cell, the more of it failed.
     """
     all_of, failed = (
         np.atleast_2d(finite("failure_map", what, values)).astype(np.intp)
