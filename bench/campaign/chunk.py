@@ -95,11 +95,6 @@ class SceneRow:
     parameters: str = ""
     shares: Sequence[int] = ()
 
-    @property
-    def no_answer(self) -> bool:
-        """The detector failed to answer, or was too late."""
-        return self.failure not in ("", ASIDE, *WRONG)
-
 
 @dataclass(frozen=True, slots=True)
 class TeatRow:

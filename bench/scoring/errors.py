@@ -95,7 +95,6 @@ class ErrorSummary:
     """Errors in one frame of reference; `components` pools the three axes (3 n values)."""
 
     n: int
-    frame: str
     x: AxisSummary
     y: AxisSummary
     z: AxisSummary
@@ -144,9 +143,8 @@ def summarise(
             raise ValueError("camera_from_world: no proper rotation, so it would change lengths")
         errors = errors @ rotation.T
     x, y, z, components = (summarise_axis(values) for values in (*errors.T, errors.ravel()))
-    frame = "world" if camera_from_world is None else "camera"
     radial = summarise_radial(np.linalg.norm(errors, axis=1))
-    return ErrorSummary(len(errors), frame, x, y, z, components, radial)
+    return ErrorSummary(len(errors), x, y, z, components, radial)
 
 
 def percentile(values: npt.ArrayLike, percent: float) -> float:

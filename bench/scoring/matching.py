@@ -30,7 +30,7 @@ Points = list[list[float]]
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What a match counted; adds field by field."""
+    """What a match counted."""
 
     visible: int = 0
     hidden: int = 0
@@ -38,9 +38,6 @@ class Counts:
     missed: int = 0
     false: int = 0
     on_hidden: int = 0
-
-    def __add__(self, other: Counts) -> Counts:
-        return added((self, other))
 
     @property
     def found(self) -> int:

@@ -47,11 +47,6 @@ class GageStudy:
         return sqrt(self.repeatability**2 + self.reproducibility**2)
 
     @property
-    def total(self) -> float:
-        """With the parts."""
-        return sqrt(self.gage**2 + self.part**2)
-
-    @property
     def distinct_categories(self) -> int:
         """ndc = floor(1.41 part / gage), at least 1: how many sizes of part it can tell apart."""
         return max(1, floor(1.41 * self.part / self.gage)) if self.gage > 0.0 else 1

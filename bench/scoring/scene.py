@@ -188,7 +188,7 @@ def _frozen(errors: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Pool:
-    """Scenes, and the pose of each; pools add."""
+    """Scenes, and the pose of each."""
 
     scores: tuple[SceneScore, ...] = ()
     poses: tuple[Hashable, ...] = ()
@@ -199,9 +199,6 @@ class Pool:
                 f"pool: {len(self.scores)} scores with {len(self.poses)} pose names; name the pose"
                 " of each score"
             )
-
-    def __add__(self, other: Pool) -> Pool:
-        return Pool(self.scores + other.scores, self.poses + other.poses)
 
     @property
     def counts(self) -> Counts:
@@ -269,11 +266,6 @@ class Pool:
     def in_time(self) -> Rate:
         """Poses answered in time in all repeats, of the poses."""
         return self._poses_where(attrgetter("in_time"))
-
-    @property
-    def seconds(self) -> tuple[float, ...]:
-        """The time of each detection."""
-        return tuple(s.seconds for s in self.scores)
 
     @property
     def errors_mm(self) -> Floats:

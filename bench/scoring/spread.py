@@ -164,17 +164,13 @@ def _ellipsoid(
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One cell: its centre, teats there, how many were found, and of these the mean error (signed,
-    world axes) and the distances, mm; None where nothing was found.
-    """
+    """A cell's centre, teats, how many were found, their mean and largest distance, mm."""
 
     x_mm: float
     y_mm: float
     teats: int
     found: int
-    bias_mm: tuple[float, float, float] | None = None
     mean_mm: float | None = None
-    rms_mm: float | None = None
     max_mm: float | None = None
 
 
@@ -208,18 +204,10 @@ def error_map(
     distance = np.linalg.norm(errors, axis=1)
     worst = np.zeros(count)
     np.maximum.at(worst, here, distance)
-    columns = (*errors.T, distance, distance**2)
-    x, y, z, mean, square = (
-        np.bincount(here, column, minlength=count) / np.maximum(n, 1) for column in columns
-    )
-    table = np.column_stack([x, y, z, mean, np.sqrt(square), worst]).tolist()
-    rows = zip(centres.tolist(), teats.tolist(), n.tolist(), table, strict=True)
-    return tuple(
-        Cell(at_x, at_y, all_teats, k, (m[0], m[1], m[2]), m[3], m[4], m[5])
-        if k
-        else Cell(at_x, at_y, all_teats, 0)
-        for (at_x, at_y), all_teats, k, m in rows
-    )
+    mean = np.bincount(here, distance, minlength=count) / np.maximum(n, 1)
+    columns = (*centres.T, teats, n, mean, worst)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return tuple(Cell(*row) if row[3] else Cell(*row[:4]) for row in rows)
 
 
 RESPONSES = ("x", "y", "z", "distance")

@@ -92,11 +92,6 @@ class TruthPoint:
             alike * np.eye(3) + (0.0 if self.carry_mm2 is None else np.array(self.carry_mm2))
         )
 
-    def holds(self, point_mm: Iterable[float]) -> bool:
-        """Whether the stated 95 % region, an ellipsoid, holds a point (3,)."""
-        off = np.asarray(tuple(point_mm), dtype=np.float64) - np.array(self.point_mm)
-        return bool(off @ np.linalg.solve(self.covariance_mm2, off) <= CHI2_95)
-
 
 def triple(vector: Iterable[float]) -> Triple:
     x, y, z = (float(v) for v in vector)

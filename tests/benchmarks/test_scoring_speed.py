@@ -80,7 +80,13 @@ def whole(truth: Floats, found: Floats) -> tuple[ErrorSummary, list[Decision], T
             scenes=len(together.scores),
             per_pose=together.worst_false,
         ),
-        decide_time("time", together.seconds, limit_s=1.0, statistic="p95", poses=together.poses),
+        decide_time(
+            "time",
+            [s.seconds for s in together.scores],
+            limit_s=1.0,
+            statistic="p95",
+            poses=together.poses,
+        ),
     ]
     assert together.hidden_right.trials == together.in_time.trials == -(-len(truth) // 3)
     places = np.concatenate(
