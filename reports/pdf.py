@@ -72,7 +72,7 @@ def print_pdf(
         if not made.startswith(b"%PDF-"):
             raise PageError(
                 f"{target}: {browser} ended with code {code} and printed nothing:"
-                f" {said or 'no word of it'}"
+                f" {said or 'no output'}"
             )
         draft.write_bytes(travelling(made, target.resolve().parent))
         draft.replace(target)
@@ -84,7 +84,7 @@ def print_pdf(
 
 
 def _printed(browser: str, address: str, draft: Path, time_limit_s: float) -> tuple[int, str]:
-    """The browser's exit code and its last words."""
+    """The browser's exit code and its last lines of output."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [browser, *SWITCHES, f"--user-data-dir={profile}"]
         if hasattr(os, "geteuid") and os.geteuid() == 0:

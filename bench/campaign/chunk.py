@@ -57,7 +57,7 @@ class Scene:
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
     """What is the same for all scenes; made once a process. ``exact``: the cameras are drawn by the
-    calibration, which states no uncertainty, so detectors are told that it is exact.
+    calibration, which states no uncertainty, so detectors get it as exact.
     """
 
     renderer: Renderer
@@ -174,8 +174,8 @@ def run_scene(bench: Bench, scene: Scene, found: Situation | None = None) -> Row
 
 
 def draw_scene(bench: Bench, scene: Scene, found: Situation) -> tuple[Drawn, Calibration]:
-    """What detectors get of a scene, all perturbations done to it, with its truth; and what they
-    are told of the cameras. Raises ValueError for one that can't be drawn before these cameras.
+    """The frames of a scene, perturbed, with its truth; and the calibration that detectors get.
+    Raises ValueError for one that can't be drawn before these cameras.
     """
     seeds = (bench.seed, scene.member, *scene.family.encode())
     stated = bench.calibration

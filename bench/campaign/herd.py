@@ -125,7 +125,7 @@ class Cow:
         return replace(usual, base_mm=(float(base_mm[0]), float(base_mm[1])), shape=shape)
 
 
-def tell(store: VisitStore, name: str, cow: Cow, chance: np.random.Generator) -> None:
+def record_visits(store: VisitStore, name: str, cow: Cow, chance: np.random.Generator) -> None:
     """Add a cow's confirmed ends: those that were attached, hidden ones only now and then."""
     sure = ATTACHED_MM**2 * np.eye(3)
     for stand in cow.stands:
@@ -151,7 +151,7 @@ def run_herd(
     folder.mkdir(parents=True, exist_ok=True)
     store, chance = VisitStore(folder / VISITS), np.random.default_rng([seed, *b"attached"])
     for number in range(cows):
-        tell(store, str(number), Cow(seed, number, visits), chance)
+        record_visits(store, str(number), Cow(seed, number, visits), chance)
     jobs = [(folder, seed, number, cows, visits) for number in range(cows)]
     guesses: list[Guess] = []
     with ExitStack() as stack:

@@ -1,6 +1,6 @@
 """What a cowshed does to cameras, as a table: each perturbation is a name, an amount and a pure
 change of the scene before it is drawn, of the pictures that the detectors get, or of the
-calibration that they are told. The scene's truth stays.
+calibration that they are given. The scene's truth stays.
 
 Chance (where dirt lies, noise, which quarter is cool) comes from the scene's seeds and the
 perturbation's name, so that a scene is perturbed alike in every campaign of the same seed.

@@ -124,7 +124,7 @@ class _Worker:
         self.ask(replace(part.whole.chunk, members=part.left[:1] if part.alone else part.left))
 
     def ask(self, value: object) -> None:
-        with suppress(OSError):  # a dead one says so itself
+        with suppress(OSError):  # its end is a message of its own
             pickle.dump(value, self._requests)
             self._requests.flush()
 

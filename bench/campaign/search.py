@@ -198,7 +198,7 @@ class _Search:
         best, stale = start.grade_mm, 0
         while stale < STALE:
             asked = (steps.ask() for _ in count())
-            told, better = [], False
+            graded, better = [], False
             for _ in range(steps.population_size):
                 try:
                     one = next(_tried(self._evaluate, asked))
@@ -212,8 +212,8 @@ class _Search:
                 worth = 0.0 if one.failed else one.grade_mm
                 better |= worth > best
                 best = max(best, worth)
-                told.append((one.point, -worth))
-            steps.tell(told)
+                graded.append((one.point, -worth))
+            steps.tell(graded)
             stale = 0 if better else stale + 1
 
 

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
 
 CHECK_VIEWS = 5
 SHOWN = 3  # pictures that are left out
+tell = partial(print, flush=True)  # for the person at the rig
 STEREO = ViewsRequest()
 FOLDERS = "folders of pictures (FRAMES)"
 
@@ -411,11 +413,6 @@ def _opened(
             return taken()
 
         yield parts, rig, look
-
-
-def tell(text: str) -> None:
-    """What goes on, for the person at the rig."""
-    print(text, flush=True)
 
 
 # Boards, other tools, the stage

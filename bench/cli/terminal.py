@@ -108,7 +108,7 @@ class TerminalProgress:
             )
 
     def say(self, text: str) -> None:
-        """A line that stays, above what moves; whether anybody sees it changes nothing."""
+        """A line that stays above the bar; a failure to show it is ignored."""
         with suppress(*FAILURES):
             self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 

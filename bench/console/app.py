@@ -52,7 +52,7 @@ class Lease:
     since: str = ""
 
     def held_by(self, client: str, name: str) -> bool:
-        """Whether ``client`` has it; one that nobody has is given."""
+        """Whether ``client`` has it; a free one is given."""
         if not self.client and client:
             self.take(client, name)
         return bool(client) and self.client == client
@@ -62,7 +62,7 @@ class Lease:
         self.since = wall_time().isoformat(timespec="seconds")
 
     def as_seen_by(self, client: str) -> dict[str, Any]:
-        """Who has it; the other's number is nobody's business."""
+        """Who has it, without the other's number."""
         return {"mine": self.client == client, "name": self.name, "since": self.since}
 
 

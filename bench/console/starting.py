@@ -25,7 +25,7 @@ LOGS = ".console"  # in the folder of runs
 BEGIN_S, POLL_S = 60.0, 0.2
 NOT_RUNNABLE = ("thesis-test-2",)  # pixel offsets: no instrument takes part
 BEGUN = re.compile(r"Run folder: (.+)$", re.MULTILINE)
-TAIL = 4000  # characters of what a run that didn't begin said
+TAIL = 4000  # characters of the output of a run that didn't begin
 
 
 class NotStartedError(Exception):
@@ -114,7 +114,7 @@ def start(arguments: Sequence[str], runs: Path, clock: Clock, known: str = "") -
         if begun := BEGUN.search(text):
             return known or Path(begun[1].strip()).name
         if process.poll() is not None or clock.now() >= end_s:
-            raise NotStartedError(text[-TAIL:].strip() or "the run said nothing and ended")
+            raise NotStartedError(text[-TAIL:].strip() or "the run ended without output")
         clock.sleep(POLL_S)
 
 

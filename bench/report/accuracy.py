@@ -194,7 +194,7 @@ def limit_parts(run: RunRecord, calibration: Calibration) -> Iterator[Part]:
 
 
 def limit_table(ends_mm: Floats, calibration: Calibration) -> Table:
-    """The limit at world points (n, 3), n > 0, told by distance from the right camera."""
+    """The limit at world points (n, 3), n > 0, by distance from the right camera."""
     depth = calibration.world_from_right.inverse().apply(ends_mm)[:, 2]
     per_px = calibration.depth_per_disparity_px_mm(ends_mm)
     # expanded, along the worst direction; 0 where a camera can't see it
@@ -267,7 +267,7 @@ def gage_parts(run: RunRecord, limit_mm: float) -> Iterator[Part]:
         " | >reproducibility [mm] ~.3f # set-up after set-up, the interaction with the end included"
         " | >gage R&R [mm] ~.3f | >between ends [mm] ~.3f | >of the tolerance [%] ~.1f"
         " # 6 gage over the whole width: below 10 % is good, above 30 % not acceptable"
-        " | >ndc # how many sizes of part it can tell apart"
+        " | >ndc # how many sizes of part it can distinguish"
     )
     lines = []
     for axis, s in zip("xyz", found.studies, strict=True):

@@ -98,7 +98,7 @@ def _page(
         rows.append((SEEN, "every part, tilt and distance", (score,)))
     heads = ("Looked at", "Good enough is")
     board = Scoreboard("Is it good enough?", columns, tuple(rows), heads, HINTS)
-    who = {"day": record.made, "by": record.by or "not told", "with": record.with_what}
+    who = {"day": record.made, "by": record.by or "not stated", "with": record.with_what}
     files = [(name, Cell(digest, mono=True)) for name, digest in record.inputs.items()]
     made = (
         key_values("Made", {**who, **record.cameras}),

@@ -218,8 +218,8 @@ def _figures(numbers: Numbers, plan: Plan) -> Iterator[Figure]:
     )
     yield Figure(
         rate_intervals(names, rates),
-        "Failure rates with 95 % intervals. Intervals that overlap much don't tell two detectors"
-        " apart; 'teatbench campaign compare' does, scene by scene.",
+        "Failure rates with 95 % intervals. Intervals that overlap much don't separate two"
+        " detectors; 'teatbench campaign compare' does, scene by scene.",
         alt,
     )
     spreads = {

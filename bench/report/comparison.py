@@ -298,7 +298,7 @@ def comparison_page(found: Sequence[Comparison]) -> Page:
         tuple(sorted(sections, key=lambda section: section.folded)),
         alarm=f"{NOT_AS_WRITTEN}: no figure below holds." if damaged else "",
     )
-    said = {term: f"{term.name} {term.says}" for term in TERMS}
+    said = {term: f"{term.name} {term.meaning}" for term in TERMS}
     terms = tuple(term for term, text in said.items() if worded(found[0], text) == text)
     return replace(worded(found[0], page), glossary=terms)
 

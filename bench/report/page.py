@@ -466,7 +466,7 @@ def record_parts(run: RunRecord) -> Iterator[Part]:
 
 
 def _chain(run: RunRecord) -> dict[str, str]:
-    """The record's chain, by which `teatbench store check` tells whether it was changed."""
+    """The record's chain, by which `teatbench store check` finds a change."""
     if run.head is None or not run.head.number:
         return {"record's digest": "none: the bench that wrote the record made no chain"}
     return {

@@ -124,7 +124,7 @@ NOTE = (
     "Errors of one pose are not independent, so the slope's error is the jackknife over poses;"
     " where poses are repeated, time and bath are asked within them. All p-values of the table are"
     " adjusted together (Holm).\n“No trend shown” doesn't say that there is none: it says that"
-    " chance alone explains what was seen. As far as these poses tell, a trend may still make, over"
+    " chance alone explains what was seen. As far as these poses show, a trend may still make, over"
     " the whole range, as much as the column “could be up to” says; more poses over a wider range"
     " narrow it."
 )

@@ -619,7 +619,7 @@ def is_offset_run(folder: Path) -> bool:
 def run_offsets(rig: LoadedRig, path: Path, out: Path) -> Path:
     """Run the script on the rig's calibration; return the run's folder. Raises ConfigError."""
     loaded = load_offsets(path)
-    outcomes(loaded, rig.calibration)  # what can't be computed is told before there is a folder
+    outcomes(loaded, rig.calibration)  # refuses what can't be computed before there is a folder
     files = {SCRIPT: loaded.text, "rig.toml": rig.text}
     files[CALIBRATION] = read_text(rig.calibration_path)
     if loaded.script.layout.endswith(".toml"):

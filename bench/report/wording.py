@@ -224,20 +224,20 @@ def _why_ended(run: RunRecord) -> str:
 def guardian_text(record: Mapping[str, Any]) -> str:
     """What happened to the bench and when, and whether the guardian reached standby."""
     when, why = record["wall_noticed"], record["why"]
-    befell = {
+    what = {
         "died": f"The bench died at {when}",
         "hung": f"The bench hung ({why}); its last sign of life was at {record['wall_last_sign']}",
         "gave up": f"At {when} the bench gave up: {why}",
     }[record["cause"]]
     if not record["standby"]:
         return (
-            f"{befell}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
+            f"{what}; THE GUARDIAN COULD NOT REACH THE BATH in {record['tries']} tries"
             f" ({record['error']}): switch it off by hand."
         )
     more = " The hung bench kept the port and was ended." if record.get("killed") else ""
     more += f" The pump {record['pump']}." if "pump" in record else ""
     return (
-        f"{befell}; the guardian had the bath in standby at {record['wall_safe']},"
+        f"{what}; the guardian had the bath in standby at {record['wall_safe']},"
         f" {record['seconds']:.1f} s after it took notice.{more}"
     )
 

@@ -48,7 +48,7 @@ class GageStudy:
 
     @property
     def distinct_categories(self) -> int:
-        """ndc = floor(1.41 part / gage), at least 1: how many sizes of part it can tell apart."""
+        """ndc = floor(1.41 part / gage), at least 1: how many sizes of part it distinguishes."""
         return max(1, floor(1.41 * self.part / self.gage)) if self.gage > 0.0 else 1
 
     def share_of_tolerance(self, tolerance: float) -> float:

@@ -27,7 +27,7 @@ from reports.figures.drawing import (
     not_measured,
     plain,
     row_names,
-    telling,
+    subsample,
     together,
 )
 
@@ -57,7 +57,7 @@ def bath_curve(
         return not_measured(name, inches, "the bath gave no reading")
     shown = envelope(temps)
     minutes, temps = times[shown] / 60, temps[shown]
-    captures = captures[telling(captures, _MOST_CAPTURES)]
+    captures = captures[subsample(captures, _MOST_CAPTURES)]
     single = "o" if minutes.size == 1 else ""
 
     def plot(figure: Figure) -> None:
@@ -122,7 +122,7 @@ def latency_strip(
 
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
-        order, shown = np.arange(1, times.size + 1), telling(times)
+        order, shown = np.arange(1, times.size + 1), subsample(times)
         marks(axes, order[shown], times[shown])
         top = 1.12 * max(float(times.max()), *limits_s, 1e-6)
         axes.set(xlim=(0.5, times.size + 0.5), ylim=(0, top))

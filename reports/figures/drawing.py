@@ -337,7 +337,7 @@ MOST_POINTS = 200  # in one plot
 MOST_STEPS = 400  # of a curve
 
 
-def telling(weight: Floats, most: int = MOST_POINTS) -> NDArray[np.intp]:
+def subsample(weight: Floats, most: int = MOST_POINTS) -> NDArray[np.intp]:
     """Indices of at most `most` of n points: of greatest `weight` (n,), and some of the rest."""
     if weight.size <= most:
         return np.arange(weight.size)

@@ -36,7 +36,7 @@ from reports.figures.drawing import (
     not_measured,
     plain,
     row_names,
-    telling,
+    subsample,
     together,
 )
 
@@ -62,7 +62,7 @@ def change_scatter(
         axes.plot([0, reach], [0, reach], color=COLOURS["muted"], linewidth=0.8)
         axes.axhline(limit_mm, color=COLOURS["limit"], linewidth=1)
         axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1)
-        drawn = telling(np.abs(new - old))
+        drawn = subsample(np.abs(new - old))
         for grown, role in ((new > old, "limit"), (new <= old, "good")):
             linked(axes, old, new, drawn[grown[drawn]], role=role, alpha=0.75)
         grew: list[LegendEntry] = [("grew", "limit", "o"), ("not grown", "good", "o")]
@@ -144,7 +144,7 @@ def error_scatter(
         cross_and_circle(axes, reach, limit_mm, 1.4)
         if accept_mm is not None:
             circle(axes, accept_mm, "accept", linewidth=1, linestyle="--")
-        drawn = telling(np.hypot(across, along))
+        drawn = subsample(np.hypot(across, along))
         role, form = detector_look(*place)
         linked(axes, across, along, drawn, links, role=role, marker=form, alpha=0.7)
         legend(figure, limits(limit_mm, accept_mm))
@@ -234,7 +234,7 @@ def _strip(axes: Axes, row: int, values: Floats, most: int) -> None:
         muted = COLOURS["muted"]
         axes.text(0, row, "not measured", ha="center", va="center", color=muted, fontsize=7.5)
         return
-    drawn = values[telling(np.abs(values), most)]
+    drawn = values[subsample(np.abs(values), most)]
     marks(axes, drawn, row + 0.11 * (np.arange(drawn.size) % 5 - 2), size=3, alpha=0.6)
     mean = float(values.mean())
     axes.plot([mean, mean], [row - 0.36, row + 0.36], color=COLOURS["ink"], linewidth=1.6)
@@ -258,7 +258,7 @@ def teat_boxes(
         ours, line = COLOURS["ours"], {"color": COLOURS["ours"], "linewidth": 1.1}
         boxes = [cbook.boxplot_stats(arrays[k])[0] for k in places]
         for box in boxes:
-            box["fliers"] = box["fliers"][telling(box["fliers"], _MOST_BEYOND)]
+            box["fliers"] = box["fliers"][subsample(box["fliers"], _MOST_BEYOND)]
         fliers = {"marker": "o", "markersize": 3, "markerfacecolor": ours, "markeredgewidth": 0}
         axes.bxp(
             boxes,
@@ -301,7 +301,7 @@ def error_drift(
     def plot(figure: Figure) -> None:
         axes = figure.add_subplot()
         role, form = detector_look(*place)
-        drawn = telling(errors)
+        drawn = subsample(errors)
         linked(axes, time, errors, drawn, links, role=role, marker=form, size=16, alpha=0.7)
         entries: list[LegendEntry] = [("one teat end", role, form)]
         if np.ptp(time) > 0:

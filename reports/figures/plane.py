@@ -31,7 +31,7 @@ from reports.figures.drawing import (
     linked,
     not_measured,
     plain,
-    telling,
+    subsample,
 )
 
 _INCHES = (WIDE_INCHES, 5.6)
@@ -74,7 +74,7 @@ class TeatPlaces:
 
     def thinned(self, most: int) -> TeatPlaces:
         """At most so many discs and so many triangles."""
-        found, gone = telling(self.errors, most), telling(np.zeros(len(self.missed)), most)
+        found, gone = subsample(self.errors, most), subsample(np.zeros(len(self.missed)), most)
         return TeatPlaces(
             self.name,
             self.places[found],
@@ -220,7 +220,7 @@ def error_regions(
     reach = 1.08 * min(max(float(everything), farthest), _BEYOND * farthest)
     each = _MOST_MARKS // (len(groups) * len(views))
     drawn = [
-        telling(np.max([np.hypot(*flat.T) for flat in cloud], axis=0), each) for cloud in clouds
+        subsample(np.max([np.hypot(*flat.T) for flat in cloud], axis=0), each) for cloud in clouds
     ]
 
     def plot(figure: Figure) -> None:

@@ -32,7 +32,7 @@ from reports.figures.drawing import (
     not_measured,
     plain,
     row_names,
-    telling,
+    subsample,
 )
 
 T = TypeVar("T")
@@ -76,7 +76,7 @@ def error_strips(
                 _muted(axes, 0, y, " none found")
                 continue
             rows = y + step * 0.13 * (np.arange(one.size) % 5 - 2).astype(np.float64)
-            of, drawn = opened[at] if opened else None, telling(one, most)
+            of, drawn = opened[at] if opened else None, subsample(one, most)
             linked(axes, one, rows, drawn, of, role=role, size=11, alpha=0.7, marker=form)
         axes.axvline(limit_mm, color=COLOURS["limit"], linewidth=1.4)
         axes.set(xlim=(0, 1.06 * max(limit_mm, *largest)), xlabel="distance to the teat end (mm)")

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from reports.figures.course import Slope, bath_curve, found_bars, latency_strip, slope_intervals
-from reports.figures.drawing import COLOURS, MOST_POINTS, envelope, legend, plain, telling
+from reports.figures.drawing import COLOURS, MOST_POINTS, envelope, legend, plain, subsample
 from reports.figures.errors import (
     change_scatter,
     error_drift,
@@ -305,7 +305,7 @@ def test_a_legend_stays_within_its_drawing(width_in: float) -> None:
 @given(st.lists(st.floats(0, 100), max_size=300), st.integers(2, 50))
 def test_the_heaviest_are_kept_and_no_more_than_asked(values: list[float], most: int) -> None:
     weight = np.array(values)
-    kept = telling(weight, most)
+    kept = subsample(weight, most)
     assert len(kept) == len(set(kept.tolist())) == min(most, len(values))
     assert list(kept) == sorted(kept)
     if len(values):
