@@ -439,8 +439,8 @@ def _grown_in(situations: Sequence[Row], margin_mm: float) -> tuple[list[str], l
             shown.append(f"{grew}, more than the margin of {margin_mm:g} mm (adjusted p = {p:.3f})")
         else:
             perhaps.append(
-                f"{grew}, which {row.poses} poses don't distinguish from chance: compare on more poses"
-                " of it"
+                f"{grew}, which {row.poses} poses don't distinguish from chance: compare on more"
+                " poses of it"
             )
     return shown, perhaps
 
