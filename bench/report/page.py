@@ -39,6 +39,7 @@ from bench.results.verdicts import (
     judge,
     latency_of,
     scored,
+    scored_trials,
     stored_rules,
     truth_u_mm,
 )
@@ -298,8 +299,7 @@ def _links(run: RunRecord, detector: str, situation: str | None = None) -> list[
     """The trial of each error, in the order of `scored`."""
     return [
         f"#{trial_id(trial)}"
-        for trial in run.counted
-        if detector in trial.scores and situation in (None, trial.head["situation"])
+        for trial in scored_trials(run, detector, situation)
         for _ in trial.scores[detector].errors_mm
     ]
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.record.check import NOT_AS_WRITTEN, shortened
 from bench.record.reader import RunRecord
-from bench.results.verdicts import Judgement, run_verdict
+from bench.results.verdicts import Judgement, calls_of, run_verdict
 from bench.scoring.decisions import Decision, Verdict
 from bench.scoring.rates import percent_apart
 from detector.protocol import Outcome
@@ -176,7 +176,7 @@ def headlines(run: RunRecord, judgements: Sequence[Judgement]) -> tuple[str, str
 
 def _silence(run: RunRecord, detector: str) -> Iterator[str]:
     """How often it gave no answer, with the last reason and the last line that it wrote."""
-    rows = [row for trial in run.counted for row in trial.detections if row["detector"] == detector]
+    rows = [row for _, row in calls_of(run, detector)]
     silent = [row for row in rows if row["outcome"] != Outcome.ANSWERED.value]
     if not silent:
         return

@@ -22,16 +22,17 @@ from bench.record.schema import SCRIPT
 from bench.results.verdicts import (
     DetectorRequirement,
     Judgement,
-    Latency,
+    calls_of,
     decide_detector,
     held_back,
-    latency_of,
+    latency,
+    scored_trials,
     stored_rules,
     truth_u_mm,
 )
 from bench.scoring.comparison import Compared, Gate, ScenePair, compare
 from bench.scoring.decisions import Verdict
-from bench.scoring.scene import Pool
+from bench.scoring.scene import Pool, pool
 from instruments.camera.recording import FILES
 
 SAME_PLACE_MM = 10.0  # a hand sets a phantom up within a few mm; scripts move it by 25 mm
@@ -56,7 +57,7 @@ class Side:
     @property
     def trials(self) -> tuple[TrialRecord, ...]:
         """The trials that count and were scored."""
-        return tuple(trial for trial in self.run.counted if self.detector in trial.scores)
+        return tuple(scored_trials(self.run, self.detector))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +80,12 @@ def scored_together(runs: Sequence[RunRecord], detector: str) -> Pool:
     """The scores of one detector over several runs as one. A pose of one script, or of one
     recording, is the same pose in every run of it; poses of two scripts differ.
     """
-    sides = [(Side(run, detector), poses_of(run)) for run in runs]
-    rows = [((poses, trial.pose), trial) for side, poses in sides for trial in side.trials]
-    return Pool(tuple(trial.scores[detector] for _, trial in rows), tuple(pose for pose, _ in rows))
+    scores, poses = [], []
+    for run in runs:
+        trials, of = scored_trials(run, detector), poses_of(run)
+        scores += [trial.scores[detector] for trial in trials]
+        poses += [(of, trial.pose) for trial in trials]
+    return pool(scores, poses)
 
 
 def compare_folders(
@@ -247,26 +251,14 @@ def judge_folders(
     for name in names:
         for other in runs[1:]:
             check_limits(Side(runs[0], name), Side(other, name))
-        scores, timed = scored_together(runs, name), timed_together(runs, name)
+        scores, rows = scored_together(runs, name), []
+        for run in runs:
+            of = poses_of(run)
+            rows += [((of, pose), row) for pose, row in calls_of(run, name)]
         u_mm = truth_u_mm(runs, scores, name)
-        decisions = (decide_detector(rule, scores, timed, u_mm) for rule in held)
+        decisions = (decide_detector(rule, scores, latency(rows), u_mm) for rule in held)
         found.append(Judgement(name, held_back(decisions, runs[0].damage)))
     return tuple(found)
-
-
-def timed_together(runs: Sequence[RunRecord], detector: str) -> Latency:
-    """The times of one detector over several runs, each with its pose."""
-    parts = [latency_of(run, detector) for run in runs]
-    names = [poses_of(run) for run in runs]
-    poses = [(name, pose) for name, part in zip(names, parts, strict=True) for pose in part.poses]
-    return Latency(
-        seconds=tuple(s for part in parts for s in part.seconds),
-        unanswered=sum((Counter(part.unanswered) for part in parts), Counter()),
-        poses=tuple(poses),
-        cpu_s=tuple(s for part in parts for s in part.cpu_s),
-        loads=tuple(load for part in parts for load in part.loads),
-        asked=sum(part.asked for part in parts),
-    )
 
 
 def judgement_lines(judgement: Judgement) -> Iterator[str]:

@@ -19,6 +19,7 @@ import numpy as np
 from bench.config import read_config
 from bench.record.reader import RunRecord
 from bench.record.schema import SCRIPT
+from bench.results.verdicts import scored_trials
 from bench.scoring.errors import Bools, Floats
 from bench.scoring.precision import GageStudy, Precision, gage_study, precision
 from bench.scoring.spread import (
@@ -120,10 +121,8 @@ def error_rows(run: RunRecord, detector: str, situation: str | None = None) -> E
     rows: list[tuple[float | None, ...]] = []
     names: list[tuple[str, str, str]] = []
     errors: list[Floats] = []
-    for trial in run.counted:
-        score = trial.scores.get(detector)
-        if score is None or situation not in (None, trial.head["situation"]):
-            continue
+    for trial in scored_trials(run, detector, situation):
+        score = trial.scores[detector]
         at = {teat: row for row, (_, teat) in enumerate(score.match.pairs)}
         for index, truth in enumerate(trial.truth):
             if not truth["visible"]:

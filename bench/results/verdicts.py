@@ -15,8 +15,8 @@ import numpy as np
 
 from bench.config import read_config
 from bench.record.check import NOT_AS_WRITTEN
-from bench.record.reader import RunRecord
-from bench.record.schema import RULES, SCRIPT
+from bench.record.reader import RunRecord, TrialRecord
+from bench.record.schema import RULES, SCRIPT, Row
 from bench.results.cameras_agree import cameras_of, decide_cameras
 from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, arm_checks, too_small
 from bench.rig.arm_files import Limits, LocationTest, Verification, broken_by, from_dict, gaps_of
@@ -253,11 +253,29 @@ def run_verdict(judgements: Sequence[Judgement]) -> Verdict:
     return overall(judgement.verdict for judgement in judgements)
 
 
-def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
-    """The scores of one detector, with the pose of each; of one situation where named."""
-    trials = [
+def scored_trials(run: RunRecord, detector: str, situation: str | None = None) -> list[TrialRecord]:
+    """The trials that count and were scored; of one situation where named."""
+    return [
         t for t in run.counted if detector in t.scores and situation in (None, t.head["situation"])
     ]
+
+
+def calls_of(
+    run: RunRecord, detector: str, situation: str | None = None
+) -> list[tuple[Hashable, Row]]:
+    """The pose and row of each call of a detector; of one situation where named."""
+    return [
+        (trial.pose, row)
+        for trial in run.counted
+        if situation in (None, trial.head["situation"])
+        for row in trial.detections
+        if row["detector"] == detector
+    ]
+
+
+def scored(run: RunRecord, detector: str, situation: str | None = None) -> Pool:
+    """The scores of one detector, with the pose of each; of one situation where named."""
+    trials = scored_trials(run, detector, situation)
     return pool([t.scores[detector] for t in trials], [t.pose for t in trials])
 
 
@@ -360,7 +378,7 @@ def _fails_without_time(rule: DetectorRequirement, scores: Pool) -> bool:
 
 def truth_u_mm(runs: Sequence[RunRecord], scores: Pool, detector: str) -> float | None:
     """The largest uncertainty of a truth scored against; None where one of them states none."""
-    trials = [trial for run in runs for trial in run.counted if detector in trial.scores]
+    trials = [trial for run in runs for trial in scored_trials(run, detector)]
     seen = [row["u_mm"] for trial in trials for row in trial.truth if row["visible"]]
     return None if None in seen else max((score.u_mm for score in scores.scores), default=0.0)
 
@@ -442,13 +460,11 @@ class Latency:
 
 def latency_of(run: RunRecord, detector: str, situation: str | None = None) -> Latency:
     """The times of one detector over the trials that count; of one situation where named."""
-    rows = [
-        (trial.pose, row)
-        for trial in run.counted
-        if situation in (None, trial.head["situation"])
-        for row in trial.detections
-        if row["detector"] == detector
-    ]
+    return latency(calls_of(run, detector, situation))
+
+
+def latency(rows: Sequence[tuple[Hashable, Row]]) -> Latency:
+    """The times of calls, each with its pose."""
     timed = [(pose, row) for pose, row in rows if row["outcome"] in _TIMED]
     warm = [(pose, row) for pose, row in timed if not row["cold"]]
     outcomes = Counter(row["outcome"] for _, row in rows)
