@@ -24,12 +24,10 @@ from bench.scoring.errors import Bools, Floats
 from bench.scoring.precision import GageStudy, Precision, gage_study, precision
 from bench.scoring.spread import (
     BiasTest,
-    Cell,
     Ellipsoid,
     Trend,
     bias_ellipsoid,
     bias_test,
-    error_map,
     pose_means,
     prediction_ellipsoid,
     trends,
@@ -147,11 +145,6 @@ def run_trends(rows: ErrorRows) -> tuple[Trend, ...]:
     repeated = any(count > 1 for count in Counter(strata).values())
     within: Mapping[str, tuple[Hashable, ...]] = dict.fromkeys(WITHIN, strata) if repeated else {}
     return trends(rows.quantities, rows.errors_mm, poses, within=within, within_groups=trials)
-
-
-def plane_cells(rows: ErrorRows, step_mm: float | None = None) -> tuple[Cell, ...]:
-    """The error map of the plane; without a step a cell is a place."""
-    return error_map(rows.places_mm[:, :2], rows.errors_mm, rows.found, step_mm=step_mm)
 
 
 def run_bias(rows: ErrorRows) -> Bias:

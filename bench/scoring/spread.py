@@ -1,8 +1,7 @@
-"""How errors spread: ellipsoids, the error map of the plane, and what errors depend on.
+"""How errors spread: ellipsoids, and what errors depend on.
 
 Ellipsoids of the next error and of the bias rest on Hotelling's T^2 (Chew, JASA 61, 1966); their
-rows have to be independent: the mean of each pose (`pose_means`). What was missed is counted in its
-cell of the map, else it would look best where the detector finds least.
+rows have to be independent: the mean of each pose (`pose_means`).
 
 A trend is a line through errors against place, time, temperature or tilt. Rows of one pose share
 its error: the slope's standard error is the jackknife over poses (Efron and Stein, Annals of
@@ -23,7 +22,7 @@ import numpy.typing as npt
 from scipy.special import chdtri, fdtrc, fdtri, stdtr, stdtrit
 
 from bench.scoring.comparison import holm
-from bench.scoring.errors import Bools, Floats, as_points, as_values, numbered
+from bench.scoring.errors import Floats, as_points, as_values, numbered
 
 AXES = 3
 # rows: one more than the covariance needs, so that something is left to judge it by
@@ -160,54 +159,6 @@ def _ellipsoid(
     values, vectors = np.linalg.eigh(np.cov(errors.T))
     half = factor * np.sqrt(np.maximum(values[::-1], 0.0))
     return Ellipsoid(n, errors.mean(axis=0), half, np.ascontiguousarray(vectors[:, ::-1].T))
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """A cell's centre, teats, how many were found, their mean and largest distance, mm."""
-
-    x_mm: float
-    y_mm: float
-    teats: int
-    found: int
-    mean_mm: float | None = None
-    max_mm: float | None = None
-
-
-def error_map(
-    places_mm: npt.ArrayLike,
-    errors_mm: npt.ArrayLike,
-    found: npt.ArrayLike | None = None,
-    *,
-    step_mm: float | None = None,
-) -> tuple[Cell, ...]:
-    """Cells in order of y, then x, of true ends (n, 2), which were `found` (n,), and their errors
-    (k, 3). `step_mm` None: cells are places, rounded to 0.01 mm.
-    """
-    places = np.asarray(places_mm, dtype=np.float64).reshape(-1, 2)
-    errors = as_points(errors_mm, "errors")
-    was_found: Bools = np.asarray([True] * len(places) if found is None else found, dtype=np.bool_)
-    if was_found.shape != (len(places),) or int(was_found.sum()) != len(errors):
-        raise ValueError(
-            f"error map: {len(places)} places, {int(was_found.sum())} of them found, but"
-            f" {len(errors)} errors"
-        )
-    if step_mm is not None and not step_mm > 0.0:
-        raise ValueError(f"error map: a step of {step_mm} mm is not above 0")
-    as_values(places.ravel(), "places")
-    side = 0.01 if step_mm is None else step_mm
-    at = np.rint(places / side)
-    key, cell = np.unique(at[:, 1] + 1j * at[:, 0], return_inverse=True)  # in order of y, then x
-    centres = np.column_stack([key.imag, key.real]) * side
-    count, here = len(key), cell.ravel()[was_found]
-    teats, n = np.bincount(cell.ravel(), minlength=count), np.bincount(here, minlength=count)
-    distance = np.linalg.norm(errors, axis=1)
-    worst = np.zeros(count)
-    np.maximum.at(worst, here, distance)
-    mean = np.bincount(here, distance, minlength=count) / np.maximum(n, 1)
-    columns = (*centres.T, teats, n, mean, worst)
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    return tuple(Cell(*row) if row[3] else Cell(*row[:4]) for row in rows)
 
 
 RESPONSES = ("x", "y", "z", "distance")

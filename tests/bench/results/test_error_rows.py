@@ -17,7 +17,6 @@ from bench.results.comparison import Side, compare_sides, scored_together
 from bench.results.error_rows import (
     ErrorRows,
     error_rows,
-    plane_cells,
     run_bias,
     run_precision,
     run_trends,
@@ -93,13 +92,8 @@ def test_a_drift_and_a_tilted_plane_are_found_and_nothing_else(drifting: RunReco
     assert {("time_s", "y"), ("x_mm", "z")} <= significant
 
 
-def test_the_map_counts_the_missed_and_the_bias_is_over_poses(drifting: RunRecord) -> None:
+def test_the_bias_is_over_poses(drifting: RunRecord) -> None:
     rows = error_rows(drifting, "fused")
-    cells = plane_cells(rows)
-    assert len(cells) == 60
-    missed = [cell for cell in cells if not cell.found]
-    assert [(cell.x_mm, cell.y_mm, cell.teats) for cell in missed] == [(-104.0, 284.0, 2)]
-    assert sum(cell.teats for cell in plane_cells(rows, 50.0)) == 120
     found = run_bias(rows)
     assert found.next_error is not None
     assert found.test.p_value is not None
@@ -150,7 +144,6 @@ def test_runs_merge_by_their_counts_and_a_pose_has_to_succeed_in_each(
 def test_an_empty_run_depends_on_nothing(tmp_path: Path) -> None:
     rows: ErrorRows = error_rows(record(tmp_path, []), "fused")
     assert all(one.slope is None for one in run_trends(rows))
-    assert plane_cells(rows) == ()
     assert run_bias(rows).next_error is None
 
 
