@@ -39,15 +39,11 @@ class Study(Plan):
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """What one detector did at one value: distances of the ends it found, and counts that add."""
+    """What one detector did at one value: distances of the ends it found, and counts."""
 
     distances_mm: tuple[float, ...] = ()
     false: int = 0
     failures: int = 0
-
-    def __add__(self, other: Tally) -> Tally:
-        distances = self.distances_mm + other.distances_mm
-        return Tally(distances, self.false + other.false, self.failures + other.failures)
 
 
 @dataclass(frozen=True, slots=True)

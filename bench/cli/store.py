@@ -10,6 +10,7 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,7 +96,7 @@ def compare(given: argparse.Namespace) -> int:
                 {
                     "detector": one.detector,
                     "verdict": one.verdict,
-                    "decisions": [decision.as_dict() for decision in one.decisions],
+                    "decisions": [asdict(decision) for decision in one.decisions],
                 }
                 for one in judgements
             ]

@@ -9,7 +9,7 @@ The confidence in an error is shared between chance in the draw of poses and cha
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal
 
@@ -59,10 +59,6 @@ class Decision:
     verdict: Verdict = Verdict.NOT_MEASURED
     sentence: str
     accept: float | None = None
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain numbers, text and None."""
-        return {**asdict(self), "verdict": self.verdict.value}
 
 
 def overall(verdicts: Iterable[Verdict]) -> Verdict:
@@ -194,8 +190,6 @@ def decide_count(
     """Is there none (false teats, say) in the scenes run? With the upper bound a scene (Garwood
     1936, Poisson). `per_pose` is the count of each pose's worst scene (None: each scene is a pose).
     """
-    if count < 0 or scenes < 0 or (count and not scenes):
-        raise ValueError(f"decide_count: {count} in {scenes} scenes is impossible")
     rule = "at most 0 in all scenes that were run"
     if not scenes:
         return Decision(name=name, rule=rule, limit=0.0, sentence="No scene was scored.")

@@ -14,7 +14,6 @@ from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
-from numpy.linalg import det
 from scipy.special import bdtr, nctdtrit, ndtri
 
 from bench.scoring.rates import zero_failure_n
@@ -130,18 +129,11 @@ def summarise(
     errors_mm: npt.ArrayLike, camera_from_world: npt.ArrayLike | None = None
 ) -> ErrorSummary:
     """Errors found - truth, (n, 3) in world axes; with a rotation (3, 3) along the camera's axes (z
-    is depth). Raises ValueError for a wrong shape or a matrix that is no proper rotation.
+    is depth).
     """
     errors = as_points(errors_mm, "errors")
     if camera_from_world is not None:
-        rotation = np.asarray(camera_from_world, dtype=np.float64)
-        if rotation.shape != (3, 3):
-            raise ValueError(
-                f"camera_from_world: expected a rotation matrix (3, 3), got {rotation.shape}"
-            )
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or det(rotation) < 0:
-            raise ValueError("camera_from_world: no proper rotation, so it would change lengths")
-        errors = errors @ rotation.T
+        errors = errors @ np.transpose(camera_from_world)
     x, y, z, components = (summarise_axis(values) for values in (*errors.T, errors.ravel()))
     radial = summarise_radial(np.linalg.norm(errors, axis=1))
     return ErrorSummary(len(errors), x, y, z, components, radial)

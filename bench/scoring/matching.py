@@ -152,7 +152,7 @@ def assign(found: Points, truth: Points, seen: list[bool], gate_mm: float) -> Ma
 
 
 def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
-    """A flag for each teat. Raises ValueError for another number, or one neither true nor false."""
+    """A flag for each teat. Raises ValueError for another number of them."""
     given = np.asarray(visible)
     if given.size == 0 and teats == 0:
         return []
@@ -160,9 +160,4 @@ def as_flags(visible: npt.ArrayLike, teats: int) -> list[bool]:
         raise ValueError(
             f"visible: expected one flag for each of the {teats} teats, got shape {given.shape}"
         )
-    flags: list[bool] = given.tolist()
-    if given.dtype == np.bool_:
-        return flags
-    if any(flag not in (0, 1) for flag in flags):
-        raise ValueError(f"visible: expected true or false (1 or 0), got {flags}")
-    return [bool(flag) for flag in flags]
+    return [bool(flag) for flag in given.tolist()]

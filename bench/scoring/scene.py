@@ -193,13 +193,6 @@ class Pool:
     scores: tuple[SceneScore, ...] = ()
     poses: tuple[Hashable, ...] = ()
 
-    def __post_init__(self) -> None:
-        if len(self.scores) != len(self.poses):
-            raise ValueError(
-                f"pool: {len(self.scores)} scores with {len(self.poses)} pose names; name the pose"
-                " of each score"
-            )
-
     @property
     def counts(self) -> Counts:
         """All teats and findings counted."""

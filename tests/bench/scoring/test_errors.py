@@ -140,19 +140,6 @@ def test_the_radial_figures_of_a_known_list() -> None:
     assert (s.p95_mm, s.p99_mm, s.max_mm) == (95.0, 99.0, 100.0)
 
 
-@pytest.mark.parametrize(
-    ("matrix", "says"),
-    [
-        (np.diag([1.0, 1, -1]), "no proper rotation"),
-        (np.eye(3) * 0.97, "no proper rotation"),
-        (np.eye(4), r"rotation matrix \(3, 3\)"),
-    ],
-)
-def test_what_would_change_lengths_is_refused(matrix: Floats, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        summarise([[1, 2, 3]], matrix)
-
-
 def test_bad_values_are_refused() -> None:
     with pytest.raises(ValueError, match="negative"):
         summarise_radial([1.0, -0.1])

@@ -224,7 +224,3 @@ class TestPool:
     def test_an_empty_pool_measured_nothing(self) -> None:
         p = Pool()
         assert (p.success.value, p.counts, p.summary().radial.mean_mm) == (None, Counts(), None)
-
-    def test_poses_have_to_fit(self) -> None:
-        with pytest.raises(ValueError, match="1 scores with 2 pose names"):
-            Pool((self.GOOD,), ("a", "b"))
