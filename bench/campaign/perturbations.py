@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict
 
 from bench.config import did_you_mean
+from bench.scoring.errors import Floats
 from detector.calibration import Calibration
 from detector.geometry import Motion
-from instruments.camera.frame import FrameSet
+from instruments.camera.frame import FrameSet, Grey
 from instruments.world.shading import Lighting
 from instruments.world.state import SceneState
 
-Grey = NDArray[np.uint8]
-Floats = NDArray[np.float64]
 Chance = np.random.Generator
 Of = Literal["scene", "frames", "optical", "stated"]  # optical: left and right, one after the other
 Change = Callable[[Any, float, Chance], Any]

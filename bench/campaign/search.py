@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from bench.campaign.chunk import Bench, Rows, Scene, SceneRow, run_scene
+from bench.scoring.errors import Floats
 from bench.scoring.weighted import Proposal, WeightedRate, weighted_rate
 from instruments.world.setups import Situation
 from instruments.world.situations import ATTEMPTS, Around, drawn
-
-Floats = NDArray[np.float64]
 
 APART = 0.2  # of the parameters' ranges, root mean square; two even points are 0.41 apart
 EVEN_SHARE = 0.3  # of a search's scenes, before it goes uphill

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bench.rig.loading import LoadedRig
 from bench.rig.urls import EMULATED
 from bench.run.estimate import carry_touches
+from bench.scoring.errors import Floats
 from bench.script.model import FIRST, LoadedScript
 from bench.script.planned_trials import PlannedTrial, pose_text, shared
 from bench.truth.stage_registration import around
@@ -29,7 +29,6 @@ from instruments.world.objects import make_object
 from instruments.world.phantom import Phantom, PlatePose, spoken_name
 from instruments.world.solids import clearance_mm
 
-Floats = NDArray[np.float64]
 View = tuple[str, Camera, Motion]  # name, lens, camera_from_world
 
 MARGIN_PX = 4.0  # between a teat's rounded end and the picture's edge

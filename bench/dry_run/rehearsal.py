@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.dry_run.pose_checks import USUAL_ARM, Finding, Floats, registered_at, way_to
+from bench.dry_run.pose_checks import USUAL_ARM, Finding, registered_at, way_to
 from bench.files import Picture
 from bench.record.reader import read_run
 from bench.record.schema import SCRIPT as SCRIPT_FILE
@@ -46,6 +46,7 @@ from bench.rig.urls import EMULATED, PEOPLE, SCRIPT
 from bench.run.context import RunContext
 from bench.run.engine import Engine
 from bench.run.events import Events, read_events
+from bench.scoring.errors import Floats
 from bench.script.model import LoadedScript
 from bench.script.planned_trials import PlannedTrial, shared
 from detector.geometry import Motion

@@ -12,12 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import betaln, xlog1py, xlogy
 
+from bench.scoring.errors import Floats
 from bench.scoring.sequential import bounds
-
-Floats = NDArray[np.float64]
 
 EVEN = 0.5  # share of scenes drawn evenly; no weight is above its inverse
 FEW = 8.0  # so many failures double the variance of a proposal

@@ -22,6 +22,7 @@ import numpy as np
 from bench.record.reader import RunRecord
 from bench.record.schema import Row
 from bench.record.writer import Store
+from bench.scoring.errors import Floats
 from bench.truth.registration import Registration
 from bench.truth.touching import (
     Ends,
@@ -35,7 +36,6 @@ from bench.truth.uncertainty import (
     CARRY,
     REGISTRATION,
     Component,
-    Floats,
     How,
     Triple,
     TruthPoint,

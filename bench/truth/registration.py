@@ -33,8 +33,9 @@ from scipy.special import chdtrc
 
 from bench.config import Positive, Section, located, read_config, read_text
 from bench.rig.arm_files import NotNegative, Three, refuse_changed, write_file
+from bench.scoring.errors import Floats
 from bench.toml import toml_text
-from bench.truth.uncertainty import Floats, Triple
+from bench.truth.uncertainty import Triple
 from detector.calibration.rigid import (
     Comparison,
     compare,

@@ -26,11 +26,11 @@ import numpy as np
 from bench.record.schema import Row
 from bench.rig.arm_files import TableFrame
 from bench.rig.model import Arm
+from bench.scoring.errors import Floats
 from bench.scoring.matching import LEAST_SPACING_MM
 from bench.truth.uncertainty import (
     REGISTRATION,
     Component,
-    Floats,
     How,
     Triple,
     TruthPoint,

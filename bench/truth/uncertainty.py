@@ -12,7 +12,8 @@ from enum import StrEnum
 from math import isfinite, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
+
+from bench.scoring.errors import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,6 @@ class TruthUncertainty:
 CHI2_95 = 7.814727903251179  # 95 % of chi-square with 3 degrees of freedom
 REGISTRATION, CARRY = "registration", "carry"
 
-Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 
