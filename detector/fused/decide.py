@@ -24,6 +24,7 @@ from detector.fused.model import (
     SIDE_A,
     SIDE_B,
     TAPER,
+    Rows,
     apexes,
     axes,
 )
@@ -40,6 +41,7 @@ _LEAST_BETWEEN, _LEAST_COLD = 0.65, 0.6  # of the end, where no side is warm; wh
 _FARTHEST = 0.9
 _SHAPED = 2.0  # of a fit of any shape: it was begun where the usual shape doesn't fit
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
+_BOTH_WARM, _LESS = 0.85, 0.03  # of it with both sides; how much less is enough then
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
 OUTLINE = "its outline isn't that of a teat"
@@ -48,12 +50,16 @@ _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
 _FAR = "it is too far from the other ends to be of their udder"
 _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
-_WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
+_WHOLE_END, _HALF_END, _LEAST_OTHER_SIDE = 0.9, 0.65, 0.2
+_UNLIKE_SIDES = 0.5  # one picture shows a side that the other doesn't
 _CLEAR_END, _CLEAR_SIDES = 0.65, 0.75  # of an outline that nothing but a teat has
+_CLEAR_MISFIT_PX, _CLOSE_MISFIT_PX = 0.1, 0.12
 _SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
 _LEAST_END_THEN = 0.78  # where one picture shows a side that the other doesn't
+# of the end in one picture and of the sides in both, where the other shows no end but the thermal
+_END_ALONE, _SIDES_ALONE = 0.85, 0.6
 # of the thermal end, and of all sides, of a teat whose end only the thermal picture shows
-_THERMAL_END, _ALL_SIDES = 0.8, 0.9
+_THERMAL_END, _ALL_SIDES = 0.7, 0.9
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
@@ -63,11 +69,12 @@ _EVEN = 0.06  # of a teat's warmth: how unlike the lines of one without a therma
 _GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats,
 _COLD_GAP = 0.2  # as is what has less warmth than this, between two that have more
 _BARREL_MM, _NARROWEST_MM = 20.0, 5.5  # how far below its end a teat is judged; an end's radius
+_TEATS = 4  # of an udder
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class Evidence(Rows):
     """For m fitted teats: seen shares of the outline (m, 3 views: left, right, thermal); misfit px
     (m,); warmth (m, 3 lines), and beside it, or NaN; largest standard deviation mm (m,).
     """
@@ -87,7 +94,7 @@ class Evidence:
 
     @property
     def merit(self) -> Array:
-        """One number (m,) to tell the better of two."""
+        """One number (m,) by which the better of two is chosen."""
         return np.asarray(
             (2 * self.end + self.side + self.both)[:, :2].sum(axis=1)
             - 4 * self.misfit_px
@@ -122,28 +129,31 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
     )  # fmt: skip
 
 
-def unlike_covariances(teats: Array, evidence: Evidence, which: list[int], p: Parameters) -> Array:
-    """(n, 3, 3) mm^2 of the ends of ``which`` of teats (m, 8), right camera's frame: what a teat
-    that isn't the model's, or of which too little is seen, adds to its fit's covariance.
+def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array:
+    """(m, 3, 3) mm^2 of the ends of teats (m, 8), right camera's frame: what a teat that isn't the
+    model's, or of which too little is seen, adds to its fit's covariance.
     """
-    axis = axes(teats[which])
-    across = np.cross(axis, teats[which, :3])
+    axis = axes(teats)
+    across = np.cross(axis, teats[:, :3])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    optical, thermal_end = evidence.end[which, :2].mean(axis=1), evidence.thermal_px[which, END]
+    optical, thermal_end = evidence.end[:, :2].mean(axis=1), evidence.thermal_px[:, END]
     partly = optical < _WHOLE_END
     # the other side of an end that is seen in part may be a neighbour's
-    one_side = (evidence.both[which, :2].min(axis=1) <= p.least_side) | (
-        partly & (evidence.both[which, 2] <= _LEAST_OTHER_SIDE)
+    one_side = (evidence.both[:, :2].min(axis=1) <= p.least_side) | (
+        partly & (evidence.both[:, 2] <= _LEAST_OTHER_SIDE)
     )
-    short = evidence.shaped[which] | (evidence.side[which].max(axis=1) < _WHOLE_SIDE)
+    short = evidence.shaped | (evidence.side.max(axis=1) < _WHOLE_SIDE)
     in_part = partly & np.isnan(thermal_end)
-    unlike_mm = teats[which, RADIUS] * np.abs(teats[which, HEIGHT] - 1.0)
-    along2 = (p.end_unlike_share * unlike_mm) ** 2 + p.end_in_part_sd_mm**2 * in_part
-    along2 += (short & ~evidence.shaped[which]) * SHAPE_ALONG_MM**2
-    along2 += thermal_ends(evidence, p)[which] * p.thermal_end_sd_mm**2
+    unlike_mm = teats[:, RADIUS] * np.abs(teats[:, HEIGHT] - 1.0)
+    half_end = in_part & evidence.followed & (optical < _HALF_END)
+    in_part_mm = np.where(half_end, p.half_end_sd_mm, p.end_in_part_sd_mm)
+    along2 = (p.end_unlike_share * unlike_mm) ** 2 + in_part_mm**2 * in_part
+    along2 += (short & ~evidence.shaped) * SHAPE_ALONG_MM**2
+    along2 += thermal_ends(evidence, p) * p.thermal_end_sd_mm**2
     across2 = one_side * np.where(short, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
-    sight = teats[which, :3] / np.linalg.norm(teats[which, :3], axis=1, keepdims=True)
-    deep2 = _one_sees_a_side(evidence)[which] * p.one_sees_sd_mm**2
+    sight = teats[:, :3] / np.linalg.norm(teats[:, :3], axis=1, keepdims=True)
+    deep2 = (np.ptp(evidence.both[:, :2], axis=1) > _UNLIKE_SIDES) * p.one_sees_sd_mm**2
+    deep2 += _one_sees_a_side(evidence) * p.one_sees_in_part_sd_mm**2
     return np.asarray(
         np.einsum("m,mi,mj->mij", along2, axis, axis)
         + np.einsum("m,mi,mj->mij", across2, across, across)
@@ -203,14 +213,22 @@ def objections(
     teats: Array, evidence: Evidence, surroundings: float, p: Parameters
 ) -> list[str | None]:
     """Why teats (m, 8) are rejected, or None. ``surroundings``: the level without warmth."""
-    reasons: list[str | None] = [_objection(teats[i], evidence, i, p) for i in range(len(teats))]
+    one_sees, by_warmth = _one_sees_a_side(evidence), thermal_ends(evidence, p)
+    reasons: list[str | None] = [
+        _objection(teats[i], evidence, i, p, one_sees=one_sees[i], by_warmth=by_warmth[i])
+        for i in range(len(teats))
+    ]
     clean = [i for i, reason in enumerate(reasons) if reason is None]
     # a straw may hide the warmth of one line
     whole = (evidence.end[:, :2].min(axis=1) > _CLEAR_END) & (
         evidence.both[:, :2].min(axis=1) > _CLEAR_SIDES
     )
     whole &= evidence.misfit_px < p.good_misfit_px
-    least = np.sort(evidence.warmth, axis=1)[np.arange(len(teats)), whole.astype(int)]
+    # one with its whole end in all pictures, all but one, behind another teat
+    in_all = (evidence.end.min(axis=1) > _WHOLE_END) & (evidence.misfit_px < _CLEAR_MISFIT_PX)
+    in_all &= evidence.side[:, :2].min(axis=1) > _CLEAR_SIDES
+    lines_cold = np.where(in_all, 2, whole)
+    least = np.sort(evidence.warmth, axis=1)[np.arange(len(teats)), lines_cold]
     if clean:
         reference = max(float(np.median(evidence.warmth[i])) for i in clean)
         for i in clean:
@@ -241,6 +259,8 @@ def objections(
 def _of_another(ends_mm: Array, merit: Array, udder_mm: float) -> list[int]:
     """Which of ends (n, 3) are in another group than most; a gap of ``udder_mm`` parts groups."""
     far = np.linalg.norm(ends_mm[:, None] - ends_mm, axis=2) > udder_mm
+    if not far.any():
+        return []
     _, group = connected_components(~far, directed=False)
     weight = [(np.sum(group == g), merit[group == g].sum()) for g in group]
     best = max(weight, default=None)
@@ -260,6 +280,14 @@ def _own_warmth(evidence: Evidence, i: int, surroundings: float, reference: floa
     warmer = beside - surroundings > (_COLD_GAP if cold else _GAP) * full
     gap = (unlike < 0).all() and warmer.all()
     return bool(own and np.abs(unlike).min() > _OWN_WARMTH * full and not gap)
+
+
+def settled(evidence: Evidence, reasons: list[str | None], p: Parameters) -> bool:
+    """Whether four teats or more are accepted, all of them with their whole ends and sides."""
+    accepted = [i for i, reason in enumerate(reasons) if reason is None]
+    end, side = evidence.end[accepted, :2], evidence.both[accepted, :2]
+    whole = (end > p.whole_end_both) & (side > _CLEAR_SIDES)
+    return bool(len(accepted) >= _TEATS and whole.all())
 
 
 def doubts(
@@ -316,11 +344,13 @@ def maybe_hidden(reason: str | None) -> bool:
     return reason is None or "seen" in reason or reason in (OUTLINE, _UNSURE, _WORSE)
 
 
-def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | None:
+def _objection(
+    teat: Array, evidence: Evidence, i: int, p: Parameters, *, one_sees: bool, by_warmth: bool
+) -> str | None:
     for view, name in enumerate(("left", "right")):
-        if unseen := _unseen(evidence, i, view, p):
+        if unseen := _unseen(evidence, i, view, p, by_warmth=by_warmth):
             return f"{unseen} in the {name} picture"
-    if _one_sees_a_side(evidence)[i] and evidence.end[i, :2].min() < _LEAST_END_THEN:
+    if one_sees and evidence.end[i, :2].min() < _LEAST_END_THEN:
         return "a side of it is seen in one picture only"
     if evidence.misfit_px[i] > p.greatest_misfit_px:
         return OUTLINE
@@ -344,13 +374,13 @@ def _one_sees_a_side(evidence: Evidence) -> NDArray[np.bool_]:
     end: two things may be taken for one, at a wrong depth.
     """
     return np.asarray(
-        (np.ptp(evidence.both[:, :2], axis=1) > 0.5)
+        (np.ptp(evidence.both[:, :2], axis=1) > _UNLIKE_SIDES)
         & (evidence.end[:, 2] < 0.7)
         & (evidence.end[:, :2].min(axis=1) < _WHOLE_END)
     )
 
 
-def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
+def _unseen(evidence: Evidence, i: int, view: int, p: Parameters, *, by_warmth: bool) -> str | None:
     """What of teat ``i`` an optical picture shows too little of."""
     end = evidence.end[i, view]
     warm = np.isfinite(evidence.thermal_px[i, [SIDE_A, SIDE_B]])
@@ -365,8 +395,13 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     least = _LEAST_BETWEEN if evidence.followed[i] and not warm.any() else _LEAST_COLD
     between_two = not warm.all() and evidence.end[i, :2].mean() < least
     least_end = (_LEAST_FOLLOWED_CLOSE if sure else _LEAST_FOLLOWED) if followed else p.least_end
-    short = end < least_end or alone or between_two
-    if short and not thermal_ends(evidence, p)[i]:
+    by_other = (
+        evidence.end[i, :2].max() > _END_ALONE
+        and evidence.end[i, 2] > _WARM
+        and evidence.both[i, :2].min() > _SIDES_ALONE
+    )
+    short = (end < least_end and not by_other) or alone or between_two
+    if short and not by_warmth:
         return "its end isn't seen"
     sure = sure and evidence.sd_mm[i] < _SURE_MM
     whole_side = evidence.side[i].min() > _WHOLE_SIDE
@@ -379,10 +414,13 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     )
     if one_sided and (end < p.least_end_one_sided * (1.0 if good else 1.4) or not warm_end):
         return "only a side of it and too little of its end are seen"
-    warm_round = min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM
+    both_warm = min(evidence.end[i, 2], evidence.both[i, 2]) > _BOTH_WARM
+    warm_round = both_warm or min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM
+    warm_round &= bool(evidence.misfit_px[i] < _CLOSE_MISFIT_PX)
     least = p.least_end_unsure_warm if warm_round else p.least_end_unsure
+    least_either = p.least_end_unsure_either - (_LESS if both_warm else 0.0)
     ends = evidence.end[i, :2]
-    too_little = ends.mean() < least or ends.min() < p.least_end_unsure_either
+    too_little = ends.mean() < least or ends.min() < least_either
     if one_sided and evidence.sd_mm[i] > p.sure_one_sided_mm and too_little:
         return "only a side of it and not all of its end are seen"
     if evidence.side[i, view] < p.least_side and not _held_by_thermal(evidence, i):
@@ -407,7 +445,7 @@ def _held_by_thermal(evidence: Evidence, i: int) -> bool:
     end = evidence.end[i, :2].min()
     side = evidence.side[i, :2].max()
     thermal = min(evidence.end[i, 2], evidence.side[i, 2])
-    short = evidence.shaped[i] and min(end, evidence.end[i, 2]) > 0.95 and evidence.side[i, 2] > 0.5
+    short = evidence.shaped[i] and min(end, evidence.end[i, 2]) > 0.95
     return bool(
         short or (end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5)
     )
