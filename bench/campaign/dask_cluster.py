@@ -1,8 +1,8 @@
 """Chunks on a Dask cluster. Each Dask worker runs them in a process of its own (`pool`), so that a
 scene ends neither that worker nor its other tasks.
 
-Dask retries the tasks of a lost worker itself, and counts the deaths of unrelated tasks too. Here
-it retries nothing: a chunk that lost its workers is halved, and a single scene that is left is set
+Dask retries the tasks of a lost worker itself, and counts losses by other tasks too. Here it
+retries nothing: a chunk that lost its workers is halved, and a single scene that is left is set
 aside. A cluster that has stopped is connected to again.
 """
 

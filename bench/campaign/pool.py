@@ -1,9 +1,9 @@
-"""Processes of this machine that work on chunks. One that dies or stops is replaced, and its chunk
-goes on from the scene on which it did so. A scene with two deaths is cut out of its chunk and tried
-in a new process that does nothing else; one that dies there too is set aside.
+"""Processes of this machine that work on chunks. One that ends or is silent for too long is replaced,
+and its chunk continues at that scene. A scene at which two processes ended is tried alone in a new
+process; where that ends too, the scene is set aside.
 
-A pool of the standard library won't do: `ProcessPoolExecutor` is broken as a whole by one death,
-and `multiprocessing.Pool` waits for ever for what a killed process had taken.
+The standard library's pools can't do this: one lost process breaks a `ProcessPoolExecutor`, and
+`multiprocessing.Pool` waits without end for the work of a killed one.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class _Worker:
             while True:
                 try:
                     value = pickle.load(source)  # noqa: S301 - of a process that we started
-                except Exception:  # cut by its death, or garbage of one that went wrong
+                except Exception:  # cut off at its end, or damaged
                     break
                 self._messages.put((self, value))
         self._messages.put((self, None))
