@@ -1,6 +1,6 @@
-"""Processes of this machine that work on chunks. One that ends or is silent for too long is replaced,
-and its chunk continues at that scene. A scene at which two processes ended is tried alone in a new
-process; where that ends too, the scene is set aside.
+"""Processes of this machine that work on chunks. One that ends or is silent for too long is
+replaced, and its chunk continues at that scene. A scene at which two processes ended is tried alone
+in a new process; where that ends too, the scene is set aside.
 
 The standard library's pools can't do this: one lost process breaks a `ProcessPoolExecutor`, and
 `multiprocessing.Pool` waits without end for the work of a killed one.
