@@ -39,10 +39,10 @@ SHOW_S = 0.2
 
 @contextmanager
 def _homed(given: argparse.Namespace, length_mm: float | None = None) -> Iterator[ArmSession]:
-    """The arm, its homing confirmed. Raises ConfigError where nobody can confirm it."""
+    """The arm, its homing confirmed. Raises ConfigError without a terminal to confirm it at."""
     if not given.homed and not sys.stdin.isatty():
         raise ConfigError.plain(
-            "no positions before homing is confirmed, and nobody is at a terminal to confirm it."
+            "no positions before homing is confirmed, and there is no terminal to confirm it at."
             " Give --homed where the stylus was on its peg when the arm was last switched on, or"
             " the arm was homed since: otherwise positions are wrong, with no sign of it."
         )

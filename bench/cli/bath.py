@@ -69,7 +69,9 @@ def read(given: argparse.Namespace) -> None:
     if given.json:
         print(json.dumps(values))
     else:
-        print_values({key: "not told" if value is None else value for key, value in values.items()})
+        print_values(
+            {key: "not reported" if value is None else value for key, value in values.items()}
+        )
 
 
 def learn(given: argparse.Namespace) -> int:
@@ -168,11 +170,8 @@ def open_bath(
 
 
 def seconds_to_stable(gate: StabilityGate, rate_k_per_s: float | None) -> float | None:
-    """How long at the least until the gate opens; None where the bath doesn't come nearer to its
-    set point.
-
-    While heating that is the way at the present rate, and a window behind it; while settling what
-    is missing of the window.
+    """The least time until the gate opens: the way at the present rate and a window, or what is
+    left of the window. None where the bath doesn't approach its set point.
     """
     if gate.state is State.STABLE:
         return 0.0
@@ -214,7 +213,7 @@ def plot(samples: Sequence[BathReading], set_point_c: float) -> list[str]:
 
 
 def output_strip(samples: Sequence[BathReading]) -> str:
-    """The heater's output over the same time, a bar a column; empty where it isn't told."""
+    """The heater's output over the same time, a bar a column; empty where it isn't reported."""
     bars = [" "] * WIDTH
     for column, sample in zip(_columns(samples)[0], samples, strict=True):
         if sample.power_percent is not None:
@@ -260,7 +259,9 @@ class BathView:
         reading = self._samples[-1]
         gate = self._gate
         left_s = seconds_to_stable(gate, rate_k_per_s(self._samples))
-        output = "not told" if reading.power_percent is None else f"{reading.power_percent:.0f} %"
+        output = (
+            "not reported" if reading.power_percent is None else f"{reading.power_percent:.0f} %"
+        )
         parts = [
             f"{reading.temp_c:.2f} degC",
             f"set point {gate.set_point_c:.2f} degC",

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
 
 CHECK_VIEWS = 5
 SHOWN = 3  # pictures that are left out
+tell = partial(print, flush=True)  # for the person at the rig
 STEREO = ViewsRequest()
 FOLDERS = "folders of pictures (FRAMES)"
 
@@ -233,9 +235,8 @@ def _check_points(given: argparse.Namespace, part: Part) -> tuple[Sequence[Findi
 def _check_ends(given: argparse.Namespace, part: Part) -> int:
     """Whether the cameras show touched teat ends where the calibration says."""
     from bench.report.calibration import check_ends_page
-    from bench.results.cameras_agree import check_folder, decide
+    from bench.results.cameras_agree import DEFAULT, check_folder, decide_cameras
     from bench.scoring.decisions import Verdict
-    from bench.script.model import CamerasRequirement
 
     if given.frames or given.points or given.board:
         raise ConfigError.plain("--ends is in the place of pictures, --points and --board")
@@ -252,9 +253,8 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
     if anew and not found.thermal:
         print("no end in the thermal picture: it is not checked while the phantom is cold")
         found = replace(found, thermal=None)
-    rule = CamerasRequirement(kind="cameras_agree", name="cameras agree with the known ends")
-    decision = decide(rule, found)
-    print(f"{found.told} of {found.ends} ends told")
+    decision = decide_cameras(DEFAULT, found)
+    print(f"{found.measured} of {found.ends} ends measured")
     for one in found.offsets:
         print(f"{one.text}, over {one.poses} {'ends' if anew else 'poses'}")
     _write_page(check_ends_page(found, decision, _record(given, ()), command_line()), given.page)
@@ -313,9 +313,7 @@ def _record(
     cameras: Mapping[str, str] | None = None,
     more: Mapping[str, str] | None = None,
 ) -> Record:
-    """Who, today, with this program, from these files: by their names, with the folder before it
-    where two files have one name.
-    """
+    """Who, today, with this program, from these files by name."""
     names = [path.name for path in inputs]
     hashes = {
         f"{path.parent.name}/{path.name}" if names.count(path.name) > 1 else path.name: file_hash(
@@ -345,9 +343,7 @@ def _write_page(page: Page, folder: Path | None) -> None:
 
 
 def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
-    """Say what was found wrong; the exit code for it. Of several of a kind only the first where the
-    page has them all.
-    """
+    """Print the findings, with ``on_page`` one of each kind; gives back the exit code."""
     kinds = Counter(finding.name for finding in findings)
     said: set[str] = set()
     for finding in findings:
@@ -366,10 +362,8 @@ def _say(findings: Sequence[Finding], *, on_page: bool = False) -> int:
 def _gather_views(
     given: argparse.Namespace, known: Part | None = None, request: ViewsRequest = STEREO
 ) -> dict[str, str]:
-    """Views of ``given.board`` from the cameras of ``given.rig``, which are those of ``known``, as
-    ``given.frames``. Gives back who the cameras are.
-
-    Raises ConfigError, InstrumentError, OperatorAbort.
+    """Take views of ``given.board`` as ``given.frames``; gives back the cameras' identities. Raises
+    ConfigError, InstrumentError, OperatorAbort.
     """
     board, _ = find_board(given.board)
     folder = free_folder(given.out)
@@ -419,11 +413,6 @@ def _opened(
             return taken()
 
         yield parts, rig, look
-
-
-def tell(text: str) -> None:
-    """What goes on, for the person at the rig."""
-    print(text, flush=True)
 
 
 # Boards, other tools, the stage

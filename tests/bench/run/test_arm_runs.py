@@ -16,8 +16,7 @@ import pytest
 from bench.calibrate.arm import Plan, touch_frame, verify
 from bench.calibrate.simulated_arm import Step, TryingArm
 from bench.record.reader import RunRecord, read_run
-from bench.report.page import stored_rules
-from bench.results.verdicts import judge
+from bench.results.verdicts import judge, stored_rules
 from bench.rig.arm_files import Limits, frame_text, verification_text, write_file
 from bench.rig.model import Arm
 from bench.scoring.decisions import Verdict
