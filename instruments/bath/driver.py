@@ -23,7 +23,7 @@ from instruments.bath.rows import Quantity
 from instruments.bath.session import BrokenError
 from instruments.clock import Clock
 from instruments.errors import DeviceError, InstrumentError, LimitError
-from instruments.tap import Tap
+from instruments.link import Tap
 
 SAFE_TRIES = 3
 

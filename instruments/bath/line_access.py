@@ -23,7 +23,7 @@ from instruments.bath.rows import LineRow, fits
 from instruments.bath.session import BrokenError, RefusedError, Session
 from instruments.clock import Clock
 from instruments.errors import DeviceError, LimitError, LinkError, ProtocolError
-from instruments.tap import Tap
+from instruments.link import Tap
 
 ASKS = 4  # of one command, until two replies in a row agree
 ATTEMPTS = 2  # of a whole question, the second one on a line that was made quiet

@@ -16,7 +16,7 @@ from instruments.bath.session import RefusedError
 from instruments.bath.transactions import Transactions
 from instruments.clock import Clock
 from instruments.errors import ProtocolError
-from instruments.tap import Tap
+from instruments.link import Tap
 
 HEXADECIMAL = ("model", "version")
 

@@ -11,8 +11,7 @@ from collections.abc import Callable
 from instruments.bath.connection import Line
 from instruments.clock import Clock, VirtualClock
 from instruments.errors import DeviceError, LinkError
-from instruments.link import SLICE_S, Link
-from instruments.tap import Tap
+from instruments.link import SLICE_S, Link, Tap
 
 CONNECT_TIMEOUT_S = 1.0
 CONNECT_PAUSES_S = (0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts; then we give up

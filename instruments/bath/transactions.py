@@ -23,8 +23,7 @@ from instruments.bath.requests import (
 from instruments.bath.session import BrokenError, RefusedError, Session
 from instruments.clock import Clock
 from instruments.errors import LinkError, ProtocolError
-from instruments.link import Link
-from instruments.tap import Tap
+from instruments.link import Link, Tap
 
 TIMEOUT_S, QUIET_S = 1.0, 0.5
 ATTEMPTS = 2

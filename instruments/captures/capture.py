@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from instruments.clock import Clock, wall_time
-from instruments.tap import Tap
+from instruments.link import Tap
 
 FORMAT = "teatbench capture"
 VERSION = 1

@@ -187,8 +187,13 @@ class PacketDecoder:
 
     def __init__(self, command: int | None = None) -> None:
         self.damaged = self.withdrawn = 0
-        self._behind_packet = False
+        self.expect(command)
+
+    def expect(self, command: int | None) -> None:
+        """From now on packets of ``command``, and nothing of one that had begun."""
+        self.command = command
         self._wanted = None if command is None else command | MARK
+        self._behind_packet = False
         self._buffer = b""
 
     @property

@@ -17,7 +17,7 @@ import pytest
 
 from instruments.captures.capture import CaptureError, CaptureFile, read_capture
 from instruments.clock import RealClock, VirtualClock
-from instruments.tap import Tap
+from instruments.link import Tap
 
 FACTS = {"teatbench": "1.2.3", "command": "teatbench check 'my rig.toml'", "machine": "Linux"}
 
