@@ -41,7 +41,7 @@ from bench.rig.model import Arm, Baud
 from bench.rig.opening import open_instruments, pedal_watch, rig_of
 from bench.rig.urls import EMULATED, arm_url
 from bench.script.model import ArmRequirement, find_script, load_script
-from instruments.captures.capture import Captures
+from instruments.captures.capture import CaptureFile
 from instruments.clock import RealClock, wall_time
 from instruments.errors import TouchAgainError
 from instruments.microscribe.driver import MicroScribe
@@ -113,7 +113,11 @@ class ArmSession:
 
 @contextmanager
 def open_arm(
-    port: str, baud: Baud, answer_s: float, capture: Captures, length_mm: float | None = None
+    port: str,
+    baud: Baud,
+    answer_s: float,
+    capture: CaptureFile | None,
+    length_mm: float | None = None,
 ) -> Iterator[ArmSession]:
     """The arm at ``port``, signed on; ``length_mm``: an emulated arm's bar. Raises ConfigError."""
     try:

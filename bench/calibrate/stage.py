@@ -15,7 +15,7 @@ from bench.script.phantom import find_layout, load_layout
 from bench.truth.registration import Registration, RegistrationError
 from bench.truth.stage_registration import around, register
 from bench.truth.touching import TipReader, Toucher, end_u_mm
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.errors import InstrumentError
 from instruments.operators.operator import Arrangement, Homing
 from instruments.world.phantom import PlatePose
@@ -34,7 +34,7 @@ def calibrate_stage(
     at_mm: Sequence[tuple[float, float]],
     readings: int | None,
     seed: int,
-    capture: Captures = NO_CAPTURE,
+    capture: CaptureFile | None = None,
 ) -> Registration:
     """The stage's registration: ``teat`` of ``layout`` touched at places (x, y mm from the
     reference; none: corners and middle). Raises ConfigError before anything moves, and as

@@ -82,8 +82,7 @@ def print_values(values: Mapping[str, object]) -> None:
 def call(given: argparse.Namespace) -> int:
     """Call the command; gives back its exit code, which is 0 for one that gives none.
 
-    One with ``--capture FILE`` asks ``given.capture.tap(name, clock)`` for each link's tap; the
-    file is opened before the command and closed behind it.
+    With ``--capture FILE`` the file is opened before the command and closed behind it.
     """
     module, name = given.command
     work: Callable[[argparse.Namespace], int | None]
@@ -96,13 +95,10 @@ def call(given: argparse.Namespace) -> int:
             option=f"--{out.replace('_', '-')}",
             makes_folder="makes_folder" in given,
         )
-    if "capture" not in given:
+    if getattr(given, "capture", None) is None:
         return work(given) or CODES.met
-    from instruments.captures.capture import NO_CAPTURE, CaptureFile
+    from instruments.captures.capture import CaptureFile
 
-    if given.capture is None:
-        given.capture = NO_CAPTURE
-        return work(given) or CODES.met
     facts = {
         "teatbench": __version__,
         "command": command_line(),

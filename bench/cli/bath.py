@@ -35,7 +35,7 @@ from instruments.bath.access import NOT_READ
 from instruments.bath.driver import Bath
 from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
 from instruments.bath.reading import BathReading
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock
 from instruments.errors import InstrumentError, LimitError
 
@@ -158,7 +158,7 @@ def open_bath(
     *,
     allow_inferred: bool = False,
     identify: bool = True,
-    capture: Captures = NO_CAPTURE,
+    capture: CaptureFile | None = None,
 ) -> Iterator[tuple[Bath, Clock]]:
     """The bath at ``url`` in real time, and its clock. Raises InstrumentError."""
     table = BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)

@@ -30,7 +30,7 @@ from instruments.camera.cameras import KNOWN
 from instruments.camera.frame import Conversion, FrameError, FrameSet, Grey
 from instruments.camera.genicam import load_aravis
 from instruments.camera.quality import edge_blur_px, level_dn, saturated_share
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError
 from instruments.stage.driver import Stage
@@ -192,7 +192,7 @@ def stage_of_rig(name: str) -> StageTable:
 
 
 @contextmanager
-def open_stage(at: StageTable, capture: Captures = NO_CAPTURE) -> Iterator[Stage]:
+def open_stage(at: StageTable, capture: CaptureFile | None = None) -> Iterator[Stage]:
     """The stage, connected, in real time, stopped if anything fails. Raises InstrumentError."""
     with open_instruments(rig_of(stage=at), ("stage",), capture=capture) as devices:
         stage = devices.stage
@@ -267,7 +267,7 @@ def jog(stage: Stage, way: dict[str, float], feed_mm_min: float | None) -> None:
 
 
 def check_rig(
-    rig: LoadedRig, capture: Captures = NO_CAPTURE
+    rig: LoadedRig, capture: CaptureFile | None = None
 ) -> Iterator[tuple[str, bool, list[str]]]:
     """For each instrument: its name, whether it has a fault, and lines to print."""
     remote = rig.rig.operator.url.startswith(ELSEWHERE)

@@ -26,10 +26,10 @@ from instruments.camera.frame import Conversion
 from instruments.camera.genicam import DeviceTime, GenicamCamera
 from instruments.camera.opencv import OpenCvCamera
 from instruments.camera.recording import Recording, RecordingCameras
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError
-from instruments.link import Link
+from instruments.link import Link, Tap
 from instruments.microscribe.driver import MicroScribe
 from instruments.microscribe.stream import Debouncer
 from instruments.operators.console import Console
@@ -65,7 +65,7 @@ def open_instruments(
     twin: EmulatedRig | None = None,
     seed: int | None = None,
     realtime: bool = False,
-    capture: Captures = NO_CAPTURE,
+    capture: CaptureFile | None = None,
     screen: Screen = nullcontext,
     start_s: float = 0.0,
     identify: bool = True,
@@ -218,13 +218,21 @@ def _answerer(
 
 
 def _openers(
-    rig: LoadedRig, clock: Clock, twin: EmulatedRig | None, capture: Captures, *, identify: bool
+    rig: LoadedRig,
+    clock: Clock,
+    twin: EmulatedRig | None,
+    capture: CaptureFile | None,
+    *,
+    identify: bool,
 ) -> dict[str, Callable[[], Any]]:
     r = rig.rig
     urls = twin.urls if twin else r.urls
 
+    def tap(name: str) -> Tap | None:
+        return capture.tap(name, clock) if capture else None
+
     def link(name: str, baud: int) -> Link:
-        return Link(urls[name], clock, who=name, baud=baud, tap=capture.tap(name, clock))
+        return Link(urls[name], clock, who=name, baud=baud, tap=tap(name))
 
     def arm() -> AnyArm:
         if points := points_url(urls["arm"]):
@@ -233,15 +241,14 @@ def _openers(
 
     def bath() -> Bath:
         pump_url = urls.get("pump", r.bath.pump_url)
-        tap = capture.tap("pump", clock)
         return Bath(
             urls["bath"],
             rig.profile,
             clock,
             allow_inferred=r.bath.allow_inferred,
             identify=identify,
-            tap=capture.tap("bath", clock),
-            pump=PumpAt(pump_url, rig.relay, tap) if rig.relay else None,
+            tap=tap("bath"),
+            pump=PumpAt(pump_url, rig.relay, tap("pump")) if rig.relay else None,
         )
 
     openers: dict[str, Callable[[], Any]] = {

@@ -45,7 +45,7 @@ from bench.script.planned_trials import pose_set
 from bench.truth.touching import truth_row
 from detector.protocol import Detector
 from instruments.camera.recording import Recording
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.clock import wall_time
 from instruments.errors import InstrumentError
 from instruments.operators.operator import time_left
@@ -69,7 +69,7 @@ class RunOptions:
     detectors: Sequence[str] = ()
     record: Path | None = None
     realtime: bool = False
-    capture: Captures = NO_CAPTURE
+    capture: CaptureFile | None = None
     typed: Callable[[], str | None] = lambda: None
     begun: Callable[[str], None] = lambda _: None
 
