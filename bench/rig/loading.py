@@ -26,8 +26,9 @@ from bench.rig.scripted_answers import load_answers
 from bench.rig.urls import EMULATED, SCRIPT
 from detector.calibration import Calibration
 from detector.calibration.boards import DICTIONARIES, Board, BoardKind
-from instruments.bath.profile import Profile, ProfileError, RelayProfile, load_profile, load_relay
-from instruments.microscribe.unit import ArmIdentity, UnitError, load_unit
+from instruments.bath.profile import Profile, RelayProfile, load_profile, load_relay
+from instruments.device_file import DeviceFileError
+from instruments.microscribe.unit import ArmIdentity, load_unit
 from instruments.world.boards import Pattern
 
 RIGS = Path(__file__).parents[1] / "rigs"
@@ -148,11 +149,7 @@ def load_rig(path: Path) -> LoadedRig:
     frame = load_frame(folder / rig.arm.frame) if rig.arm.frame else None
     dated = load_verification(folder / rig.arm.verification) if rig.arm.verification else None
     unit_path = folder / rig.emulation.arm_unit
-    try:
-        unit = load_unit(unit_path) if rig.emulation.arm_unit else None
-    except UnitError as error:
-        wrong_keys = [(key, message, False) for key, message in error.located]
-        raise located(unit_path, read_text(unit_path), wrong_keys) from error
+    unit = _loaded(lambda: load_unit(unit_path)) if rig.emulation.arm_unit else None
     if wrong := _relay_fault(rig, profile):
         raise refuse(wrong, ("bath", "pump_url" if rig.bath.pump_url else "pump_profile"))
     pump = rig.bath.pump_profile
@@ -191,12 +188,9 @@ def _relay_fault(rig: Rig, profile: Profile) -> str | None:
 def _loaded(load: Callable[[], T]) -> T:
     try:
         return load()
-    except ProfileError as error:
-        faults = [
-            (tuple(int(k) if k.isdigit() else k for k in key.split(".")), message, False)
-            for key, message in error.faults
-        ]
-        raise located(Path(error.path), read_text(Path(error.path)), faults) from error
+    except DeviceFileError as error:
+        faults = [(keys, message, False) for keys, message in error.faults]
+        raise located(error.path, read_text(error.path), faults) from error
 
 
 BOARDS = Path(__file__).parents[1] / "boards"

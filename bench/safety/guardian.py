@@ -32,9 +32,10 @@ from pathlib import Path
 from typing import Any
 
 from instruments.bath.driver import Bath, PumpAt
-from instruments.bath.profile import PUMP, ProfileError, load_profile, load_relay
+from instruments.bath.profile import PUMP, load_profile, load_relay
 from instruments.bath.sequence import OFF, ON, OVERRUN_S, cause_of
 from instruments.clock import RealClock, stopwatch_s, wall_time
+from instruments.device_file import DeviceFileError
 from instruments.errors import InstrumentError, LinkError
 
 READY, ALIVE, HUNG, DONE, TAKE_OVER = "ready", "alive", "hung: ", "done", "take over"
@@ -117,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             identify=False,
             pump=pump,
         )
-    except (ProfileError, InstrumentError) as error:
+    except (DeviceFileError, InstrumentError) as error:
         sys.stderr.write(f"guardian: {error}\n")
         return 2
     preferred = _preferred()
