@@ -78,8 +78,8 @@ class RealClock:
             time.sleep(seconds)
 
     def subscribe(self, looked: Callable[[float], None] | None) -> None:
-        """Call ``looked`` with the coming sleep, on every thread that uses the clock: a sign of
-        life.
+        """Call ``looked`` with the coming sleep on every thread that uses the clock: a
+        heartbeat.
         """
         self._looked = looked
 
@@ -135,9 +135,7 @@ class VirtualClock:
             heapq.heappush(self._planned, (when_s, next(self._order), action))
 
     def step(self, limit_s: float) -> bool:
-        """Run the next planned action, or move to ``limit_s``; False at the limit. Bytes to
-        emulators are taken first.
-        """
+        """Run the next planned action, or move to ``limit_s`` (False), once all bytes are taken."""
         for wire in list(self._wires.values()):
             wire.wait_taken(PATIENCE_S)
         with self._lock:
@@ -161,12 +159,9 @@ class VirtualClock:
 
 
 class Wire:
-    """Counts the bytes between a link and an emulator, so that time stands still while any is in
-    flight.
-
-    Otherwise "nothing to say" and "its thread has not run yet" look alike, and time depends on
-    load. Ctrl-C may strike anywhere: only the interpreter's own locks are used, which `with` always
-    releases.
+    """Counts the bytes between a link and an emulator: time stands still while any is in flight,
+    and so doesn't depend on load. Ctrl-C may come anywhere: only the interpreter's own locks are
+    used, which `with` always releases.
     """
 
     def __init__(self) -> None:
@@ -207,9 +202,7 @@ class Wire:
             self.sending = False
 
     def settle(self, patience_s: float) -> bool:
-        """Wait for bytes for the host (True) or nothing in flight (False). Raises TimeoutError when
-        the emulator's thread hangs for ``patience_s`` of real time.
-        """
+        """Wait for bytes for the host (True) or nothing in flight (False). Raises TimeoutError."""
         self._wait_for(self._settled, patience_s)
         return self._to_host > 0 or self._closed
 

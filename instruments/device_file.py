@@ -35,9 +35,7 @@ class FaultsError(ValueError):
 
 
 def read_device(path: Path, model_of: Callable[[Mapping[str, Any]], type[Model]]) -> Model:
-    """The file as the model that ``model_of`` chooses by its content. Raises DeviceFileError,
-    OSError.
-    """
+    """The file as the model that its content chooses. Raises DeviceFileError, OSError."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         whole = json.dumps(content, default=str)

@@ -39,9 +39,7 @@ WANTED_MS = 1  # of an adapter's latency timer
 
 
 class Tap:
-    """Gets every byte of a link in order, as seen from the host, and changes none; this one drops
-    them.
-    """
+    """Gets every byte of a link in order and changes none; this one drops them."""
 
     def opened(self, url: str) -> None:
         """The link was opened, or opened again."""
@@ -86,9 +84,7 @@ class Link:
         self._open()
 
     def set_baud(self, baud: int) -> None:
-        """Change the rate; a link that is no serial port only notes it. Raises LinkError where the
-        port can't; it keeps its rate then.
-        """
+        """Change the rate, of a serial port only. Raises LinkError where the port can't."""
         self._refuse_closed()
         try:
             self._port.set_baud(baud)

@@ -22,9 +22,7 @@ _FLAGS = os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0)
 
 
 def _watch_closings(path: str) -> int:
-    """A descriptor that is readable when the file was closed at ``path``. Raises OSError
-    without inotify.
-    """
+    """A descriptor that is readable once the file was closed. Raises OSError without inotify."""
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         end = int(libc.inotify_init1(_FLAGS))
@@ -43,8 +41,8 @@ RATES = (9600, 14400, 19200, 28800, 38400, 57600, 115200)
 
 
 class PtyListener:
-    """Serves ``device`` until closed. ``url`` is the terminal's path; ``baud`` and ``latency_s`` as
-    for `Listener`. Raises OSError without pseudo-terminals, ValueError under virtual time.
+    """Serves ``device`` at the terminal ``url`` until closed, as `Listener`. Raises OSError without
+    pseudo-terminals, ValueError under virtual time.
     """
 
     def __init__(

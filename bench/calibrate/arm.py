@@ -160,9 +160,8 @@ def limits_of(script: str | None) -> Limits:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Divots at 1 to 3 ``distances``, ``touches`` each, and a ``length_mm`` in ``directions``;
-    ``length_u_mm`` and ``gauge`` are of its certificate. ``spheres``: it is between the centres of
-    two spheres, each touched at the places of `ROUND`; else between two cones.
+    """Divots at 1 to 3 ``distances``, ``touches`` each, and a ``length_mm`` in ``directions``, with
+    ``length_u_mm`` and ``gauge`` of its certificate, between ``spheres`` or cones.
     """
 
     distances: int = 3
@@ -269,9 +268,7 @@ def _end(arm: AnyArm, person: Person, what: str, number: int, text: str, plan: P
 
 
 def sphere_centre(points_mm: Floats) -> Floats:
-    """Centre (3,) of the sphere of any radius through points (n, 3), n at least 4, by least squares
-    of |p|^2 = 2 c.p + k (Coope, 1993).
-    """
+    """Centre (3,) of the sphere through points (n, 3), n >= 4: |p|^2 = 2 c.p + k (Coope, 1993)."""
     middle = points_mm.mean(axis=0)
     off = points_mm - middle
     columns = np.column_stack([2.0 * off, np.ones(len(off))])

@@ -28,9 +28,7 @@ SIDES = ("left", "right")
 
 
 def read_opencv(path: Path, image_size: tuple[int, int] | None = None) -> Part:
-    """OpenCV's M1 D1 M2 D2 and, if there, R T. Raises ConfigError. ``image_size`` (columns, rows)
-    px is for files without one, as OpenCV's own sample.
-    """
+    """OpenCV's M1 D1 M2 D2 and, if there, R T; ``image_size`` for files without. ConfigError."""
     if not path.is_file():
         raise ConfigError.plain(f"{path}: no such file")
     try:

@@ -36,9 +36,8 @@ def calibrate_stage(
     seed: int,
     capture: CaptureFile | None = None,
 ) -> Registration:
-    """The stage's registration: ``teat`` of ``layout`` touched at places (x, y mm from the
-    reference; none: corners and middle). Raises ConfigError before anything moves, and as
-    instruments do.
+    """The stage's registration: ``teat`` of ``layout`` touched at ``at_mm`` (none: corners and
+    middle). Raises ConfigError before anything moves.
     """
     settings = rig.rig.stage
     if settings is None:

@@ -143,9 +143,8 @@ def find_views(
     max_views: int | None = None,
     mirrored: frozenset[str] = frozenset(),
 ) -> BoardViews:
-    """The board in every picture; at most ``max_views``, spread over the set; ``mirrored`` cameras
-    are turned first. ``report`` gets how many pictures are done, of how many. Raises ConfigError
-    for unreadable pictures or mixed sizes.
+    """The board in every picture, or in ``max_views`` spread over the set; ``mirrored`` cameras are
+    turned first. Raises ConfigError.
     """
     chosen_views = {camera: _spread(views, max_views) for camera, views in pictures.items()}
     done, total = 0, sum(map(len, chosen_views.values()))
@@ -203,9 +202,7 @@ TINT = 0.25
 
 @dataclass(frozen=True, slots=True)
 class ViewsRequest:
-    """Cameras that see the board, cameras that it must cover (none: ``most`` views are taken),
-    whether it is heated, and cameras that come mirrored.
-    """
+    """Cameras that see the board, and those that it must cover (none: ``most`` views)."""
 
     cameras: tuple[str, ...] = ("left", "right")
     guided: tuple[str, ...] = ("left", "right")

@@ -216,9 +216,7 @@ class Asking:
 
 
 def gather_points(asking: Asking, board: Board, folder: Path) -> TouchedPoints:
-    """All points; numbered pictures and the points' table are kept in ``folder``. Raises
-    OperatorAbort, DeviceError where a board or a point fails too often, and as cameras and arm do.
-    """
+    """All points; pictures and table are kept in ``folder``. Raises OperatorAbort, DeviceError."""
     parts = []
     for position in range(1, POSITIONS + 1):
         seen = _fixed(asking, board, position, folder)
@@ -324,9 +322,7 @@ def _touched(asking: Asking, board: Board, at: int, before: list[Reading]) -> Re
 
 
 def under_ball(centres_mm: list[Array], axes: Array | None, radius_mm: float) -> Array:
-    """Points (n, 3) of a plane touched with a ball tip, from its centres and the stylus's axes.
-    Raises DeviceError for a ball whose axes are not known.
-    """
+    """Points (n, 3) of a plane from the ball tip's centres. Raises DeviceError without axes."""
     points = np.array(centres_mm, dtype=np.float64)
     if radius_mm == 0.0:
         return points

@@ -234,9 +234,7 @@ def _facts(db: sqlite3.Connection, said: Mapping[str, str]) -> Iterator[Finding]
 
 
 def _printed(folder: Path, links: list[tuple[Any, ...]], digest: str | None) -> Iterator[Finding]:
-    """The chain has to pass through the link that a report named, or it was cut off or made
-    anew.
-    """
+    """The chain has to pass through the link that a report named."""
     known = {value: row[0] for row in links for value in (row[2], row[4])}
     why = "the record was cut off or made anew since"
     if digest is not None and digest.lower() not in known:

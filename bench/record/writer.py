@@ -50,9 +50,8 @@ class FolderGoneError(OSError):
 
 
 class Store:
-    """An open run folder. Opening one begins a further session (or goes on in ``session``), and
-    clears away frames of trials that never finished. Raises ConfigError where the tables are of
-    another bench.
+    """An open run folder: begins a further session, or goes on in ``session``, and removes frames
+    of unfinished trials. Raises ConfigError where the tables are of another bench.
     """
 
     keeps_pictures: ClassVar[bool] = True
@@ -92,9 +91,7 @@ class Store:
 
     @classmethod
     def create(cls, folder: Path, files: Mapping[str, str]) -> Store:
-        """A new run folder with the texts in ``files``: there whole or not at all. Raises
-        FileExistsError, OSError.
-        """
+        """A new run folder with ``files``, whole or not at all. Raises FileExistsError, OSError."""
         if folder.exists():
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(folder))
         part = folder.with_name(f".{folder.name}.{os.getpid()}.part")
@@ -130,9 +127,7 @@ class Store:
 
     @contextmanager
     def step(self) -> Iterator[None]:
-        """What is said within is written and durable when the outermost step ends, however it
-        ends.
-        """
+        """What is written within is durable when the outermost step ends."""
         with self._lock:
             self._steps += 1
         try:
@@ -187,9 +182,7 @@ class Store:
         self._write([("skipped", [{**row, "session": self.session, "wall_time": self._now()}])])
 
     def checked(self, touches: Sequence[Row], invalid: Sequence[str], reason: str) -> None:
-        """Write down a check of the carried truth, and which trials it takes their truth away from,
-        durable at once.
-        """
+        """Write a check of the carried truth, and which trials lose their truth by it."""
         now = self._now()
         lost = [{"trial": trial, "reason": reason, "wall_time": now} for trial in invalid]
         rows = [{**touch, "wall_time": now} for touch in touches]
@@ -198,9 +191,7 @@ class Store:
     def frames(
         self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
     ) -> list[Row]:
-        """Write pictures as PNG by camera, all synced and renamed on return; gives back their rows.
-        Raises FolderGoneError before it would make the folder anew.
-        """
+        """Write pictures as PNG by camera, synced on return; their rows. Raises FolderGoneError."""
         self.refuse_gone()
         paths = {camera: self.folder / "frames" / trial / f"{camera}.png" for camera in images}
         digests = write_pictures({paths[camera]: image for camera, image in images.items()})
@@ -247,8 +238,8 @@ class Store:
                 self._write([])
 
     def _write(self, tables: Tables) -> None:
-        """What waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error; on
-        OperationalError the rows go on waiting.
+        """Write what waits and ``tables``, all or nothing, durable on return. Raises sqlite3.Error;
+        on OperationalError the rows go on waiting.
         """
         with self._lock:
             waiting: dict[str, list[Row]] = {}
@@ -282,9 +273,7 @@ class Store:
             raise
 
     def _inserted(self, tables: Tables) -> tuple[Spans, list[str]]:
-        """Insert all rows; gives back first and last rowid by table, and the facts' keys in
-        order.
-        """
+        """Insert all rows; first and last rowid by table, and the facts' keys in order."""
         spans: dict[str, tuple[int, int]] = {}
         facts: dict[str, None] = {}  # in order, so that the same seed gives the same link
         for table, rows in tables:
@@ -301,9 +290,7 @@ class Store:
 
 
 def new_run_folder(out: Path, name: str, wall_time: datetime) -> Path:
-    """A new name for a run: ``<out>/<time>-<name>``, with a number where two fall on one second. A
-    long name is cut: a file system takes 255 bytes.
-    """
+    """A new name for a run: ``<out>/<time>-<name>``, numbered where needed, ``name`` cut."""
     stem = f"{wall_time:%Y%m%d-%H%M%S}-{name.encode()[:LONGEST_NAME].decode(errors='ignore')}"
     folder, number = out / stem, 1
     while folder.exists():

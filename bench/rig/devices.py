@@ -57,8 +57,8 @@ class Devices:
     def make_safe(
         self, tell: Callable[[str], None], cut_short: Callable[[], bool] = lambda: False
     ) -> tuple[str, ...]:
-        """Bath to standby, stage still, arm's session ended; returns the names that failed. Each
-        step is tried, whatever another one raised. ``cut_short`` ends the pump's run-on.
+        """Bath to standby, stage still, arm's session ended, whatever a step raises; the names that
+        failed. ``cut_short`` ends the pump's run-on.
         """
         steps: dict[str, Callable[[], object]] = {"bath": lambda: heater_off(self.bath)}
         if self.stage:

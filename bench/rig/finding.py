@@ -40,8 +40,8 @@ LISTEN_S = 2.5  # a board that the port's opening resets says its welcome within
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What answered at ``url``: "arm", "bath" or "stage", who it says it is, and for a bath the
-    profiles that it answered by; for a stage its dialect, and Zaber's devices and axes.
+    """What answered at ``url``, and who it says it is; the profiles that a bath answered by, a
+    stage's dialect, and Zaber's devices and axes.
     """
 
     kind: str
@@ -167,9 +167,8 @@ def rig_text(
     missing: Mapping[str, str],
     about: str,
 ) -> str:
-    """The ``example`` with ``values`` by table and key; all else stays as comments, with what is
-    said of it: other keys, and tables without a value. The url of a table in ``missing`` is there
-    to be filled in.
+    """The ``example`` with ``values`` by table and key; other keys and tables stay as comments. A
+    table in ``missing`` has its url to be filled in.
     """
     given = {name: dict(table) for name, table in values.items()}
     for name, url in missing.items():

@@ -197,8 +197,8 @@ BOARDS = Path(__file__).parents[1] / "boards"
 
 
 class BoardFile(Section):
-    """``columns`` and ``rows`` count inner corners or circles; ``pitch_mm`` as measured, with its
-    standard uncertainty ``pitch_u_mm``.
+    """``columns``, ``rows``: inner corners or circles; ``pitch_mm`` as measured, with
+    ``pitch_u_mm``.
     """
 
     kind: BoardKind
@@ -224,9 +224,8 @@ BOARD_WORD = re.compile(r"(?:checker|chess)board:(\d{1,5})x(\d{1,5}):(\d{1,5}(?:
 
 
 def find_board(name: str | None) -> tuple[Board, tuple[Path, ...]]:
-    """A shipped board by name, any by the path of its file, or a checkerboard by its figures:
-    ``checkerboard:5x7:30mm``, which are inner corners. With the file, where it has one. Raises
-    ConfigError.
+    """A shipped board by name, any by its file, or by its figures (``checkerboard:5x7:30mm``, inner
+    corners); and the file, if any. Raises ConfigError.
     """
     if name and re.match(r"\w\w+:", name) and not Path(name).is_file():
         found = BOARD_WORD.fullmatch(name)

@@ -71,10 +71,9 @@ def open_instruments(
     identify: bool = True,
     folder: Path | None = None,
 ) -> Iterator[Devices]:
-    """The instruments ``names`` of ``rig``; others are None. Closed at the end. Without ``clock``
+    """The instruments ``names`` of ``rig``, closed at the end; others are None. Without ``clock``
     time is virtual where all is emulated and no person takes part. ``twin``: emulators already up;
-    ``capture`` taps links; ``screen`` is entered around a question; ``identify`` False puts the
-    check of the bath off; in the run's ``folder`` a browser's operator is asked. Raises
+    ``screen`` is entered around a question; ``folder``: of a run with a browser. Raises
     BringUpError, or a single instrument's fault, and ConfigError.
     """
     emulated = twin is not None or any(rig.rig.urls.get(name) == EMULATED for name in names)
@@ -131,8 +130,8 @@ def rig_of(profile: Profile | None = None, **tables: Any) -> LoadedRig:
 
 
 def pedal_watch(arm: MicroScribe, clock: Clock) -> Callable[[float], bool]:
-    """For one prompt: watches the pedals for some seconds; True once one was pressed since the
-    first call. A pedal that is down at first must come up. Raises as polling does.
+    """Waits some seconds for a pedal; True once one was pressed since the first call. A pedal that
+    is down at first must come up. Raises as polling.
     """
     debouncer = Debouncer()
 
@@ -161,9 +160,7 @@ def conversion_of(table: OneCamera, calibration: Calibration | None) -> Conversi
 def open_camera(
     name: str, table: OneCamera, folder: Path, clock: Clock, in_step: DeviceTime | None = None
 ) -> Camera:
-    """One camera of a rig file in ``folder``; ``in_step`` is shared by those with PTP. Raises
-    InstrumentError.
-    """
+    """One camera of a rig file in ``folder``. Raises InstrumentError."""
     kind, _, rest = table.url.partition(":")
     if kind == "genicam":
         return GenicamCamera(name, rest, clock, table.settings, in_step=in_step)
@@ -197,8 +194,8 @@ def _open_cameras(rig: LoadedRig, clock: Clock) -> Cameras:
 def _answerer(
     rig: LoadedRig, clock: Clock, screen: Screen, folder: Path | None
 ) -> PromptedOperator | None:
-    """Who answers prompts; None for an emulated operator. Outside of a run there is no ``folder``,
-    and a browser's operator is asked at the terminal. Raises ConfigError.
+    """Who answers prompts; None for an emulated operator. Without a run's ``folder`` a browser's
+    operator is asked at the terminal. Raises ConfigError.
     """
     url = rig.rig.operator.url
     if url in PEOPLE:

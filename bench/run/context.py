@@ -32,8 +32,8 @@ READ_S = 1.0  # both clocks are read within microseconds
 
 
 class RunContext:
-    """One run. Time passes through ``wait`` only, with a look at the interlocks every second.
-    ``check_interrupts`` is called at each look, and raises what a person requests.
+    """One run. Time passes through ``wait`` only, which checks the interlocks every second;
+    ``check_interrupts`` raises what a person requests.
     """
 
     def __init__(
@@ -99,9 +99,7 @@ class RunContext:
         self.look()
 
     def look(self) -> None:
-        """Raises InterlockTrip, and what ``check_interrupts`` raises. No sign of life: what was
-        announced goes on.
-        """
+        """Raises InterlockTrip and what ``check_interrupts`` raises. It is no heartbeat."""
         self.watch.check()
         self.check_interrupts()
         if self.live.due:
@@ -125,9 +123,8 @@ class RunContext:
         }
 
     def _tip_mm(self) -> NDArray[np.float64] | None:
-        """Where the tip is while a person is asked for a touch, in the world; None at other times:
-        in virtual time a poll more would change what the emulated arm answers. Raises as the arm's
-        driver does.
+        """The tip in the world while a touch is asked for in real time, else None: in virtual time
+        a further poll would change what the emulated arm answers.
         """
         arm = self.devices.arm
         if not self._touching or isinstance(self.clock, VirtualClock) or not arm.homed:
@@ -139,8 +136,8 @@ class RunContext:
         return self.tip.in_world(seen).tip_mm
 
     def long(self, what: str, at_most_s: float, *, silent: bool = False) -> None:
-        """``what`` may take ``at_most_s`` before the guardian takes the bench for hung. A wait on a
-        clock or a link gives signs of life; a computation, or another's code, is ``silent``.
+        """Allow ``what`` ``at_most_s`` before the guardian takes the bench for hung; ``silent``:
+        without a heartbeat meanwhile.
         """
         self._pulse.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
 
@@ -149,8 +146,8 @@ class RunContext:
         self.event("state", text)
 
     def event(self, kind: str, text: str) -> None:
-        """Into the record, with its time, and then into the stream; before it, that the computer's
-        clock was set, which changes wall times and not the bench's own.
+        """Record an event and put it into the stream, after one where the computer's
+        clock was set.
         """
         before_s = stopwatch_s()
         behind_s = wall_time().timestamp() - before_s

@@ -51,9 +51,8 @@ class Ending(StrEnum):
 
 
 class Engine:
-    """One run. ``exact_ends`` gives the scene's exact truth, which is never scored against;
-    ``left`` is what the run's last session left; ``typed`` gives the lines that were typed, None
-    while there is none; ``expected`` is how long it takes.
+    """One run. ``exact_ends``: the scene's exact truth, never scored against; ``left``: of the last
+    session; ``typed`` gives typed lines; ``expected``: how long it takes.
     """
 
     def __init__(
@@ -241,9 +240,7 @@ class Engine:
         }
 
     def _ended_by(self, why: BaseException) -> Ending:
-        """The ending that ``why`` means, written down; raises it again when it is a mistake of the
-        bench.
-        """
+        """The ending that ``why`` means, recorded; raises a mistake of the bench again."""
         self._reserve.give_back()
         self._end_replay()
         tripped = self._ctx.watch.tripped

@@ -69,9 +69,7 @@ class RunStates:
         self.current = RunState.PLANNED
 
     def to(self, state: RunState) -> None:
-        """Change to ``state``; staying is no change. Raises ValueError for a change that the table
-        doesn't have.
-        """
+        """Change to ``state``. Raises ValueError for a change that the table doesn't have."""
         if state is self.current:
             return
         if state not in TABLE[self.current]:
@@ -83,9 +81,7 @@ class RunStates:
 
     @contextmanager
     def during(self, state: RunState) -> Iterator[None]:
-        """In ``state`` while this lasts, then back; where it ends by an exception the state stays,
-        for that is where it happened.
-        """
+        """In ``state`` while this lasts, then back; after an exception the state stays."""
         before = self.current
         self.to(state)
         yield
@@ -106,9 +102,8 @@ TAIL_BYTES = 1 << 16
 
 
 class Progress(Protocol):
-    """A terminal, or whatever a person looks at: what is being done (``state``), that ``done`` of
-    ``total`` trials are finished and ``name`` is next, what a person has to see at once (``warn``).
-    Nothing moves on it during ``aside``. May be called from any thread.
+    """A terminal or other screen, for any thread: the present work (``state``), trials done, and
+    what a person has to see at once (``warn``). Nothing moves on it during ``aside``.
     """
 
     def state(self, text: str) -> None: ...
@@ -118,9 +113,7 @@ class Progress(Protocol):
 
 
 class SafeProgress:
-    """Shows on ``progress``; after its first failure, of which ``failed`` gets the reason, only
-    what a person has to see at once.
-    """
+    """Shows on ``progress``; after its first failure, reported to ``failed``, only warnings."""
 
     def __init__(self, progress: Progress, failed: Callable[[str], None] = lambda _: None) -> None:
         self._progress = progress
@@ -160,11 +153,9 @@ class SafeProgress:
 
 
 class Events:
-    """The stream, from any thread, shown on ``screen`` as one line (trial, what is done, bath, time
-    left, last error) and written to ``file``, open for appending without a buffer.
-
-    ``now_s`` is the bench's time; ``live`` gives further parts of the line; ``not_shown`` gets
-    which listener failed, and why. While ``replaying``, events are shown and not written.
+    """The stream, from any thread, shown on ``screen`` as one line and written to ``file``.
+    ``live`` gives further parts of the line; ``not_shown`` gets which listener failed. While
+    ``replaying``, events are shown and not written.
     """
 
     def __init__(self, screen: Progress, file: FileIO | None = None) -> None:
@@ -290,9 +281,7 @@ def _last_number(file: FileIO) -> int:
 
 @contextmanager
 def event_lines(path: Path | None) -> Iterator[FileIO | None]:
-    """The file ``path``, open for `Events`; None where none is asked for. Raises ConfigError where
-    it can't be opened.
-    """
+    """The file ``path``, open for `Events`, if any. Raises ConfigError."""
     if path is None:
         yield None
         return

@@ -62,8 +62,8 @@ POLICIES: Mapping[tuple[str, str], Policy] = {
 
 
 def diagnosis(fault: InstrumentError) -> tuple[str, str]:
-    """Whose fault it is, by who the error names, and whether that is gone, garbled or refuses; ""
-    for no instrument's, and for what no second try can cure.
+    """Which instrument, and whether it is gone, garbled or refuses; "" for what can't
+    be retried.
     """
     who = fault.who.lower()
     first = (who.replace(":", " ").split() or [""])[0]
@@ -79,8 +79,8 @@ SETTLED_S = 1.0
 
 
 class Recovery:
-    """Runs work that instruments may interrupt, and waits for them as long as the rig says.
-    ``look`` raises while the cameras give nothing usable.
+    """Runs work that instruments may interrupt, and waits for them. ``look`` raises while the
+    cameras give nothing usable.
     """
 
     def __init__(self, ctx: RunContext, look: Callable[[], None]) -> None:
@@ -91,8 +91,8 @@ class Recovery:
         self.counts: Counter[str] = Counter()
 
     def run(self, what: str, work: Callable[[], None]) -> None:
-        """Do ``work`` until it is done. Raises a fault that has no policy, or came too often, or
-        whose instrument does not come back.
+        """Do ``work`` until it is done. Raises a fault without a policy, one that came too often,
+        and one whose instrument does not come back.
         """
         tried: Counter[str] = Counter()
         if self._missing:  # the wait was given up, and it may be back, but not where it was
@@ -137,9 +137,7 @@ class Recovery:
         self._missing, ctx.away = None, ""
 
     def _back(self, name: str) -> bool:
-        """Whether it is back: the arm signed on and homed on its peg, for it may have lost its
-        power; the stage restarted and homed; cameras that give a usable frame set.
-        """
+        """Whether the instrument is back and ready: arm homed, stage homed, cameras usable."""
         ctx, devices = self._ctx, self._ctx.devices
         ctx.events.state(f"waiting for the {name}")
         try:
@@ -190,9 +188,7 @@ def read_wish(words: str) -> tuple[str, str]:
 
 
 def leave_wish(folder: Path, words: str) -> None:
-    """Leave a request for the run in ``folder``. Raises ConfigError for words that mean none, or
-    where it can't be written.
-    """
+    """Leave a request for the run in ``folder``. Raises ConfigError."""
     try:
         wish, reason = read_wish(words)
         write_synced(folder / FILE, f"{wish} {reason}\n".encode())
@@ -231,9 +227,7 @@ class Requests:
             self._tell(f"{note}: {words.strip()}")
 
     def look(self, *, amid: bool = True) -> None:
-        """Amid a trial or between two; raises OperatorAbort, amid a trial OperatorSkip and
-        OperatorRepeat too, or sets ``paused``.
-        """
+        """Take requests; raises OperatorAbort, ``amid`` a trial OperatorSkip and OperatorRepeat."""
         for words in (self._left(), self._typed()):
             if words and words.strip():
                 self._take(words, amid=amid)

@@ -35,9 +35,7 @@ from instruments.clock import wall_time
 def frame_rows(
     store: Store, trial_id: str, frames: FrameSet, answers: Sequence[Answer]
 ) -> list[Row]:
-    """Write the frames of a trial, and the pictures that the detectors' stages left; gives back
-    their rows.
-    """
+    """Write a trial's frames and the pictures of the detectors' stages; their rows."""
     images: dict[str, Picture | None] = {"left": frames.left, "right": frames.right}
     images |= {"thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
     images |= {"depth": frames.depth_dmm, "depth_amplitude": frames.amplitude}
@@ -112,9 +110,7 @@ FRAME_FACT = "arm frame"
 
 
 def write_arm_facts(store: Store, rig: LoadedRig) -> None:
-    """What the rig states of its arm, and its table frame and verification where it names them,
-    into the run's store.
-    """
+    """What the rig states of its arm, its table frame and verification, into the store."""
     store.fact(STATED_FACT, stated_fact(rig.rig.arm))
     if (frame := rig.frame) is not None:
         fact = {
@@ -137,9 +133,7 @@ LIBRARIES = ("numpy", "opencv-python-headless", "scipy", "pymodbus", "pyserial")
 def write_facts(
     store: Store, facts: Mapping[str, Any], detectors: Sequence[Detector], calibration: Path
 ) -> None:
-    """Everything that holds for the whole run, into its store; of each item under test name,
-    version, its configuration and a hash over that.
-    """
+    """Facts of the whole run into its store; of each item under test its configuration."""
     everything = {
         **facts,
         "detectors": [detector.name for detector in detectors],
@@ -173,9 +167,7 @@ def _item(detector: Detector) -> dict[str, str]:
 
 
 def commit(git: Path) -> str | None:
-    """The commit that the bench's own working copy is at, without changes not committed; None where
-    it runs from no copy.
-    """
+    """The commit of the bench's own working copy; None where it runs from no copy."""
     try:
         head = (git / "HEAD").read_text(encoding="ascii").strip()
         if not head.startswith("ref: "):

@@ -60,9 +60,8 @@ INTERRUPTED = "interrupted (Ctrl-C)"
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How a run is run: ``seed`` and ``detectors`` instead of the rig's and the script's; ``typed``
-    gives lines that were typed, None while there is none; ``begun`` gets a line for the person at
-    the terminal: where the run is kept, and how long it takes.
+    """``seed`` and ``detectors`` instead of the rig's and the script's; ``typed`` gives typed
+    lines; ``begun`` gets where the run is kept, and how long it takes.
     """
 
     seed: int | None = None
@@ -81,11 +80,8 @@ def run_script(
     progress: Progress,
     how: RunOptions | None = None,
 ) -> tuple[Path, Ending]:
-    """Run ``script`` on ``rig``, shown on ``progress`` (or the stream itself, `Events`); gives back
-    the run's folder and how it ended.
-
-    Raises ConfigError, LatchedError where a trip has not been acknowledged, and RigInUseError,
-    before anything is opened.
+    """Run ``script`` on ``rig``, shown on ``progress``; the run's folder and how it ended. Raises
+    ConfigError, LatchedError, RigInUseError before anything is opened.
     """
     how, events = how or RunOptions(), _stream(progress)
     refuse_carry(rig, script)
@@ -104,8 +100,8 @@ def run_script(
 def resume_run(
     folder: Path, progress: Progress, how: RunOptions | None = None
 ) -> tuple[Path, Ending]:
-    """Go on with the run in ``folder`` at its first trial without a result, with its own seed,
-    detectors, kind of time and recording. Raises ConfigError, LatchedError, RigInUseError.
+    """Continue the run in ``folder`` at its first trial without a result, as it was begun. Raises
+    ConfigError, LatchedError, RigInUseError.
     """
     how, events = how or RunOptions(), _stream(progress)
     rig, script = files_of(run := read_run(folder))
@@ -253,9 +249,7 @@ def _run(
 
 
 def score_recording(path: Path, out: Path, progress: Progress, detectors: Sequence[str]) -> Path:
-    """Score detectors over a recording; gives back the run's folder. Raises ConfigError,
-    RecordingError.
-    """
+    """Score detectors over a recording; the run's folder. Raises ConfigError, RecordingError."""
     check_pack(path)
     under_test, recording, path = make_detectors(detectors), Recording(path), path.resolve()
     with introduced(under_test, members_of(recording)):
@@ -328,8 +322,8 @@ def members_of(recording: Recording) -> dict[str, list[int]]:
 
 
 def _pose_names(recording: Recording) -> dict[str, str]:
-    """For each frame the first one that shows the same pose, by the truth (same situation, same
-    teats, each end within SAME_POSE_MM): frames of one pose are repeats, not independent trials.
+    """For each frame the first one of the same pose (same situation and teats, each end within
+    SAME_POSE_MM): frames of one pose are repeats.
     """
     names: dict[str, str] = {}
     # by situation and teats: names of the first frames, and their ends (n, 3)

@@ -83,8 +83,8 @@ def shown(trial: PlannedTrial, axes: str) -> ExpectedScene:
 def choose_truth(
     ctx: RunContext, settled: Settled, *, before: RunRecord | None = None
 ) -> TouchedTruth:
-    """The source for a run. ``settled`` gets the carried trials that a check has confirmed (True)
-    or invalidated; of the stopped run ``before`` registration and reference are used further.
+    """The truth source of a run. ``settled`` gets the carried trials that a check has confirmed
+    (True) or invalidated; ``before``: the stopped run.
     """
     table, stage, settings = ctx.script.script.truth, ctx.devices.stage, ctx.rig.rig.stage
     toucher = Toucher(ctx.ask, ctx.tip, ctx.rig.rig.arm, ctx.clock, ctx.check, table.readings)
@@ -115,10 +115,8 @@ def choose_truth(
 def _registration(
     ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Toucher
 ) -> Registration:
-    """The one that the script asks for, as a fact of the run: its file's, or one made now.
-
-    Raises LimitError where the file's doesn't hold any more, DeviceError where the touches give
-    none, and as the instruments do.
+    """The script's registration, from its file or made now, as a fact of the run. Raises LimitError
+    where the file's doesn't hold, DeviceError where the touches give none.
     """
     # the world that it was made in has to be the one that the arm gives now
     made = ctx.rig.frame.made if ctx.rig.frame else None
@@ -168,10 +166,9 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
 
 
 class Attempts:
-    """Runs the planned trials of ``ctx`` by ``once``, each until it is done or skipped.
-
-    ``through`` does a piece of work until no instrument has interrupted it; ``poison`` are trials
-    that aren't tried again, with the reason; ``each_s`` is what a trial is expected to take.
+    """Runs planned trials by ``once``, each until done or skipped. ``through`` repeats work that an
+    instrument interrupts; ``poison``: trials not tried again, with the reason; ``each_s``: expected
+    of a trial.
     """
 
     def __init__(
@@ -240,9 +237,8 @@ class Attempts:
 
 
 class TrialRun:
-    """The trials of one run. ``exact_ends`` gives the scene's exact truth, which is never scored
-    against; ``recorder`` gets each frame set with its truth. While ``rehearsing`` a trial that has
-    its result, nothing is detected.
+    """The trials of one run. ``exact_ends``: the exact truth, never scored against; ``recorder``
+    gets each frame set. While ``rehearsing`` nothing is detected.
     """
 
     def __init__(
@@ -278,9 +274,7 @@ class TrialRun:
         self.look = self._taker.look  # raises where the cameras give nothing usable
 
     def run(self, trial: PlannedTrial) -> None:
-        """From settling to the trial's rows. Raises what an instrument, an interlock or the
-        operator raises; nothing is stored then.
-        """
+        """From settling to the trial's rows; where anything raises, nothing is stored."""
         ctx, there = self._ctx, shown(trial, self._axes)
         ctx.store.refuse_gone()
         ctx.live.expect(trial.name, there.ends)
@@ -344,9 +338,7 @@ class TrialRun:
         ctx.event("stable", f"the bath is stable at {gate.set_point_c:g} degC")
 
     def _pictured(self, trial: PlannedTrial, asked: Arrangement) -> Arrangement:
-        """With a picture for a person; the one before where nothing is to be changed by hand. One
-        that can't be made costs no trial.
-        """
+        """With a picture for a person; the one before where nothing is to be changed by hand."""
         if self._rig.operator.url not in PEOPLE:
             return asked
         before = self._before
@@ -360,8 +352,8 @@ class TrialRun:
         return replace(asked, picture=before.picture) if before else asked
 
     def _capture_settled(self, trial_id: str) -> FrameSet:
-        """Frames of a bath in its band: the trial is suspended until it is stable again, and frames
-        are taken anew where it leaves its band meanwhile (but for those of a recording).
+        """Frames of a bath in its band: the trial is suspended until it is stable, and frames are
+        taken again where it leaves its band (but for a recording's).
         """
         ctx, recorded = self._ctx, self._rig.cameras.recorded
         while True:

@@ -39,11 +39,9 @@ AGAIN_S = 5.0  # between attempts to make safe
 
 @dataclass(eq=False)
 class BathMonitor:
-    """Watches the bath that ``read`` polls, from ``start`` to ``stop``.
-
-    ``record`` gets each reading as a row; ``act`` gets the first trip, makes safe, and returns
-    whether it has. ``pump_on``: whether the pump turns, None if unknown; ``also``: another reason
-    to trip; ``moving``: what of a reading has to change while the controller lives.
+    """Watches the bath that ``read`` polls. ``act`` gets the first trip, makes safe, and returns
+    whether it has. ``also``: another reason to trip; ``moving``: what of a reading has to change
+    while the controller lives.
     """
 
     read: Callable[[], BathReading]
@@ -177,8 +175,8 @@ READING_S = 60.0
 
 
 class TripHandler:
-    """``watch`` is started and stopped by the engine. ``on_event`` gets the event of a trip, its
-    kind and text, once it is in the record; ``seen`` is called after each reading.
+    """Makes safe and reports a trip. ``on_event`` gets its event once it is recorded; ``seen`` is
+    called after each reading.
     """
 
     def __init__(

@@ -50,9 +50,8 @@ IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 class HeartbeatReader:
-    """Reads the bench's lines from the file descriptor ``source`` on a thread (not every system can
-    wait for a pipe with a time limit), and echoes signs of life to ``echo``. ``bench`` is its
-    process.
+    """Reads the bench's lines from ``source`` on a thread (not every system can wait for a pipe
+    with a time limit), and echoes heartbeats to ``echo``. ``bench``: its process.
     """
 
     def __init__(self, source: int, echo: int, bench: int) -> None:
@@ -62,8 +61,8 @@ class HeartbeatReader:
         threading.Thread(target=self._listen, args=(source,), daemon=True).start()
 
     def wait_for_loss(self) -> tuple[str, str, float] | None:
-        """``died``, ``hung`` or ``gave up``, in what, and the stopwatch at the bench's last sign;
-        None when it is done.
+        """``died``, ``hung`` or ``gave up``, why, and the time of the last heartbeat; None when
+        done.
         """
         last_s, dying = stopwatch_s(), False
         while True:
@@ -100,9 +99,7 @@ class HeartbeatReader:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Guard one bath; 0 when the bench needed nothing or the bath is in standby, 1 when it could
-    not be reached.
-    """
+    """Guard one bath; 0 when it is in standby or nothing was needed, 1 when not reached."""
     given = _parser().parse_args(arguments)
     for name in IGNORED:
         if hasattr(signal, name):

@@ -55,8 +55,8 @@ class Heartbeat:
         silence_s: float | None = None,
         who: str = "the main thread",
     ) -> None:
-        """``who`` is alive and until its next ``sign`` does ``what``, for ``at_most_s``, and with
-        ``silence_s`` is ``alive`` that often meanwhile.
+        """``who`` does ``what`` from now on, for ``at_most_s``, ``silence_s`` of it without
+        `alive`.
         """
         now_s, quiet_s = stopwatch_s(), at_most_s if silence_s is None else silence_s
         with self._lock:
@@ -117,9 +117,7 @@ class GuardianTarget:
 
 
 class GuardianClient:
-    """A running guardian of ``charge`` with its record in ``folder``. Raises LinkError when it
-    doesn't start.
-    """
+    """A running guardian of ``charge``, its record in ``folder``. Raises LinkError."""
 
     def __init__(self, charge: GuardianTarget, folder: Path, pulse: Heartbeat) -> None:
         self._pulse = pulse
@@ -162,9 +160,7 @@ class GuardianClient:
         self._end(DONE)
 
     def hand_over(self) -> None:
-        """The bath could not be made safe: the guardian goes on trying, as if the bench had
-        died.
-        """
+        """The bath could not be made safe: the guardian goes on trying."""
         self._end(TAKE_OVER)
 
     def __enter__(self) -> GuardianClient:
@@ -245,9 +241,7 @@ def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
 def guarded(
     charge: GuardianTarget, folder: Path, clock: Clock
 ) -> Iterator[tuple[Heartbeat, GuardianClient | None]]:
-    """Signs of life and their guardian; none under virtual time: the emulated bath ends with the
-    bench.
-    """
+    """Heartbeats and their guardian; none under virtual time, where the bath is emulated."""
     pulse = Heartbeat()
     if isinstance(clock, VirtualClock):
         yield pulse, None

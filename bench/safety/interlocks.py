@@ -30,12 +30,9 @@ SAME_SET_POINT_K = 0.06  # a controller may show tenths
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """One reading in its context.
-
-    ``asked_c`` is the set point that the bath was started with, None before. ``since`` is the last
-    reading with which the rule was content, ``earlier`` one at least RATE_SPAN_S older than
-    ``now``. ``pump_on`` is None where nothing reports whether the pump is on; ``settled`` says that
-    the other sensors have had time to follow.
+    """One reading in its context. ``asked_c``: the set point asked for, None before. ``since``: the
+    last reading without the fault; ``earlier``: one RATE_SPAN_S older. ``settled``: the other
+    sensors have followed.
     """
 
     now: BathReading
@@ -150,12 +147,9 @@ def not_cold_and_plausible(now: BathReading, limits: Limits) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A row of the table. Every row latches: what has tripped stays so, whatever the bath does,
-    until a person acknowledges it.
-
-    ``wrong`` says what is wrong at this moment, or gives None; it trips ``after_s`` after the last
-    reading that was right. ``not_yet`` says why a latched trip can't be reset, or gives None.
-    ``needs`` are rows: a family that has none of them can't tell, and the rule sleeps.
+    """A row of the table. ``wrong`` gives the fault of a reading, and trips after ``after_s`` of
+    it; the trip latches until a person acknowledges it. ``not_yet``: why it can't be reset.
+    ``needs``: rows of the profile without which the rule is inactive.
     """
 
     name: str
@@ -298,9 +292,7 @@ COARSE_K = 0.05  # a reading in steps of more than this stands still in the best
 
 
 class InterlockTrip(Exception):  # noqa: N818 - the field's word
-    """A rule is broken; the bench goes to safe and stays there. ``values`` are the readings that
-    led to it, oldest first.
-    """
+    """A rule has tripped. ``values``: the readings that led to it, oldest first."""
 
     def __init__(
         self, rule: str, why: str, then: str, values: tuple[Mapping[str, object], ...] = ()
@@ -396,8 +388,8 @@ class Interlocks:
 
 
 def moving_of(profile: Profile) -> Callable[[BathReading], Hashable]:
-    """What of a reading has to change while the controller lives: the temperature; of a coarse one
-    the output too.
+    """What has to change while the controller lives: the temperature; of a coarse one
+    the output.
     """
     if profile.row("temperature").step <= COARSE_K:
         return lambda reading: reading.raw

@@ -125,9 +125,8 @@ class Exits:
             raise _interrupted(self.asked[0])
 
     def console_event(self, event: int) -> bool:
-        """What Windows calls: what ends the program makes safe in this thread, for the main one may
-        be waiting for input for ever. False for Ctrl-C and Ctrl-Break: Python makes signals of
-        them.
+        """Windows calls it on a thread of its own: makes safe there. False for Ctrl-C and
+        Ctrl-Break, of which Python makes signals.
         """
         how = ENDINGS.get(event)
         if how is None:
@@ -146,8 +145,8 @@ def _interrupted(name: str) -> Interrupted:
 
 @contextmanager
 def installed(register: Register | None = None) -> Iterator[Exits]:
-    """Handle all requests to end while this lasts; what was ignored when the program started
-    (`nohup`, `&`) stays ignored. ``register`` stands in for Windows's of a closed console window.
+    """Handle all requests to end while this lasts; what was ignored at the start (`nohup`, `&`)
+    stays ignored. ``register``: Windows's, of a closed console window.
     """
     exits = Exits()
     if threading.current_thread() is not threading.main_thread():
@@ -192,9 +191,7 @@ def undisturbed() -> Iterator[None]:
 
 
 def _amid_a_lock(frame: FrameType | None) -> bool:
-    """Whether Python's own code, in any caller, is just taking or giving back a lock: raised there,
-    the lock would be held for ever.
-    """
+    """Whether Python's own code is taking or giving back a lock, which would stay held."""
     while frame is not None:
         if frame.f_code.co_filename == threading.__file__ and frame.f_code.co_name in AMID_A_LOCK:
             return True

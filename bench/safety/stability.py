@@ -62,9 +62,7 @@ FIGURES_FROM = 0.1  # of the window: figures of less are noise
 
 
 class State(StrEnum):
-    """`heating`: further from the set point than `leave_k`; `settling`: near it, not shown to be
-    stable; `stable`.
-    """
+    """`heating`: further from the set point than `leave_k`; `settling`: near it; `stable`."""
 
     HEATING = "heating"
     SETTLING = "settling"
@@ -73,13 +71,9 @@ class State(StrEnum):
 
 @dataclass(slots=True, eq=False)
 class StabilityGate:
-    """Feed every reading to `add`; ask `state` and `reasons`. `window` has the figures, `near`
-    those of what came after the last heating. Limits are the script's.
-
-    `min_distinct` raw readings must differ within the window, and a raw reading may repeat for
-    `frozen_s` at the most: a steady bath shows one value of a 0.01 K step for a while, a dead
-    controller shows it for ever. Where the temperature is so coarse that a good bath shows one
-    value only (0.1 K), pass another value that moves (heater output, a heartbeat) within `raw`.
+    """Feed every reading to `add`; ask `state` and `reasons`. Limits are the script's.
+    `min_distinct` raw readings must differ within the window, and one may repeat for `frozen_s`.
+    Where a good bath shows one value only (0.1 K steps), put another value that moves into `raw`.
     """
 
     set_point_c: float
@@ -116,9 +110,7 @@ class StabilityGate:
         self.restart(self.set_point_c)  # refuses a set point that is not finite
 
     def restart(self, set_point_c: float | None = None) -> None:
-        """Forget all readings; with a temperature, that is the new set point. To be called when the
-        set point changes.
-        """
+        """Forget all readings; with a temperature, that is the new set point."""
         if set_point_c is not None:
             if not isfinite(set_point_c):
                 raise ValueError(f"stability gate: set point {set_point_c} degC must be finite")
@@ -142,12 +134,9 @@ class StabilityGate:
         alarm: bool = False,
         teat_c: float | None = None,
     ) -> State:
-        """One reading: time in seconds (increasing), bath temperature, the raw value as it came
-        over the wire (else the temperature), any alarm, and the temperature at the teats where a
-        sensor measures it.
-
-        Raises ValueError where time doesn't advance or a number is not finite: a sensor fault is
-        the caller's to handle.
+        """One reading at ``t_s`` (increasing), with its raw value, any alarm, and the temperature
+        at the teats, if measured. Raises ValueError where time doesn't advance or a number is not
+        finite.
         """
         if not (isfinite(t_s) and isfinite(temp_c)):
             why = f"reading {temp_c} degC at {t_s} s is not finite; a sensor fault is no reading"
@@ -216,9 +205,7 @@ class StabilityGate:
 
     @property
     def reasons(self) -> list[str]:
-        """What is still missing, by the readings near the set point; those of the way there show
-        nothing of it.
-        """
+        """What is still missing, by the readings near the set point."""
         w, last = self.near, self._last
         if self._alarm:
             return ["the bath has an alarm"]

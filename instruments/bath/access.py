@@ -46,9 +46,9 @@ class Tried:
 
 
 class Access(ABC, Generic[R]):
-    """The rows of one device, for one thread, over ``wire``, which is not opened yet. ``known``:
-    whether it was looked at, so that it can be polled. ``remote`` is what a controller's panel
-    calls control by us, ``SHOWN`` the rows that say what it is.
+    """The rows of one device over ``wire``, which is not opened yet; for one thread. ``known``:
+    whether it was identified; ``remote``: what its panel calls control by us; ``SHOWN``: rows that
+    say what it is.
     """
 
     remote: ClassVar[str]
@@ -68,9 +68,7 @@ class Access(ABC, Generic[R]):
 
     @abstractmethod
     def greet(self) -> None:
-        """Learn how the controller speaks. Raises ProtocolError or DeviceError where it makes no
-        sense.
-        """
+        """Learn how the controller speaks. Raises ProtocolError, DeviceError."""
 
     @property
     @abstractmethod
@@ -111,15 +109,12 @@ class Access(ABC, Generic[R]):
 
     @abstractmethod
     def try_row(self, row: R) -> str:
-        """What came for ``row`` and what it means, for a person; asked before any identification.
-        Raises InstrumentError.
-        """
+        """The reply for ``row`` and its meaning, for a person. Raises InstrumentError."""
 
     def look(self) -> tuple[BathReading, Mapping[str, str]]:
-        """Identify the controller: its first reading, and what it shows of itself.
-
-        Raises DeviceError when it is another family, is in another unit, or has no temperature, and
-        ProtocolError when what it shows makes no sense.
+        """Identify the controller: its first reading, and what it shows of itself. Raises
+        DeviceError for another family or unit or no temperature, ProtocolError for values that
+        can't be.
         """
         self.greet()
         for identity in cast(Profile, self.profile).identity:
@@ -132,9 +127,7 @@ class Access(ABC, Generic[R]):
         return reading, {"family": self.profile.family, "url": self.url, **self.learnt, **shown}
 
     def poll(self) -> BathReading:
-        """One poll, at the time of its start. Raises LinkError when it takes longer than POLL_S,
-        and BrokenError before ``look``.
-        """
+        """One poll, at the time of its start. Raises LinkError, BrokenError before ``look``."""
         if not self.known:  # an event of virtual time has dropped the link meanwhile
             raise self.wire.broken("the link is down")
         return self.poll_now()
@@ -274,9 +267,7 @@ class Access(ABC, Generic[R]):
             raise DeviceError(self.who, what, asked=row.name, seen=seen, hint=hint)
 
     def in_time(self, start_s: float, questions: int) -> None:
-        """Raises LinkError where a poll of ``questions`` that began at ``start_s`` lasts too
-        long.
-        """
+        """Raises LinkError where a poll that began at ``start_s`` took too long."""
         took_s = self.clock.now() - start_s
         if took_s > POLL_S:
             asked = f"{questions} questions of a poll"

@@ -33,9 +33,7 @@ Rows = Access[Any]
 
 @dataclass(frozen=True, slots=True)
 class PumpAt:
-    """Where a pump's relay is and what it is. ``tap`` sees the bytes of its link, where that is its
-    own: on the controller's line it shares the controller's link.
-    """
+    """A pump's relay. ``tap`` gets the bytes of its link, where that is not the controller's."""
 
     url: str
     profile: RelayProfile
@@ -43,15 +41,10 @@ class PumpAt:
 
 
 class Bath:
-    """The controller at ``url`` (see `connection`), connected and identified. May be shared by
-    threads.
-
-    ``identify=False`` puts the identification off to the first call but ``safe``: for clean-up.
-    Calls raise LinkError (no answer, within 7 s; or the link stayed down),
-    ProtocolError (nonsense), DeviceError (refused, or in the wrong state), LimitError (we did not
-    send it, or the family has no such thing). A broken link is mended, and the controller looked at
-    anew, within the next call. ``allow_inferred`` lets rows be polled and written whose evidence is
-    INFERRED. ``tap`` sees the bytes of the link.
+    """The controller at ``url``, connected and identified; may be shared by threads. Calls raise
+    LinkError, ProtocolError, DeviceError, LimitError. The next call opens a broken link again, and
+    identifies the controller. ``identify`` False: identified by the first call but ``safe``.
+    ``allow_inferred``: rows whose evidence is INFERRED are polled and written.
     """
 
     safe_state: ClassVar[str] = (
@@ -98,16 +91,12 @@ class Bath:
 
     @property
     def pump(self) -> Literal["none", "with run", "own"]:
-        """``with run``: the controller's, which turns while started; ``own``: one with a switch of
-        its own; ``none``: not fitted.
-        """
+        """``with run``: turns while the controller is started; ``own``: has its own switch."""
         return self.profile.capabilities.pump
 
     def read(self) -> BathReading:
-        """One poll.
-
-        Raises DeviceError when the controller gives no temperature or has stopped by itself,
-        ProtocolError when it can't be one.
+        """One poll. Raises DeviceError for no temperature and for a controller that has stopped by
+        itself, ProtocolError for a temperature that can't be one.
         """
         return self._do(self._read)
 
@@ -120,18 +109,15 @@ class Bath:
         return self._do(lambda: self._looked(row).value(row))
 
     def try_rows(self) -> Iterator[Tried]:
-        """Each row asked by itself, whoever is there; writes nothing. For a profile that is being
-        made. Raises LinkError where the link can't be opened.
-        """
+        """Ask each row of a profile that is being made, and write nothing. Raises LinkError."""
         with self._lock:
             for row in self._rows.profile.rows:
                 self._connect()
                 yield self._rows.tried(row)
 
     def set(self, name: str, value: float | str) -> None:
-        """Write a row (a number, or one of its labels) where it is another, and see that it stands.
-
-        A pump's relay is not switched off unless the controller stands by: that raises LimitError.
+        """Write a row (a number or a label) where it has another value, and read it back. Raises
+        LimitError where a pump's relay would be switched off before standby.
         """
         if self._relay and name == PUMP:
             return self._switch(self._relay, value)
@@ -148,11 +134,8 @@ class Bath:
         self.set("acknowledge", "acknowledge")
 
     def start(self, set_point_c: float) -> None:
-        """Heat to ``set_point_c``: no alarm (level among them), then the set point, then run (fact
-        sheet, 4.1.6).
-
-        With ``pump == "with run"`` the controller starts the pump by itself; a pump of its own has
-        to be on already, and one that is not fitted is the caller's to prove.
+        """Heat to ``set_point_c``: no alarm, the set point, then run (fact sheet, 4.1.6). A pump
+        with its own switch has to be on already.
         """
         self._rows.allowed(self._rows.row("set_point"), set_point_c)
         with self._lock:
@@ -187,10 +170,7 @@ class Bath:
         self.set("run", "standby")
 
     def safe(self) -> None:
-        """Standby whatever happened before, sent at once and even if it seems to stand by already;
-        tried 3 times.
-
-        Raises the last error when the controller can't be reached or does not obey: then it must be
+        """Standby at once, in any state; tried 3 times. Raises the last error: then it must be
         switched off by hand.
         """
         run = self._rows.row("run")

@@ -42,9 +42,8 @@ FAULTS = (*WIRE_FAULTS, "gaps refused", RESET, *SETTING_FAULTS, *PLANT_FAULTS, L
 
 
 class Emulator:
-    """A device over ``plant`` that can be broken: at its wire, in the plant, at the settings of its
-    ``panel``, by an ``outage``, during which it has no power, for ``reset_s``. A late answer takes
-    ``late_s``; a serial device never answers out of order.
+    """A device over ``plant`` with faults of its wire, the plant, the settings of its ``panel``,
+    and an ``outage`` of ``reset_s`` without power. A serial device answers in order.
     """
 
     kind: ClassVar[str] = "bath"
@@ -142,11 +141,8 @@ class Emulator:
 
 
 class Server(Emulator):
-    """A Modbus device over ``plant`` that answers for ``unit_id`` (the profile's by default) alone.
-
-    ``framing``: "tcp" for Modbus TCP, "rtu" for RTU on a pty or over TCP; by default what the
-    family has, TCP first. Of its faults, "wrong length" leaves a register (or eight bits) out of an
-    answer, "surplus" adds one. Raises ValueError for a framing that is none.
+    """A Modbus device that answers for ``unit_id`` alone. ``framing``: "tcp", or "rtu" on a pty or
+    over TCP; by default the family's, TCP first. Raises ValueError for another.
     """
 
     framing: Framing
@@ -245,12 +241,9 @@ class Server(Emulator):
 
 
 class BathEmulator(Server):
-    """Serves ``plant`` as a controller of ``profile``'s family; else as `Server`.
-
-    A family that turns its pump by itself turns the plant's; behind any other the pump stands until
-    a relay switches it. ``as_shipped``: in the factory's unit, which is degF for some. The fault
-    "controller reset" happens once and ends by itself; ``on=False`` ends it at once. Settings may
-    also be changed over the wire, where the family allows it.
+    """Serves ``plant`` as a controller of ``profile``'s family; where the family has no pump, a
+    relay switches the plant's. ``as_shipped``: in the factory's unit. The fault "controller reset"
+    ends by itself.
     """
 
     known_faults: ClassVar[tuple[str, ...]] = FAULTS
@@ -308,9 +301,8 @@ class Contacts(Values):
 
 
 class RelayEmulator(Server):
-    """The relay of a pump, with a power supply of its own: its row ``pump`` switches the pump of
-    ``plant``, off at first. As `Server`; the fault "power cut" opens the contact, and the relay is
-    silent until the fault ends.
+    """The relay of a pump: its row ``pump`` switches the plant's. The fault "power cut" opens the
+    contact, and the relay is silent until the fault ends.
     """
 
     kind: ClassVar[str] = "pump's relay"

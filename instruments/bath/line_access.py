@@ -41,9 +41,7 @@ class Question:
 
 
 class Lines(Session):
-    """A connection that sends commands and takes lines. ``in_step``: no line is under way that
-    could be taken for the next reply.
-    """
+    """Sends commands and takes lines. ``in_step``: no late line can be taken for the next reply."""
 
     def __init__(
         self, url: str, profile: LineProfile, clock: Clock, *, who: str, tap: Tap | None
@@ -223,9 +221,8 @@ class LineAccess(Access[LineRow]):
                 raise self._no(f"the answer to a write is {confirm!r}", command, reply)
 
     def replies(self, rows: Sequence[LineRow]) -> dict[str, str]:
-        """The reply to each command of ``rows``, each asked until two agree; the marker last, and
-        where a reply that came twice could be taken for the next one. Raises LinkError,
-        ProtocolError, RefusedError.
+        """The reply to each command of ``rows``, each asked until two agree, with the marker where
+        needed. Raises LinkError, ProtocolError, RefusedError.
         """
         commands = list(dict.fromkeys(row.ask for row in rows))
         for attempt in range(1, ATTEMPTS + 1):

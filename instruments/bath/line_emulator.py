@@ -33,9 +33,7 @@ DAMAGES: Mapping[str, Damage] = {
 
 
 class LineEmulator(Emulator):
-    """Serves ``plant`` as a circulator of ``profile``'s family, at the bytes of its serial port or
-    of a socket.
-    """
+    """Serves ``plant`` as a circulator of ``profile``'s family that speaks lines of ASCII."""
 
     whose_faults: ClassVar[str] = " of a bath that speaks lines of ASCII"
     known_faults: ClassVar[tuple[str, ...]] = LINE_FAULTS

@@ -46,10 +46,8 @@ Faults = Iterator[tuple[Keys, str]]
 
 
 class Device(Strict):
-    """A device of some make: how it is spoken to, and its rows.
-
-    ``timeout_s`` is the wait for an answer, and ``quiet_s`` how much later one may still come: the
-    slowest that the family is known to be.
+    """A device of some make: how it is spoken to, and its rows. ``timeout_s``: the wait for an
+    answer; ``quiet_s``: how much later one may still come.
     """
 
     family: str
@@ -96,9 +94,8 @@ class Device(Strict):
 
 
 class Wiring(Device):
-    """A Modbus device. ``functions`` are the Modbus functions that it knows; with ``alike``, 3 and
-    4 read the same registers. From address ``pairs_from`` on, registers are read and written in
-    pairs only.
+    """A Modbus device with its ``functions``; with ``alike``, 3 and 4 read the same registers. From
+    address ``pairs_from`` on, registers are read and written in pairs.
     """
 
     transports: Annotated[tuple[Literal["tcp", "rtu"], ...], Field(min_length=1)]
@@ -216,9 +213,8 @@ class Identity(Strict):
 
 
 class Profile(Device):
-    """One family of temperature controllers, whatever it speaks. ``panel_rows`` say how the
-    controller speaks, and may be changed at its panel; ``remote_label`` is the value of the row
-    ``remote`` while it obeys us.
+    """A family of controllers. ``panel_rows`` may be changed at its panel; ``remote_label``: the
+    value of the row ``remote`` under our control.
     """
 
     remote_label: ClassVar[str] = "remote"
@@ -316,13 +312,9 @@ class RegisterProfile(Wiring, Profile):
 
 
 class LineProfile(Profile):
-    """A family that speaks lines of ASCII.
-
-    ``end`` ends a command and ``reply_end`` a reply. ``marker`` is the row whose reply can be no
-    other row's: it shows that no late reply is under way. ``confirm`` is the reply to a write, ""
-    where there is none; ``refusals`` are replies that refuse a command, with their meaning.
-    ``gap_s`` is the pause between a reply and the next command, ``settle_s`` the time until a write
-    shows in what is read, ``port`` the TCP port.
+    """A family that speaks lines of ASCII. ``marker``: the row whose reply can be no other row's.
+    ``confirm``: the reply to a write; ``refusals``: replies that refuse, with their meaning.
+    ``gap_s``: the pause after a reply; ``settle_s``: until a write can be read back.
     """
 
     kind: Literal["line"]
@@ -360,9 +352,7 @@ class LineProfile(Profile):
 
 
 def line_to(url: str, profile: Device, who: str) -> Line:
-    """The line that ``url`` names, with the profile's settings where it names none. Raises
-    LinkError for one that the family can't have.
-    """
+    """The line that ``url`` names, else the profile's. Raises LinkError for another kind."""
     lines = profile if isinstance(profile, LineProfile) else None
     port = lines.port if lines else MODBUS_PORT
     try:

@@ -22,13 +22,9 @@ class ChangedError(ProtocolError):
 
 @dataclass(frozen=True, slots=True)
 class BathReading:
-    """One poll, at ``t_s`` of the clock. None where the family has no such row or the controller
-    gave no number.
-
-    ``raw`` is the temperature as it came (registers, or characters), to tell a frozen value from a
-    steady one. ``alarm`` and ``warning`` are the controller's codes, 0 for none;
-    `Profile.alarm_text` gives an alarm's meaning. ``remote``: whether it accepts commands from
-    here; ``running``: whether it heats, and turns its pump where ``pump == "with run"``.
+    """One poll at ``t_s``; None where the family has no such row or there was no number. ``raw``:
+    the temperature as it came. ``alarm``, ``warning``: codes, 0 for none. ``remote``: whether it
+    takes our commands; ``running``: whether it heats.
     """
 
     t_s: float
@@ -62,11 +58,9 @@ class Assembler:
         alarm: int,
         guess: str,
     ) -> BathReading:
-        """The reading of ``values`` by row, where there is none not-a-number; ``raw`` is the
-        temperature's. ``guess``: what else an implausible temperature may mean.
-
-        Raises DeviceError when there is no temperature, ProtocolError when it is none that a bath
-        has.
+        """The reading of ``values`` by row; ``raw`` is the temperature's, ``guess`` what else an
+        implausible one may mean. Raises DeviceError without a temperature, ProtocolError for an
+        implausible value.
         """
         self._check(rows, values, alarm, guess)
         return BathReading(

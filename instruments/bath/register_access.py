@@ -22,9 +22,8 @@ HEXADECIMAL = ("model", "version")
 
 
 class RegisterAccess(Access[Row]):
-    """The rows of ``profile`` at ``url``: on the link ``shared`` where that leads to the same line,
-    else on a link of its own. ``order`` is the order of bytes just now. Raises LinkError for a URL
-    that the family can't have.
+    """The rows of ``profile`` at ``url``, on the link ``shared`` where that is the same line.
+    ``order``: the present order of bytes. Raises LinkError for a URL that the family can't have.
     """
 
     SHOWN: ClassVar[tuple[str, ...]] = ("model", "version", "firmware", "cut_out")

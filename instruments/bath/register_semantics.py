@@ -43,17 +43,11 @@ WORDS: Mapping[int, Table] = {3: "holding", 4: "holding", 6: "holding", 16: "hol
 
 @dataclass(frozen=True, slots=True)
 class Manners:
-    """One family's ways.
-
-    ``functions`` says which table each function works on; others get exception 1, or nothing where
-    ``unknown_function`` is "silence". ``alike``: input registers are the holding registers,
-    discrete inputs the coils. ``gaps``: what is read where no row is. ``says_busy``: it has
-    exception 6; without it, a busy controller is silent. ``areas``: each quantity has a 16-bit
-    register n and, at 0x8000 + 2 n, a pair. ``sensor_break`` is what the temperature reads then:
-    not-a-number, the last value before, or a raw code. After a reset of ``reset_s`` it stands by,
-    or carries on. ``writable``: rows that anybody may write though the bench only looks; None for
-    all holding registers. ``bits`` are the status word's, by what they tell. ``starts``: what rows
-    that are only remembered hold at first.
+    """How a family answers. ``functions``: each function's table. ``gaps``: what is read where no
+    row is. ``says_busy``: it has exception 6. ``areas``: register n and the pair at 0x8000 + 2 n.
+    ``sensor_break``: what the temperature reads then. ``writable``: rows that any host may write,
+    None for all holding registers. ``bits``: of the status word. ``starts``: first values of stored
+    rows.
     """
 
     functions: Mapping[int, Table] = field(default_factory=lambda: STANDARD)
@@ -179,11 +173,8 @@ class Values:
 
 
 class Controller(Values):
-    """A controller of ``profile``'s family over ``plant``.
-
-    ``fahrenheit`` and ``turned`` (the words of a number the other way round) are settings of its
-    panel, as is ``manual_mode``: in it a circulator confirms writes and ignores them (``ignores``);
-    a controller holds its output where it was.
+    """A controller of ``profile``'s family over ``plant``. Settings of its panel: ``fahrenheit``,
+    ``turned`` (words the other way round), ``manual_mode`` (writes are confirmed and ignored).
     """
 
     def __init__(

@@ -65,10 +65,8 @@ class Block:
 
 
 def blocks(profile: Wiring, *, gaps: bool, inferred: bool = False) -> tuple[Block, ...]:
-    """The questions of one poll.
-
-    ``gaps`` reads over addresses that no row claims, which a controller may refuse; ``inferred``
-    takes in rows whose evidence is INFERRED.
+    """The requests of one poll. ``gaps`` reads over addresses without a row, which a controller may
+    refuse; ``inferred`` takes in rows whose evidence is INFERRED.
     """
     found: list[Block] = []
     polled = (row for row in profile.rows if row.poll and (inferred or row.evidence != "INFERRED"))
@@ -83,10 +81,8 @@ def blocks(profile: Wiring, *, gaps: bool, inferred: bool = False) -> tuple[Bloc
 
 
 def markers(profile: Wiring, *, inferred: bool = False) -> tuple[tuple[int, int, int], ...]:
-    """Reads (function, address, count) that the device surely answers, one of each shape that an
-    answer can have.
-
-    Fewer than two shapes prove nothing, and then there are none.
+    """Reads (function, address, count) that the device surely answers, one of each shape of answer;
+    none where there are fewer than two shapes.
     """
     asked = blocks(profile, gaps=False, inferred=inferred)
     reads: list[tuple[int, int, int]] = [
@@ -119,10 +115,8 @@ EXCEPTION_LENGTH, CONFIRMATION_LENGTH = 5, 8
 
 @dataclass(slots=True)
 class Question:
-    """One question, from when it is put until its answer has come.
-
-    An answer is the unit and the PDU: ``expects`` is how the right one begins, ``length`` its size
-    in bytes. ``earlier`` are the numbers under which it was asked before, over TCP.
+    """One request until its answer (unit and PDU) has come: ``expects`` is how the right one
+    begins, ``length`` its bytes, ``earlier`` its transaction numbers before this one.
     """
 
     request: ModbusPDU
@@ -158,9 +152,7 @@ def read_question(function: int, address: int, count: int, unit_id: int) -> Ques
 
 
 def write_question(function: int, address: int, values: Sequence[int], unit_id: int) -> Question:
-    """Write ``values`` from ``address``: one bit (function 5), one register (6) or some (16). The
-    right answer is an echo.
-    """
+    """Write one bit (function 5), one register (6) or some (16); the right answer is an echo."""
     words, what = list(values), "coil" if function == 5 else "holding register"
     content = {"bits": [bool(words[0])]} if function == 5 else {"registers": words}
     request = WRITERS[function](address=address, dev_id=unit_id, **content)
@@ -169,9 +161,7 @@ def write_question(function: int, address: int, values: Sequence[int], unit_id: 
 
 
 def values_in(answer: bytes) -> list[int]:
-    """The registers in the answer to a read, or its bits, eight for each byte; none where they are
-    not whole.
-    """
+    """The registers in an answer, or eight bits for each byte; none where they are not whole."""
     data = answer[3:]
     if answer[1] in (1, 2):
         return [byte >> place & 1 for byte in data for place in range(8)]
@@ -179,9 +169,7 @@ def values_in(answer: bytes) -> list[int]:
 
 
 def frames(data: bytes, asked: Collection[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """Start and end of each whole answer to one of ``asked``, units and functions, exceptions among
-    them, in order.
-    """
+    """Start and end of each whole answer or exception to one of ``asked``, in order."""
     at = 0
     while at + EXCEPTION_LENGTH <= len(data):
         unit_id, function, size = data[at : at + 3]
@@ -198,9 +186,7 @@ def frames(data: bytes, asked: Collection[tuple[int, int]]) -> Iterator[tuple[in
 
 
 class Answers:
-    """The questions that were put on one line and not answered yet, oldest first in ``owed``;
-    ``open`` is the latest one put.
-    """
+    """Requests on one line without an answer yet, oldest first; ``open`` is the latest one."""
 
     def __init__(self, *, rtu: bool) -> None:
         self.owed: list[Question] = []
@@ -236,9 +222,7 @@ class Answers:
         return used
 
     def unmistakable(self, questions: Sequence[Question]) -> Question | None:
-        """The one of ``questions`` whose answer can least be confused with one that is owed; None
-        where each can be.
-        """
+        """The one of ``questions`` whose answer is least like one that is owed, if any."""
         shapes = {owed.expects for owed in self.owed}
         kinds = {owed.expects[:2] for owed in self.owed}
         free = [question for question in questions if question.expects not in shapes]

@@ -19,8 +19,8 @@ CHECK_CABLE = "Check cable and power."
 
 
 class RefusedError(DeviceError):
-    """The device refused a question, with a Modbus exception (its ``code``) or a word; with
-    ``no_row`` because it may have no such row.
+    """The device refused a request by an exception (``code``) or a word; ``no_row``: it has no such
+    row.
     """
 
     code = 0
@@ -32,8 +32,8 @@ class BrokenError(LinkError):
 
 
 class Session(ABC):
-    """One connection to one device, and its only owner. Calls come one at a time: whoever shares it
-    holds a lock. Not opened at first. ``speech`` is what the device has to be set to.
+    """One connection to one device, not opened at first; for one caller at a time. ``speech`` is
+    what the device has to be set to.
     """
 
     speech: str
@@ -60,9 +60,7 @@ class Session(ABC):
         return self._link is not None and self._link.connected
 
     def connect(self) -> None:
-        """Open the link, trying again with growing pauses. Raises LinkError when it is not taken in
-        the end.
-        """
+        """Open the link, trying again with growing pauses. Raises LinkError in the end."""
         start, why, line = self.clock.now(), "", self.line
         for pause_s in (0.0, *CONNECT_PAUSES_S):
             self.clock.sleep(pause_s)
@@ -113,10 +111,8 @@ class Session(ABC):
         return BrokenError(self.who, what, asked=asked, hint=CHECK_CABLE)
 
     def receive_until(self, until_s: float, done: Callable[[], bool]) -> None:
-        """Take in what comes until ``done``, the clock shows ``until_s``, or the link breaks.
-
-        Under virtual time an event may use this link, or close it, while time moves. An exception
-        closes the link. Raises LinkError when an emulator's thread hangs.
+        """Take in what comes until ``done``, ``until_s``, or the link breaks. An exception closes
+        the link. Raises LinkError when an emulator's thread hangs.
         """
         link, clock = self.up(), self.clock
         virtual = clock if isinstance(clock, VirtualClock) else None

@@ -52,10 +52,8 @@ NO_ANSWER = "what came is no answer to this"
 
 
 class Transactions(Session):
-    """One connection to one unit.
-
-    ``markers`` are reads (function, address, count) that the device surely answers, as many shapes
-    as there are; without any, time alone has to tell that no late answer is under way.
+    """One connection to one unit. ``markers``: reads (function, address, count) that the device
+    surely answers; without any, only time shows that no late answer is under way.
     """
 
     def __init__(
@@ -97,10 +95,8 @@ class Transactions(Session):
     def read(
         self, function: int, address: int, count: int, *, unit_id: int | None = None
     ) -> list[int]:
-        """``count`` registers, or bits, from ``address``. Raises LinkError, ProtocolError,
+        """``count`` registers or bits from ``address``. Raises LinkError, ProtocolError,
         RefusedError.
-
-        ``unit_id`` asks another unit on the same line.
         """
         question = read_question(function, address, count, unit_id or self._unit_id)
         answer = self._ask(question)
@@ -120,19 +116,15 @@ class Transactions(Session):
         unit_id: int | None = None,
         urgent: bool = False,
     ) -> None:
-        """Write ``values`` from ``address``. Raises as ``read`` does.
-
-        ``urgent``: sent at once, whatever late answer is still under way; the caller has to look
-        whether it stands.
+        """Write ``values`` from ``address``, ``urgent`` whatever late answer is under way; the
+        caller then reads back. Raises as ``read``.
         """
         question = write_question(function, address, values, unit_id or self._unit_id)
         if not question.fits(self._ask(question, urgent=urgent)):
             raise self._nonsense("the answer confirms another write", question)
 
     def close(self) -> None:
-        """Drop the link; once more is no error. What is owed over RTU stays owed: another link may
-        lead to the same line.
-        """
+        """Drop the link. What is owed over RTU stays owed: another link may reach the line."""
         self._answers.open = None
         super().close()
 
@@ -222,10 +214,7 @@ class Transactions(Session):
         answers.owed.clear()
 
     def _prove(self, start_s: float) -> None:
-        """Ask what can't be confused with anything owed, once there is such a question.
-
-        Raises LinkError when there is none for OWING_S, or when it is not answered.
-        """
+        """Have a request answered that can't be confused with any owed. Raises LinkError."""
         answers, until_s = self._answers, start_s + OWING_S
         questions = [read_question(*marker, self._unit_id) for marker in self._markers]
         while (marker := answers.unmistakable(questions)) is None:

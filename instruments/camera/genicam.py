@@ -107,9 +107,7 @@ def feature_names(device: Any) -> list[str]:
 
 
 def _of_parts(buffer: Any) -> tuple[tuple[Pixels, int], Pixels | None]:
-    """Distances with their bits, and the first other grey part of their size, of a payload of
-    several parts. Raises ValueError.
-    """
+    """Distances, their bits and the first grey part, of a payload of parts. Raises ValueError."""
     found: dict[str, tuple[Pixels, int]] = {}
     for part in range(buffer.get_n_parts()):
         code = buffer.get_part_pixel_format(part)
@@ -128,10 +126,9 @@ def _of_parts(buffer: Any) -> tuple[tuple[Pixels, int], Pixels | None]:
 
 
 class GenicamCamera:
-    """``device``: name as Aravis lists it, serial number or IP address; "" for the only one.
-    ``identity`` has settings tried in vain too. ``in_step``: of all cameras of the rig with PTP.
-    Raises LinkError where it doesn't answer,
-    DeviceError without the library or for settings that did not take.
+    """``device``: name as Aravis lists it, serial number or address; "" for the only one.
+    ``in_step``: of all cameras with PTP. Raises LinkError without an answer, DeviceError without
+    the library or for settings that did not take.
     """
 
     def __init__(
@@ -223,9 +220,7 @@ class GenicamCamera:
         return write, lambda: node().get_value_as_string()
 
     def _scan3d(self) -> Ranging | None:
-        """What the camera says of its distances; None where it says nothing. Raises DeviceError for
-        one that sends none along its axis.
-        """
+        """What the camera says of its distances, if anything. Raises DeviceError."""
 
         def said(name: str, usual: str = "") -> str:
             return str(self._feature(name)[1]()) if self._offers(name) else usual
@@ -292,8 +287,8 @@ class GenicamCamera:
         self._clock.sleep(self._settings.shutter_s)
 
     def begin(self) -> None:
-        """Return old buffers, and trigger by software where set. Raises LinkError; FrameError when
-        this program lost control of the camera, which is opened again next time.
+        """Return old buffers; trigger by software where set. Raises LinkError, or FrameError when
+        control of the camera was lost, which is then opened again.
         """
         if self._lost_control:
             try:
@@ -377,9 +372,7 @@ class GenicamCamera:
         return FrameError(fault, self._name, self._who, what, seconds=seconds, hint=hint)
 
     def _pixels(self, buffer: Any) -> tuple[tuple[Pixels, int], Pixels | None]:
-        """Pixels with their bits, and a depth camera's amplitude. Raises FrameError for a damaged
-        buffer, else ProtocolError.
-        """
+        """Pixels, their bits, and a depth camera's amplitude. Raises FrameError, ProtocolError."""
         status = buffer.get_status().value_nick.upper().replace("-", "_")
         if status != "SUCCESS":
             hint = "Raise the socket's buffer and the packet size, or lower the frame rate."

@@ -58,9 +58,7 @@ def _size(capture: cv2.VideoCapture) -> tuple[int, int]:
 
 
 class LiveReader:
-    """Fresh frames: a thread grabs all the time and decodes on request, since OpenCV keeps frames
-    that were not taken. Owns ``capture`` from now on; to be closed.
-    """
+    """Fresh frames: a thread grabs all the time and decodes on request. Owns ``capture``."""
 
     def __init__(self, capture: cv2.VideoCapture, clock: Clock, name: str) -> None:
         self._capture = capture
@@ -114,8 +112,8 @@ class LiveReader:
 
 
 class OpenCvCamera:
-    """``name``: its place in the rig; ``identity`` has settings tried in vain too. Raises
-    LinkError, DeviceError for settings that did not take.
+    """``name``: its place in the rig. Raises LinkError, DeviceError for settings that
+    did not take.
     """
 
     def __init__(

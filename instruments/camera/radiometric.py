@@ -12,8 +12,8 @@ from instruments.camera.settings import Value
 
 @dataclass(frozen=True, slots=True)
 class RadiometricProfile:
-    """Temperature: ``kelvin_at_zero`` + ``kelvin_per_count`` x count. ``pixel_format`` as OpenCV
-    or GenICam has it, GenICam ``features`` to be set, and the command that closes the ``shutter``.
+    """Temperature: ``kelvin_at_zero`` + ``kelvin_per_count`` x count; ``features`` to be set, and
+    the command that closes the ``shutter``.
     """
 
     kelvin_per_count: float

@@ -52,10 +52,8 @@ class CaptureError(ValueError):
 
 
 class CaptureFile:
-    """A capture being written to a new file, for any thread; to be closed, or used with ``with``.
-
-    ``facts``: the header's, but for the time of day. ``fault``: why the capture ended early. Raises
-    CaptureError when the file exists or can't be made.
+    """A capture being written to a new file, from any thread. ``facts``: of the header; ``fault``:
+    why it ended early. Raises CaptureError.
     """
 
     def __init__(self, path: Path, facts: dict[str, str]) -> None:
@@ -167,9 +165,7 @@ class Piece:
 
 @dataclass(slots=True)
 class Exchange:
-    """Bytes of the host, the last at ``asked_s``, and all that came until the next; ``line`` is the
-    first's.
-    """
+    """Bytes of the host, the last at ``asked_s``, and all that came until its next bytes."""
 
     asked_s: float
     line: int
@@ -179,9 +175,7 @@ class Exchange:
 
 @dataclass(slots=True)
 class Conversation:
-    """One connection; its first exchange is what came unasked. ``closed_s``: None where the capture
-    ended first; ``broke``: why, empty where the host closed it.
-    """
+    """One connection; its first exchange is what came unasked. ``broke``: why the link broke."""
 
     url: str
     opened_s: float
@@ -192,9 +186,7 @@ class Conversation:
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """A file as read: header's ``facts``, connections by link, and whether the last line was
-    ``cut``.
-    """
+    """A file as read; ``cut``: its last line is incomplete."""
 
     path: Path
     facts: Mapping[str, str]

@@ -89,9 +89,8 @@ _DOUBT = (
 
 
 class MicroScribe:
-    """One arm on one link, which it owns. ``rates``: tried by sign-on, the first one for longest;
-    default the link's own, then on a serial port all others. ``answer_s``: time for an answer, of
-    which three have to be missing before the arm counts as lost.
+    """One arm on one link, which it owns. ``rates``: tried by sign-on, the first one longest.
+    ``answer_s``: time for an answer; three have to be missing before the arm counts as lost.
     """
 
     moves: ClassVar[bool] = False
@@ -177,16 +176,14 @@ class MicroScribe:
     # Sessions
 
     def sign_on(self) -> Identity:
-        """Find the arm and open a session, and before it a broken link; homing has to be confirmed
-        afterwards. Raises LinkError (SilentArmError: no answer), NoMicroScribeError,
-        UnusableArmError, ProtocolError for damaged answers.
+        """Find the arm and open a session; homing has to be confirmed afterwards. Raises LinkError
+        (SilentArmError: no answer), NoMicroScribeError, UnusableArmError, ProtocolError.
         """
         return self._sign_on(self._rates, SIGN_ON_S)
 
     def recover(self, timeout_s: float = RECOVER_S) -> Identity:
-        """After a loss: wait for port and arm, and sign on at the rate that worked. Raises what
-        ``sign_on`` raised last once ``timeout_s`` have passed; at once UnusableArmError, and
-        AnotherArmError for another serial number.
+        """Wait for port and arm, and sign on at the rate that worked. Raises what ``sign_on``
+        raised last after ``timeout_s``; at once UnusableArmError, AnotherArmError.
         """
         before, deadline = self._info, self._clock.now() + timeout_s
         try:
@@ -292,8 +289,8 @@ class MicroScribe:
         return self._link.baud == baud
 
     def _synchronise(self, patience_s: float) -> bytes | None:
-        """None once the echo came, else all that came but the end of an old session. The end is
-        sent alone first: were it lost before the first IMMC, the letters would be commands.
+        """None once the echo came, else all that came. The end is sent alone first: were it lost
+        before the first IMMC, the letters would be commands.
         """
         deadline = self._clock.now() + patience_s
         self._send(_END, Event.END)
@@ -384,8 +381,8 @@ class MicroScribe:
             self._untidy = False
 
     def _send(self, data: bytes, event: Event) -> None:
-        """Send bytes that are the event. Raises LimitError for what is never sent, NoSessionError
-        for what the state doesn't allow, LinkError when the link is broken.
+        """Send bytes that are ``event``. Raises LimitError for what is never sent, NoSessionError
+        for what the state doesn't allow, LinkError.
         """
         try:
             wire.refuse_forbidden(data, self._state)
@@ -399,9 +396,8 @@ class MicroScribe:
         self._state = state
 
     def _ask(self, code: Code, decode: Callable[[bytes], _T], *, timeout_s: float = 0.0) -> _T:
-        """Send a configuration command and decode its reply, within the longer of ``timeout_s`` and
-        ``answer_s``. Raises SilentArmError, UnusableArmError for a block of an unknown length,
-        ProtocolError for a damaged reply, NoSessionError, LinkError.
+        """Send a configuration command and decode its reply. Raises SilentArmError,
+        UnusableArmError, ProtocolError, NoSessionError, LinkError.
         """
         self._tidy()
         asked, start = bytes([code]), self._clock.now()
@@ -448,8 +444,8 @@ class MicroScribe:
     # Homing
 
     def confirm_homed(self) -> None:
-        """The operator confirms that the stylus was on its peg at power-up, or was homed since.
-        Raises NoSessionError; NotHomedError after a search for the rate, when only homing helps.
+        """The operator confirms homing. Raises NoSessionError; NotHomedError after a search for the
+        rate, when only homing helps.
         """
         self._need_session("to confirm homing")
         if self._doubt:
@@ -457,8 +453,8 @@ class MicroScribe:
         self._not_homed, self._doubt = None, ""
 
     def home(self) -> None:
-        """Make the arm load its home counts. Only with the stylus on its peg: anywhere else ruins
-        every position. Raises NoSessionError, LinkError, or ProtocolError without confirmation.
+        """Make the arm load its home counts, with the stylus on its peg: anywhere else ruins every
+        position. Raises NoSessionError, LinkError, or ProtocolError without confirmation.
         """
         self._need_session("to home")
         self._lose_homing("the arm was asked to home, and did not confirm it")
@@ -480,10 +476,8 @@ class MicroScribe:
     # Packets and positions
 
     def poll(self) -> Packet:
-        """One packet of six counts; asked for again when damaged.
-
-        Raises NoSessionError, LimitError within a stream, ProtocolError when every attempt came
-        damaged; LinkError (SilentArmError: no answer), which loses session and homing.
+        """One packet of six counts, asked for again when damaged. Raises NoSessionError, LimitError
+        within a stream, ProtocolError; LinkError, which loses session and homing.
         """
         self._need_session("a packet")
         return self._packet()
@@ -507,9 +501,7 @@ class MicroScribe:
         raise SilentArmError(self.who, what, asked=asked, seen=b"", seconds=seconds, hint=hint)
 
     def _poll_once(self) -> tuple[Packet | None, bytes]:
-        """The packet that answers a poll (None where damaged or missing), and the bytes that came.
-        Raises NoSessionError, LinkError when the link is broken.
-        """
+        """The packet (None: damaged or missing), and the bytes that came. Raises LinkError."""
         self._expect(wire.POLL)
         self._send(bytes([wire.POLL]), Event.POLL)
         seen = b""
@@ -526,8 +518,7 @@ class MicroScribe:
 
     def read(self, n: int = 8, max_spread_mm: float = MAX_SPREAD_MM) -> Reading:
         """One position from ``n`` packets, 10 ms apart. Raises NotHomedError, ArmMovesError for a
-        tip further than ``max_spread_mm`` from the median, ValueError for n below 1, else as
-        ``poll``.
+        larger spread, ValueError for n below 1, else as ``poll``.
         """
         if n < 1:
             raise ValueError(f"a reading needs one packet at least, not {n}")
@@ -546,9 +537,8 @@ class MicroScribe:
 
     @contextlib.contextmanager
     def stream(self) -> Iterator[Iterator[Sample]]:
-        """Samples without end, as fast as the arm sends them: ``with arm.stream() as samples:``. A
-        silent stream is started again if the arm still answers. Raises NoSessionError, LimitError
-        within a stream; while it runs, as ``poll``.
+        """Samples as fast as the arm sends them; a silent stream is started again if the arm still
+        answers. Raises as ``poll``.
         """
         self._need_session("a stream")
         self._start_stream()
@@ -581,9 +571,7 @@ class MicroScribe:
         raise kind(self.who, what, asked=echo, seen=seen[-64:], seconds=seconds, hint=hint)
 
     def _stop_stream(self) -> None:
-        """End a stream as the maker's host does: 00, 50 ms, flush; repeated while its answer is
-        missing. Earlier packets are dropped. Raises LinkError.
-        """
+        """End a stream as the maker's host does: 00, 50 ms, flush; earlier packets are dropped."""
         if self._state is not State.STREAMING:
             return
         with self._link_watched():
@@ -617,8 +605,8 @@ class MicroScribe:
                 yield Sample(t_s, packet.counts, packet.buttons)
 
     def position(self, samples: Sequence[Sample]) -> Reading:
-        """The reading of samples, whatever their spread: to show while the arm moves, not to
-        measure with. Raises NotHomedError, NoSessionError, and ValueError for no samples.
+        """The reading of samples whatever their spread: to show, not to measure. Raises
+        NotHomedError, ValueError for no samples.
         """
         if not samples:
             raise ValueError("a reading needs one sample at least")

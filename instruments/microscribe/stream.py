@@ -51,9 +51,9 @@ class Debouncer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """One position in the arm's frame: median ``tip_mm`` (3,), ``spread_mm`` (largest distance of a
-    packet's tip from it), unit median ``axis`` (3,) from the tip up the stylus (None: not known),
-    ``n`` packets, ``counts`` of the last one; ``written``: what another program or a person wrote.
+    """One position in the arm's frame: median ``tip_mm`` (3,) and ``axis`` (3,) up the stylus,
+    ``spread_mm`` of ``n`` packets, ``counts`` of the last one; ``written``: as another program or a
+    person wrote it.
     """
 
     tip_mm: npt.NDArray[np.float64]
@@ -71,9 +71,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One packet: raw ``counts`` and ``buttons``. ``t_s`` is by the arm's clock from the session's
-    first stamp.
-    """
+    """One packet; ``t_s`` is by the arm's clock from the session's first stamp."""
 
     t_s: float
     counts: tuple[int, ...]

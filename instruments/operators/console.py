@@ -60,9 +60,7 @@ class Descriptor:
 
 
 class Keys:
-    """A Windows console, key by key, which alone doesn't block until Enter; ``pressed``, ``key``
-    and ``echo`` are kbhit, getwch and putwch of msvcrt.
-    """
+    """A Windows console, key by key, which alone doesn't block until Enter; as of msvcrt."""
 
     def __init__(
         self, pressed: Callable[[], bool], key: Callable[[], str], echo: Callable[[str], object]
@@ -120,10 +118,9 @@ Pedal = Callable[[float], bool]
 
 
 class Console(PromptedOperator):
-    """Prompts on ``out``, answers from ``answers``, whose end is an abort. ``watch`` is called for
-    each touch and gives a function that waits for a pedal, at a terminal or with a ``mailbox``,
-    through which a browser answers too. ``screen`` is entered around each prompt and clears what
-    else moves there.
+    """Prompts on ``out``, answers from ``answers``, whose end is an abort, or from a browser by
+    ``mailbox``. ``watch`` gives a function that waits for a pedal; ``screen`` is entered around
+    each prompt.
     """
 
     def __init__(
@@ -216,9 +213,7 @@ class Console(PromptedOperator):
             return words
 
     def _line(self, question: str, check: Callable[[], None], *, pedal: bool = False) -> str:
-        """What is typed or answered elsewhere, or "\\n" for a pedal; asks again in other words from
-        time to time.
-        """
+        """A line from terminal or browser, or an empty one for a pedal; reminds at intervals."""
         asked_s = self._clock.now()  # before the question stands there
         self._write(question)
         pressed = self._watch() if pedal and self._watch else None

@@ -32,12 +32,9 @@ Mistake = Literal["wrong teat", "forgotten teat", "forgotten move"]
 
 
 class EmulatedOperator:
-    """A pair of hands in ``world``.
-
-    Standard deviations: ``hand_error_mm`` of the tip along each axis (none in the divot at
-    ``check_point_mm``), ``placement_error_mm`` (x, y) and ``placement_error_rad`` of the plate.
-    Each prompt takes ``prompt_s``. ``mistakes``, at the first occasion: "wrong teat" touches the
-    next teat, "forgotten teat" stays on the one before, "forgotten move" leaves the plate.
+    """A pair of hands in ``world``. Standard deviations: ``hand_error_mm`` of the tip along each
+    axis, ``placement_error_mm`` and ``placement_error_rad`` of the plate. ``mistakes`` happen at
+    the first occasion.
     """
 
     def __init__(

@@ -73,8 +73,8 @@ class Mailbox:
         return read_answer(self._folder.parent, self._number)
 
     def close(self, words: str, by: str) -> Given:
-        """The prompt needs no answer any more: ``by`` said ``words``. Gives back the answer that
-        holds, which may be another's that came first. Raises OSError.
+        """Close the prompt: ``by`` answered ``words``. Returns the answer that holds, which may be
+        another one that came first. Raises OSError.
         """
         try:
             given = _create(self._folder.parent, self._number, words, by)
@@ -108,9 +108,8 @@ def read_answer(folder: Path, number: int) -> Given | None:
 
 
 def give_answer(folder: Path, number: int, words: str, by: str) -> Given:
-    """Answer prompt ``number`` of the run in ``folder`` with ``words``, as they would be typed;
-    on the disk once this returns. Raises AlreadyAnsweredError, NotOpenError, ValueError for words
-    that the prompt doesn't understand, OSError.
+    """Answer prompt ``number`` of the run in ``folder``, durable on return. Raises
+    AlreadyAnsweredError, NotOpenError, ValueError for a wrong answer, OSError.
     """
     if earlier := read_answer(folder, number):
         raise AlreadyAnsweredError(number, earlier.by)

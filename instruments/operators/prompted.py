@@ -30,9 +30,7 @@ LEANS = (
 
 
 class PromptedOperator(ABC):
-    """``hands``, if given, do what each "go on" agreed to: emulated ones. ``before_touch`` is
-    called before each prompt for a touch.
-    """
+    """``hands`` do what each "go on" agreed to; ``before_touch`` is called before each touch."""
 
     hands: op.Operator | None = None
     before_touch: Callable[[], None] = staticmethod(op.no_check)
@@ -129,9 +127,7 @@ class PromptedOperator(ABC):
         return op.Prompt("set up", text, progress=self._progress(), hidden_to=request.teats)
 
     def _touch_prompt(self, request: op.Touch) -> op.Prompt:
-        """By the teat's name, with how many touches of the trial are left. One prompt asks for all
-        touches of the teat; the presses that follow are a line each.
-        """
+        """By the teat's name, with how many touches of the trial are left."""
         teat, of = request.teat, request.of
         teats = self._stands[0].phantom.teats if self._stands else ()
         name = teats[teat - 1].name if teat <= len(teats) else ""
@@ -162,9 +158,8 @@ class PromptedOperator(ABC):
 
 @dataclass(frozen=True, slots=True)
 class ScriptedAnswer:
-    """``answer`` as typed, ``times`` times to prompts of kind ``to`` that contain ``says``.
-    ``where``: its place in the file. Raises ValueError for an answer that no such prompt
-    understands.
+    """``answer`` as typed, ``times`` times, to prompts of kind ``to`` that contain ``says``. Raises
+    ValueError for an answer that no such prompt understands.
     """
 
     to: op.Kind

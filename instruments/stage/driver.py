@@ -59,11 +59,8 @@ class Move(NamedTuple):
 
 
 class Stage:
-    """The stage of ``axes`` "XY", "XYZ", "XYA" or "XYZA" at the end of ``link``; for one thread.
-    ``motors``: of a Zaber stage, one each an axis.
-
-    Every call may raise LinkError, ProtocolError, DeviceError (refused, alarm, restart) and
-    LimitError (refused before sending).
+    """The stage of ``axes`` "XY", "XYZ", "XYA" or "XYZA" at ``link``, for one thread. Every call
+    may raise LinkError, ProtocolError, DeviceError and LimitError (refused before sending).
     """
 
     def __init__(
@@ -161,10 +158,8 @@ class Stage:
         a_deg: float | None = None,
         feed_mm_min: float | None = None,
     ) -> None:
-        """Move in a straight line; return once the stage stands at the target, as read back.
-
-        Machine coordinates; without a feed, the slowest axis's maximum. Raises LimitError before
-        homing, outside the travel, for an undeclared axis, or unless idle; DeviceError when it ends
+        """Move in a straight line and wait until the stage stands at the target, as read back.
+        Raises LimitError before homing, outside the travel or unless idle, DeviceError when it ends
         elsewhere.
         """
         self.begin_move(x_mm, y_mm, z_mm=z_mm, a_deg=a_deg, feed_mm_min=feed_mm_min)
@@ -199,9 +194,7 @@ class Stage:
         a_deg: float = 0.0,
         feed_mm_min: float | None = None,
     ) -> None:
-        """Start a relative move; ``finish_move`` waits, ``cancel_jog`` ends it. Raises as
-        ``move_to``.
-        """
+        """Start a relative move for ``finish_move`` or ``cancel_jog``. Raises as ``move_to``."""
         wanted = {"X": x_mm or None, "Y": y_mm or None, "Z": z_mm or None, "A": a_deg or None}
         way = declared(wanted, self.axes, who=self.who)
         if not way:
@@ -246,18 +239,15 @@ class Stage:
                 raise DeviceError(self.who, what, seen=f"{axis} = {here[axis]:.3f}", hint=hint)
 
     def brake(self) -> None:
-        """Send what brakes without waiting: the one call for other threads than the owner's. The
-        owner's move ends in a DeviceError. Classic Grbl ignores it while homing; Marlin's costs the
-        position. Raises LinkError.
+        """Brake without waiting, from any thread. The owner's move ends in a DeviceError. Classic
+        Grbl ignores it while homing; Marlin's costs the position. Raises LinkError.
         """
         self._talk.brake()
 
     def stop(self) -> None:
-        """Bring the stage to a stand from any state and wait for it; may be repeated.
-
-        Brakes without losing the position (Marlin loses it); resets or halts only a controller that
-        homes or doesn't answer. An alarm has cut the steps already and stays for the next call to
-        report. Raises LinkError when out of reach.
+        """Bring the stage to a stand from any state and wait. Keeps the position (but Marlin's);
+        resets only a controller that homes or doesn't answer. An alarm stays for the next call.
+        Raises LinkError.
         """
         if self._talk.alarm is not None:
             return
@@ -284,8 +274,8 @@ class Stage:
     safe = stop
 
     def reconnect(self) -> StageIdentity:
-        """After a cable or power loss: open the link and meet the controller. Homing is needed
-        then. Raises LinkError while it is not back, else as ``connect``.
+        """Open the link again and identify the controller; it has to be homed then. Raises
+        LinkError, else as ``connect``.
         """
         self._move = None
         self._link.reopen()

@@ -82,10 +82,8 @@ def parse(line: bytes) -> Response:
 
 
 def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
-    """The settings of a stage with ``axes`` from the answers to M503 and M211.
-
-    Raises ProtocolError for a missing number, DeviceError for a machine whose reports are not its
-    axes' own places: inches, home offsets, bed levelling.
+    """The settings of a stage with ``axes`` from the answers to M503 and M211. Raises ProtocolError
+    for a missing number, DeviceError for inches, home offsets or bed levelling.
     """
     found = {
         setting[1]: {letter: float(value) for letter, value in _WORD.findall(setting[2])}
@@ -220,8 +218,8 @@ class MarlinDialogue(Dialogue):
     cancel_jog = brake
 
     def abort(self) -> None:
-        """Stop it by M410; M112 halts a board that homes or doesn't obey, until it is switched off
-        and on.
+        """Stop it by M410; M112 halts a board that homes or doesn't obey, until it is
+        switched off.
         """
         self.upsets += 1
         if not self.homing:
@@ -254,8 +252,8 @@ class MarlinDialogue(Dialogue):
         return Welcome("", "Marlin")
 
     def restart(self) -> Welcome:
-        """Marlin has no restart over the wire: throw away what was owed, and ask for attention. A
-        halted one has to be switched off and on. Raises LinkError, ProtocolError, DeviceError.
+        """Synchronise: Marlin has no restart over the wire, and a halted one has to be switched off
+        and on. Raises LinkError, ProtocolError, DeviceError.
         """
         self.upsets += 1
         halted = self.alarm
@@ -269,8 +267,8 @@ class MarlinDialogue(Dialogue):
         return Welcome("", "Marlin")
 
     def _synchronize(self) -> None:
-        """Have a line of ours echoed: what comes behind it answers what we send from now on. The
-        motors stay on from now on, and the keepalive is made ours.
+        """Have a line of ours echoed: what comes behind it answers our next lines. Motors stay on,
+        and the keepalive becomes ours.
         """
         heard = [*self._inbox, *self._decoder.feed(self._link.drain(QUIET_S))]
         last = [one for one in heard if isinstance(one, Alarm | Welcome)][-1:]

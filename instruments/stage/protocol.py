@@ -88,9 +88,7 @@ class Welcome:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Any other thing pushed: ``[MSG:...]``, ``[VER:...]``, ``$N0=...``, ``$/axes/x/...=``,
-    ``>line:ok``.
-    """
+    """Any other thing pushed: ``[MSG:...]``, ``$N0=...``, ``$/axes/x/...=``, ``>line:ok``."""
 
     kind: str
     text: str
@@ -113,9 +111,7 @@ class Counted:
 
 
 class Reply(NamedTuple):
-    """Zaber's answer: whom it is from, the id that it answers, ``OK`` or ``RJ``, ``IDLE`` or
-    ``BUSY``, the most serious warning flag, and data.
-    """
+    """Zaber's answer: device, axis, id, ``OK`` or ``RJ``, ``IDLE`` or ``BUSY``, flag, data."""
 
     device: int
     axis: int
@@ -254,9 +250,7 @@ _REPORT = "The line that was sent is wrong: report it with the bench's log."
 
 
 def _table(text: str, then: str = "") -> dict[int, Meaning]:
-    """Each entry "number what | do", which may go on in indented lines; "report" is `_REPORT`,
-    ``then`` follows what is to be done, if anything.
-    """
+    """Entries "number what | do" in indented lines; "report" is `_REPORT`, ``then`` is added."""
     table = {}
     for entry in re.split(r"\n(?=\d)", text.strip()):
         number, words = re.sub(r"\s+", " ", entry).split(" ", 1)

@@ -39,9 +39,7 @@ STOP_S = 5.0
 
 
 class Motor(NamedTuple):
-    """Which device and which of its axes moves an axis of the stage; microsteps per mm, or per
-    degree.
-    """
+    """The device and its axis that move an axis of the stage; microsteps per mm or degree."""
 
     device: int
     axis: int
@@ -210,8 +208,8 @@ class ZaberDialogue(Dialogue):
             raise ProtocolError(self.who, f"{name} is not a number", seen=text) from None
 
     def status(self) -> Status:
-        """ "Run" while an axis moves, "Alarm" while one has no reference. Raises DeviceError for a
-        fault that an axis reports.
+        """ "Run" while an axis moves, "Alarm" without a reference. Raises DeviceError
+        for a fault.
         """
         replies = {axis: self._where(motor) for axis, motor in self._motors.items()}
         flags = {axis: reply.flag for axis, (reply, _) in replies.items()}
@@ -292,9 +290,7 @@ class ZaberDialogue(Dialogue):
         return self.restart()
 
     def restart(self) -> Welcome:
-        """Stop all axes and clear the warnings that can be cleared; the position has to be found
-        again.
-        """
+        """Stop all axes and clear warnings; the stage has to be homed then."""
         self.upsets += 1
         self._link.drain(QUIET_S)
         self._forget()

@@ -44,10 +44,9 @@ class Poster:
 
 @dataclass(frozen=True, slots=True)
 class Backdrop:
-    """Table at z = 0 with its front edge, and an upright board behind; world frame, mm.
-
-    ``…_texture``: the share that an albedo varies by; ``…_weave``: how. Later ``posters`` lie over
-    earlier ones. ``board_k``, ``table_k``: kelvin above the room.
+    """Table at z = 0 with its front edge, and an upright board behind. ``…_texture``: share that an
+    albedo varies by; later ``posters`` lie over earlier ones; ``board_k``, ``table_k``: above the
+    room.
     """
 
     board_albedo: float = 0.55
@@ -130,8 +129,8 @@ def patches(backdrop: Backdrop) -> tuple[Patch, ...]:
 def draw(
     backdrop: Backdrop, lighting: Lighting, camera: CameraModel
 ) -> tuple[Image, Image, tuple[float, float]]:
-    """Light of the backdrop before lens and sensor, and depth in mm, (height, width) each; the
-    depth is kept, so read-only. Last the least and the greatest depth.
+    """Light of the backdrop and depth in mm, (height, width) each, depth read-only; then the least
+    and the greatest depth.
     """
     room = backdrop.room_albedo * lighting.ambient * lighting.brightness
     image = np.full((camera.height_px, camera.width_px), room, dtype=np.float32)
@@ -260,9 +259,8 @@ def _seen(place: Place, camera: CameraModel) -> Seen | None:
 def _met(
     place: Place, camera: CameraModel, plane: Floats
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Where rays (2, n) of the ideal plane meet the patch's plane: points (3, n) and depths (n,).
-
-    A pixel on the patch's edge may look past it, and past the horizon: it gets a far point.
+    """Where rays (2, n) meet the patch's plane: points (3, n), depths (n,). A pixel that looks past
+    the horizon gets a far point.
     """
     x, y = plane.astype(np.float32)
     turn, eye = camera.R.astype(np.float32), camera.centre_mm.astype(np.float32)
@@ -364,9 +362,7 @@ def _sky_left(solids: Solids, casters: Ints, points: Rows) -> Rows:
 def shade(
     shadows: ShadowMap, backdrop: Backdrop, camera: CameraModel
 ) -> tuple[tuple[slice, slice], Image] | None:
-    """The light that shadows on the table leave in a part of a camera's picture, and which part;
-    None where they fall outside of it.
-    """
+    """The light that shadows leave in a part of a camera's picture, and which part, if any."""
     low = np.array([shadows.x_mm, max(shadows.y_mm, backdrop.table_front_y_mm)])
     high = np.minimum(shadows.high_mm(), [np.inf, backdrop.board_y_mm])
     u, v = np.meshgrid(np.linspace(low[0], high[0], 5), np.linspace(low[1], high[1], 5))

@@ -28,13 +28,10 @@ SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """``columns`` x ``rows`` squares of ``square_mm`` within a light rim of ``margin_mm``; the
-    first is dark.
-
-    "charuco": markers of ``feature_mm`` of OpenCV's ``dictionary`` (its number) in light squares;
-    "plain": no dark squares; "circles": columns and rows of circles ``feature_mm`` across,
-    ``square_mm`` apart. ``feature_mm`` 0: three quarters of a square for markers, half for circles.
-    Raises ValueError.
+    """``columns`` x ``rows`` squares of ``square_mm``, the first dark, with a rim of ``margin_mm``.
+    "charuco": markers of ``feature_mm`` in light squares; "plain": no dark squares; "circles" of
+    ``feature_mm``, ``square_mm`` apart. ``feature_mm`` 0: three quarters or half a square. Raises
+    ValueError.
     """
 
     kind: Kind = "chessboard"
@@ -164,11 +161,8 @@ def poses(
     *,
     seen: float = 1.0,
 ) -> tuple[Board, ...]:
-    """Boards in ``count`` random poses by ``seed``, over the narrowest view, ``depths_mm`` (least,
-    most) away.
-
-    Every camera sees the share ``seen`` of the points. Tilted up to 40 degrees, turned up to 15.
-    Raises ValueError where no pose is found.
+    """Boards in ``count`` random poses by ``seed``, at ``depths_mm`` (least, most), tilted up to 40
+    degrees, turned up to 15; each camera sees the share ``seen``. Raises ValueError.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     cameras = sorted(cameras, key=lambda camera: camera.width_px / float(camera.fc[0]))
@@ -231,9 +225,7 @@ def woven(weave: Weave, seed: int, width: int, height: int) -> Image:
 
 @lru_cache(maxsize=32)
 def _cubic(points: int, size: int) -> Image:
-    """What each of so many points weighs where OpenCV's cubic resize puts them on ``size`` pixels,
-    (size, points).
-    """
+    """Weight of each point in OpenCV's cubic resize to ``size`` pixels, (size, points)."""
     alone = np.eye(points, dtype=np.float32)
     blown = cv2.resize(alone, (points, size), interpolation=cv2.INTER_CUBIC)
     return np.asarray(blown, dtype=np.float32)

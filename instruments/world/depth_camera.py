@@ -77,9 +77,7 @@ class DepthCamera:
     def expose(
         self, state: SceneState, rng: np.random.Generator
     ) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-        """One frame: depth along the axis in tenths of a mm, 0 where nothing was measured, and
-        amplitude in counts.
-        """
+        """Depth along the axis in tenths of a mm, 0: not measured, and amplitude in counts."""
         sensor, signal = self.sensor, self.expected(state)
         sigma, shape = sensor.noise_mm * sensor.rad_per_mm, signal.shape
         rows, columns = int(shape[0]), int(shape[1])

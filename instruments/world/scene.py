@@ -40,8 +40,8 @@ LEAST_SEEN = 0.5  # of a rounded end's near side
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RenderedSet:
-    """``left``, ``right``, ``thermal_8bit`` uint8; ``thermal_ck`` uint16, un-mirrored;
-    ``depth_dmm`` tenths of a mm and ``amplitude`` counts, uint16, None without a depth camera.
+    """uint8 pictures; ``thermal_ck`` uint16, un-mirrored; ``depth_dmm`` tenths of a mm and
+    ``amplitude`` uint16, None without a depth camera.
     """
 
     left: NDArray[np.uint8]
@@ -53,9 +53,7 @@ class RenderedSet:
 
 
 class Renderer:
-    """Three cameras (left, right, thermal) before one scene; ``camera_seed``: fixed patterns;
-    ``depth``: a depth camera, which counts nowhere but in its own pictures.
-    """
+    """Left, right and thermal camera, and perhaps ``depth``; ``camera_seed``: fixed patterns."""
 
     def __init__(
         self,
@@ -115,11 +113,9 @@ class Renderer:
         return self._shadows[1]
 
     def visible_ends(self, state: SceneState) -> Bools:
-        """Whether each teat end shows in left, right, thermal: (n_teats, 3).
-
-        The apex is in the image with no other solid or board before it, and half of the rounded
-        end's near side is free. The teat's own surface doesn't count: a camera below never sees an
-        apex that points up.
+        """Whether each teat end shows in left, right, thermal: (n_teats, 3). The apex is in the
+        image with no other solid or board before it, and half of the rounded end's near side is
+        free; the teat's own surface doesn't count.
         """
         stage = Stage.of(state.everything())
         columns = [

@@ -28,11 +28,9 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Hull:
-    """Convex hull of two round ends, world frame, mm: balls, or discs across the axis where
-    ``flat_…``.
-
-    A disc and a ball need equal radii; two balls at one place are a sphere. Raises ValueError for a
-    radius not above zero, or an end inside the other.
+    """Convex hull of two round ends: balls, or discs across the axis where ``flat_…``; a disc and a
+    ball need equal radii. Raises ValueError for a radius not above zero, or an end inside the
+    other.
     """
 
     a_mm: Point
@@ -86,11 +84,9 @@ def chain(points_mm: Sequence[Point], radii_mm: Sequence[float]) -> tuple[Hull, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solids:
-    """k solids as columns in one frame of reference; mm.
-
-    ``a``, ``b``, ``axis`` (k, 3); ``radius_a``, ``radius_b``, ``flat_a``, ``flat_b`` (k,). The body
-    is a cone around the axis from height ``low`` to ``high`` (from a), its radius at h ``radius_0 +
-    slope h``.
+    """k solids as columns in one frame, mm: ``a``, ``b``, ``axis`` (k, 3), the others (k,). The
+    body is a cone round the axis from height ``low`` to ``high``, its radius ``radius_0 + slope
+    h``.
     """
 
     a: Floats
