@@ -20,7 +20,6 @@ from instruments.errors import InstrumentError
 from instruments.operators.operator import Arrangement, Homing
 from instruments.world.phantom import PlatePose
 
-PEG = "Put the arm's stylus on its peg, switch the arm on, and leave the stylus there."
 SPAN_MM = 200.0  # of the positions where none are named
 
 
@@ -66,7 +65,7 @@ def calibrate_stage(
         try:
             arm.sign_on()
             tip.refuse_other_arm()
-            operator.ask(Homing(PEG))
+            operator.ask(Homing(arm.homing))
             arm.confirm_homed()
             stage.connect()
             stage.home()

@@ -28,7 +28,7 @@ from bench.calibrate.cameras import (
 )
 from bench.calibrate.merge import CAMERAS_INPUT, read_part
 from bench.calibrate.merge import merge as merged
-from bench.calibrate.stage import PEG, calibrate_stage
+from bench.calibrate.stage import calibrate_stage
 from bench.calibrate.views import (
     CAMERAS,
     BoardViews,
@@ -392,7 +392,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
             arm.sign_on()
             tip = TipReader(arm, rig.rig.arm, rig.frame)
             tip.refuse_other_arm()
-            parts.operator.ask(Homing(PEG))
+            parts.operator.ask(Homing(arm.homing))
             arm.confirm_homed()
             asking = Asking(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
             gather_points(asking, board, folder)

@@ -117,19 +117,8 @@ def give_answer(folder: Path, number: int, words: str, by: str) -> Given:
     if prompt is None or prompt["number"] != number or not prompt["open"]:
         raise NotOpenError(f"prompt {number} is not open")
     fields = ("kind", "text", "progress", "hidden_to", "pedal", "enough")
-    check_words(op.Prompt(**{name: prompt[name] for name in fields}), words)
+    op.check_words(words, op.Prompt(**{name: prompt[name] for name in fields}))
     return _create(folder, number, words, by)
-
-
-def check_words(prompt: op.Prompt, words: str) -> None:
-    """Raises ValueError for words that ``prompt`` doesn't understand."""
-    try:
-        op.understood(words, prompt)
-    except op.OperatorSkip as skip:
-        if not skip.reason:
-            raise ValueError("a skipped trial needs a reason, for the record") from skip
-    except (op.OperatorAbort, op.OperatorRepeat, op.OperatorEnough):
-        return
 
 
 def _create(folder: Path, number: int, words: str, by: str) -> Given:

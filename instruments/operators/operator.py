@@ -324,6 +324,17 @@ def understood(answer: str, prompt: Prompt) -> frozenset[int]:
     raise NotUnderstoodError(f"Not understood: {answer.strip()!r}.")
 
 
+def check_words(words: str, prompt: Prompt) -> None:
+    """Raises ValueError for words that ``prompt`` doesn't understand; a skip needs a reason."""
+    try:
+        understood(words, prompt)
+    except OperatorSkip as skip:
+        if not skip.reason:
+            raise ValueError("a skipped trial needs a reason, for the record") from skip
+    except (OperatorAbort, OperatorRepeat, OperatorEnough):
+        return
+
+
 def time_left(seconds: float) -> str:
     """A length of time in words: "about 12 min left"."""
     if seconds < 60.0:

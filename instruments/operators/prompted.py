@@ -188,7 +188,7 @@ def check_answer(to: op.Kind, answer: str) -> None:
     """Raises ValueError for an answer that a prompt of the kind ``to`` can't be given."""
     prompt = op.Prompt(to, "", hidden_to=MOST_TEATS if to == "set up" else 0, enough=to == "board")
     try:
-        op.understood(answer, prompt)
+        op.check_words(answer, prompt)
     except op.NotUnderstoodError as error:
         hidden = ', "hidden 2 4"' if to == "set up" else ""
         trial = f', "skip REASON", "repeat"{hidden}' if prompt.in_trial else ""
@@ -196,11 +196,6 @@ def check_answer(to: op.Kind, answer: str) -> None:
         go = '"X Y Z"' if to == "coordinates" else '"go"'
         there = f'to a prompt of the kind "{to}" there are {go}{trial}{enough}, "abort"'
         raise ValueError(f"{str(error).rstrip('.')}; {there}") from error
-    except op.OperatorSkip as skip:
-        if not skip.reason:
-            raise ValueError('"skip" needs a reason: "skip the teat came off"') from skip
-    except (op.OperatorAbort, op.OperatorRepeat, op.OperatorEnough):
-        return
 
 
 class ScriptedAnswers(PromptedOperator):
