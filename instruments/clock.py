@@ -177,20 +177,20 @@ class Wire:
         """The emulator has the connection and has said what it says unasked."""
         with self._lock:
             self._accepted = True
-            self._tell()
+            self._notify()
 
     def closed(self) -> None:
         """The emulator has hung up; nothing more will come."""
         with self._lock:
             self._closed = True
-            self._tell()
+            self._notify()
 
     def add(self, *, to_device: int = 0, to_host: int = 0) -> None:
         """Bytes sent (positive) or taken (negative) in either direction."""
         with self._lock:
             self._to_device += to_device
             self._to_host += to_host
-            self._tell()
+            self._notify()
 
     def send(self, count: int, write: Callable[[], None]) -> None:
         """The emulator's ``write`` of ``count`` bytes, counted first, so the host waits for it."""
@@ -232,7 +232,7 @@ class Wire:
             if not waiter.acquire(timeout=max(0.0, deadline - time.monotonic())):
                 raise TimeoutError(f"{self._to_device} bytes stayed untaken for {patience_s} s")
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         if self._waiter is not None:
             waiter, self._waiter = self._waiter, None
             waiter.release()

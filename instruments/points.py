@@ -29,7 +29,7 @@ from instruments.errors import (
     TouchAgainError,
 )
 from instruments.microscribe.configuration import Identity
-from instruments.microscribe.stream import Reading
+from instruments.microscribe.driver import Reading
 from instruments.operators.console import Console
 from instruments.operators.operator import Coordinates, Operator
 from instruments.operators.prompted import PromptedOperator
@@ -220,7 +220,9 @@ class PointArm:
         )
         cells = self._operator.ask(Coordinates(text)).point if self._operator else None
         if cells is None:
-            raise LimitError(self.who, "nobody is there to type points", hint="Use a terminal")
+            raise LimitError(
+                self.who, "there is no terminal to type points at", hint="Use a terminal"
+            )
         factor = UNITS[self._url.unit]
         tip_mm = np.array(cells[:3], dtype=np.float64) * factor
         digit_mm = min(map(_digit, cells[:3])) * factor

@@ -43,8 +43,7 @@ from bench.script.model import ArmRequirement, find_script, load_script
 from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock, RealClock, wall_time
 from instruments.errors import TouchAgainError
-from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.stream import Reading
+from instruments.microscribe.driver import MicroScribe, Reading
 from instruments.operators.console import Console
 from instruments.operators.operator import Task
 from instruments.points import PointArm

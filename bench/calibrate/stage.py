@@ -26,7 +26,7 @@ SPAN_MM = 200.0  # of the positions where none are named
 def calibrate_stage(
     rig: LoadedRig,
     made: datetime,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
     *,
     layout: str,
     teat: int,
@@ -85,7 +85,7 @@ def calibrate_stage(
                 u_mm=hypot(end_u_mm(rig.rig.arm, toucher.readings), settings.repeatability_mm),
                 made=made,
                 serial_number=arm.identity.serial_number,
-                tell=tell,
+                tell=report,
             )
         except RegistrationError as error:
             raise ConfigError.plain(f"no registration: {error}") from error
@@ -94,4 +94,4 @@ def calibrate_stage(
                 try:
                     rest()
                 except InstrumentError as error:
-                    tell(f"{name} could not be made safe: {error}")
+                    report(f"{name} could not be made safe: {error}")

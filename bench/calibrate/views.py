@@ -217,7 +217,7 @@ def gather(
     board: Board,
     wanted: ViewsRequest,
     folder: Path,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> int:
     """Keep views as CAMERA/NN.png; returns how many. Raises OperatorAbort, ConfigError."""
     guide = Guide(board, wanted.guided)
@@ -225,14 +225,14 @@ def gather(
     for number in range(1, wanted.most + 1):
         missing = guide.missing
         if wanted.guided and not missing:
-            tell("Nothing is missing any more.")
+            report("Nothing is missing any more.")
             return number - 1
         text = _instruction(wanted, missing)
         asked = BoardAsked(pattern, text, number, wanted.cameras, wanted.heated)
         try:
             operator.ask(asked)
         except OperatorEnough as enough:
-            tell(f"Enough: {enough}. Still missing: {'; '.join(missing) or 'nothing'}.")
+            report(f"Enough: {enough}. Still missing: {'; '.join(missing) or 'nothing'}.")
             return number - 1
         seen = look()
         for camera in wanted.cameras:
@@ -246,9 +246,11 @@ def gather(
         said = guide.add(
             {c: p[:, ::-1].copy() if c in wanted.mirrored else p for c, p in pictures.items()}
         )
-        tell(f"view {number}: " + "; ".join(f"{camera} {text}" for camera, text in said.items()))
+        report(f"view {number}: " + "; ".join(f"{camera} {text}" for camera, text in said.items()))
         write_picture(folder / GUIDE, guide.picture())
-    tell(f"{wanted.most} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}.")
+    report(
+        f"{wanted.most} views are enough. Still missing: {'; '.join(guide.missing) or 'nothing'}."
+    )
     return wanted.most
 
 

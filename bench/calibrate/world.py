@@ -30,7 +30,7 @@ from detector.calibration.values import covariance_of_points
 from detector.geometry import Array
 from instruments.camera.frame import Grey
 from instruments.errors import DeviceError, TouchAgainError
-from instruments.microscribe.stream import Reading
+from instruments.microscribe.driver import Reading
 from instruments.operators.operator import BoardAsked, BoardTouch, Operator, Release
 
 
@@ -86,7 +86,7 @@ class TouchedPoints:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorldResult:
-    """The fit, and what it tells of the pair."""
+    """The fit, and what it shows of the pair."""
 
     fit: WorldFit
     findings: tuple[Finding, ...]
@@ -212,7 +212,7 @@ class Asking:
     operator: Operator
     tip: TipReader
     tip_radius_mm: float
-    tell: Callable[[str], None]
+    report: Callable[[str], None]
 
 
 def gather_points(asking: Asking, board: Board, folder: Path) -> TouchedPoints:
@@ -255,7 +255,7 @@ def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> tuple[A
         try:
             pixels = _looked(pictures, board)
         except ViewRefusedError as why:
-            asking.tell(f"position {position}: refused: {why}")
+            asking.report(f"position {position}: refused: {why}")
             again = f"Not found ({why}) "
             continue
         for camera, points in zip(("left", "right"), pixels, strict=True):
@@ -266,7 +266,7 @@ def _fixed(asking: Asking, board: Board, position: int, folder: Path) -> tuple[A
                 font = cv2.FONT_HERSHEY_SIMPLEX
                 cv2.putText(image, str(number), (x + 10, y - 8), font, 0.8, COLOUR, 2, cv2.LINE_AA)
             write_picture(folder / f"position-{position}-{camera}-numbered.png", image)
-        asking.tell(
+        asking.report(
             f"position {position}: found; the points to touch are numbered in"
             f" {folder / f'position-{position}-left-numbered.png'}"
         )
@@ -316,7 +316,7 @@ def _touched(asking: Asking, board: Board, at: int, before: list[Reading]) -> Re
         if not wrong:
             return reading
         again = wrong
-        asking.tell(again)
+        asking.report(again)
     what = f"point {at + 1} of the board was not touched well, {TRIES} times; the last one: {again}"
     raise DeviceError("arm", what)
 

@@ -30,7 +30,7 @@ from bench.rig.arm_files import frame_text, load_frame, verification_text, write
 from bench.rig.model import Arm
 from bench.scoring.stated_u import refuted
 from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.stream import Pedal
+from instruments.microscribe.pedals import Pedal
 from instruments.points import points_url
 
 SHOW_S = 0.2

@@ -189,9 +189,11 @@ class Store:
         self._write([("checks", rows), ("invalidated", lost)])
 
     def frames(
-        self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
+        self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float]
     ) -> list[Row]:
-        """Write pictures as PNG by camera, synced on return; their rows. Raises FolderGoneError."""
+        """Write pictures as PNG by name, synced on return; their rows. ``exposed_s`` is by camera,
+        a picture's name up to "_". Raises FolderGoneError.
+        """
         self.refuse_gone()
         paths = {camera: self.folder / "frames" / trial / f"{camera}.png" for camera in images}
         digests = write_pictures({paths[camera]: image for camera, image in images.items()})
@@ -202,7 +204,7 @@ class Store:
                 "camera": camera,
                 "path": path.relative_to(self.folder).as_posix(),
                 "sha256": digests[path],
-                "exposed_s": exposed_s.get(camera),
+                "exposed_s": exposed_s.get(camera.split("_")[0]),
                 "wall_time": now,
             }
             for camera, path in paths.items()

@@ -58,21 +58,21 @@ def ports() -> Iterator[tuple[str, str]]:
         yield port.device, port.description if port.description != "n/a" else "no name"
 
 
-def probe(url: str, clock: Clock, tell: Callable[[str], None]) -> Found | None:
+def probe(url: str, clock: Clock, report: Callable[[str], None]) -> Found | None:
     """What answers at ``url``; None where nothing that is known does, or it can't be opened."""
     if _is(serial_url, url):
         for look in (_stage, _arm, _marlin_or_zaber):
-            tell(f"{url}: {look.__name__.strip('_').replace('_', ' ')}?")
+            report(f"{url}: {look.__name__.strip('_').replace('_', ' ')}?")
             try:
                 if found := look(url, clock):
                     return found
             except InstrumentError as error:
-                tell(f"{url}: {error}")
+                report(f"{url}: {error}")
     if not _is(bath_url, url):
         return None
     fitting: dict[str, str] = {}
     for name in profile_names():
-        tell(f"{url}: bath, {name}?")
+        report(f"{url}: bath, {name}?")
         if who := _bath(url, name, clock):
             fitting[name] = who
     if not fitting:
@@ -116,8 +116,8 @@ def _marlin_or_zaber(url: str, clock: Clock) -> Found | None:
                     who = answer.text.removeprefix("FIRMWARE_NAME:").partition(" (")[0]
                     return Found("stage", url, who, dialect="marlin")
         link.write(zaber.GET_POSITIONS)
-        heard = Decoder(zaber.parse).feed(link.drain(0.3, at_most_s=0.6))
-        replies = [answer for answer in heard if isinstance(answer, Reply)]
+        received = Decoder(zaber.parse).feed(link.drain(0.3, at_most_s=0.6))
+        replies = [answer for answer in received if isinstance(answer, Reply)]
         devices = tuple(
             f"{one.device} {axis}"
             for one in replies

@@ -251,7 +251,7 @@ HINTS: Mapping[FrameFault, str] = {
 
 
 class FrameTaker:
-    """``wait`` lets time pass between tries, ``tell`` records an event. A recording
+    """``wait`` lets time pass between tries, ``report`` records an event. A recording
     has no retries.
     """
 
@@ -261,12 +261,12 @@ class FrameTaker:
         table: CamerasTable,
         calibration: Calibration | None,
         wait: Callable[[float], None],
-        tell: Callable[[str, str], None],
+        report: Callable[[str, str], None],
         *,
         checks: FrameChecks | None = None,
     ) -> None:
         recorded = table.recorded
-        self._cameras, self._recorded, self._wait, self._tell = cameras, recorded, wait, tell
+        self._cameras, self._recorded, self._wait, self._report = cameras, recorded, wait, report
         self._checks = checks or FrameChecks(
             table.checks, table.max_skew_s, calibration, flat=not recorded
         )
@@ -282,7 +282,7 @@ class FrameTaker:
             self.counts.update(f"{one.camera}: {one.fault}" for one in noticed)
             what = "; ".join(str(one) for one in noticed)
             more = f"Taken again; {left} {'try is' if left == 1 else 'tries are'} left"
-            self._tell(EVENT, f"{what}. {more if left else 'Refused'}.")
+            self._report(EVENT, f"{what}. {more if left else 'Refused'}.")
             if left:
                 self._wait(self._retry_s)
         raise _refused(noticed, self._retries + 1)

@@ -31,7 +31,7 @@ from instruments.clock import Clock, RealClock, VirtualClock
 from instruments.errors import DeviceError, InstrumentError
 from instruments.link import Link, Tap
 from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.stream import Debouncer
+from instruments.microscribe.pedals import Debouncer
 from instruments.operators.console import Console
 from instruments.operators.mailbox import Mailbox
 from instruments.operators.prompted import PromptedOperator

@@ -22,8 +22,7 @@ from bench.safety.guardian_client import BRIEF_S, GuardianClient, Heartbeat
 from bench.script.model import LoadedScript
 from bench.truth.touching import TipReader
 from instruments.clock import VirtualClock, stopwatch_s, wall_time
-from instruments.microscribe.driver import MicroScribe
-from instruments.microscribe.stream import Sample
+from instruments.microscribe.driver import MicroScribe, Sample
 from instruments.operators.operator import KIND_OF, Answer, BoardTouch, Release, Request, Touch
 
 LOOK_S = 1.0
@@ -43,7 +42,7 @@ class RunContext:
         devices: Devices,
         store: Store,
         events: Events,
-        pulse: Heartbeat | None = None,
+        heartbeat: Heartbeat | None = None,
         guardian_client: GuardianClient | None = None,
     ) -> None:
         self.rig = rig
@@ -58,10 +57,10 @@ class RunContext:
         self.progress: Callable[[], Mapping[str, Any]] = dict
         self.away = ""  # the instrument that dropped out
         self._touching = False
-        self._pulse = pulse or Heartbeat()
+        self._heartbeat = heartbeat or Heartbeat()
         self._wall_behind_s: float | None = None
         self.trips = TripHandler(
-            rig, devices, gate_of(script), store, events.warn, self._pulse, guardian_client
+            rig, devices, gate_of(script), store, events.warn, self._heartbeat, guardian_client
         )
         self.trips.on_event, self.trips.seen = events.event, events.refresh
         self.watch = self.trips.watch
@@ -75,7 +74,7 @@ class RunContext:
             if isinstance(request, Release):
                 self.events.asked("release")
             return self.devices.operator.ask(request, self.look)
-        self._pulse.sign(f"waiting for the operator: {kind}", math.inf)
+        self._heartbeat.sign(f"waiting for the operator: {kind}", math.inf)
         self.events.asked(kind)
         self._touching = isinstance(request, Touch | BoardTouch)
         try:
@@ -83,7 +82,7 @@ class RunContext:
         finally:
             self._touching = False
             self.events.asked("")
-            self._pulse.sign("going on")
+            self._heartbeat.sign("going on")
 
     def wait(self, seconds: float) -> None:
         """Let time pass. Raises InterlockTrip."""
@@ -95,7 +94,7 @@ class RunContext:
 
     def check(self) -> None:
         """A sign of life, and a look."""
-        self._pulse.sign("going on")
+        self._heartbeat.sign("going on")
         self.look()
 
     def look(self) -> None:
@@ -139,7 +138,7 @@ class RunContext:
         """Allow ``what`` ``at_most_s`` before the guardian takes the bench for hung; ``silent``:
         without a heartbeat meanwhile.
         """
-        self._pulse.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
+        self._heartbeat.sign(what, at_most_s, silence_s=None if silent else BRIEF_S)
 
     def note(self, text: str) -> None:
         self.events.state(text)

@@ -41,7 +41,7 @@ from instruments.operators.operator import (
 from instruments.stage.driver import Stage
 
 RECORD_FAULTS = (sqlite3.Error, OSError)
-WISHES = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
+REQUESTS = (KeyboardInterrupt, OperatorAbort, OperatorSkip, OperatorRepeat)
 
 
 class Ending(StrEnum):
@@ -244,7 +244,7 @@ class Engine:
         self._reserve.give_back()
         self._end_replay()
         tripped = self._ctx.watch.tripped
-        if tripped is None and isinstance(why, WISHES):
+        if tripped is None and isinstance(why, REQUESTS):
             self._write_down("aborted", str(why) or "the run was interrupted (Ctrl-C)")
             return Ending.ABORTED
         # a braked stage or an impatient operator may have come first

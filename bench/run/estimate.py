@@ -2,7 +2,7 @@
 its events; and what runs really took, kept in their folders, so that the next estimate is better
 than what is assumed.
 
-What a rig file doesn't say is assumed, and told with the figure. A measured figure is a running
+What a rig file doesn't say is assumed, and stated with the figure. A measured figure is a running
 mean over the last runs on the same rig, the newest counting most. A person is slower than
 an emulated one; time is the bench's own, so an emulated run is over much sooner.
 """

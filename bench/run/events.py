@@ -59,10 +59,10 @@ AWAY = frozenset({_S.PAUSED, _S.SETTLING})
 
 
 class RunStates:
-    """The state of one run. ``tell`` gets each change, ``now_s`` is the time."""
+    """The state of one run. ``report`` gets each change, ``now_s`` is the time."""
 
-    def __init__(self, tell: Callable[[RunState], None], now_s: Callable[[], float]) -> None:
-        self._tell = tell
+    def __init__(self, report: Callable[[RunState], None], now_s: Callable[[], float]) -> None:
+        self._report = report
         self._now_s = now_s
         self._since_s = now_s()
         self._away_s = 0.0
@@ -77,7 +77,7 @@ class RunStates:
             raise ValueError(f"a run that is {self.current} can't be {state} next (only {only})")
         self._away_s, self._since_s = self.away_s, self._now_s()
         self.current = state
-        self._tell(state)
+        self._report(state)
 
     @contextmanager
     def during(self, state: RunState) -> Iterator[None]:
@@ -117,7 +117,7 @@ class SafeProgress:
 
     def __init__(self, progress: Progress, failed: Callable[[str], None] = lambda _: None) -> None:
         self._progress = progress
-        self._tell = failed
+        self._report = failed
         self._failed = False
 
     def state(self, text: str) -> None:
@@ -147,7 +147,7 @@ class SafeProgress:
         except FAILURES as error:
             first, self._failed = not self._failed, True
             if first:
-                self._tell(f"the screen shows nothing any more: {type(error).__name__}: {error}")
+                self._report(f"the screen shows nothing any more: {type(error).__name__}: {error}")
             return False
         return True
 

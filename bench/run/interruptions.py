@@ -173,25 +173,27 @@ SHORT = {"p": PAUSE, "g": GO_ON, "go": GO_ON, "go-on": GO_ON, "s": SKIP, "r": RE
 HELP = "pause, go on, skip REASON, repeat REASON, abort"
 
 
-def read_wish(words: str) -> tuple[str, str]:
+def parse_request(words: str) -> tuple[str, str]:
     """The request and its reason. Raises ValueError for other words and for a missing reason."""
     text = " ".join(words.split())
     if (whole := SHORT.get(text.lower(), text.lower())) in (PAUSE, GO_ON, ABORT):
         return whole, ""
     first, _, reason = text.partition(" ")
-    wish = SHORT.get(first.lower(), first.lower())
-    if wish not in (SKIP, REPEAT):
+    request = SHORT.get(first.lower(), first.lower())
+    if request not in (SKIP, REPEAT):
         raise ValueError(f"not understood: {text!r}. There are: {HELP}")
     if not reason:
-        raise ValueError(f"{wish} needs a reason, for the record: {wish} the plate was touched")
-    return wish, reason
+        raise ValueError(
+            f"{request} needs a reason, for the record: {request} the plate was touched"
+        )
+    return request, reason
 
 
-def leave_wish(folder: Path, words: str) -> None:
+def leave_request(folder: Path, words: str) -> None:
     """Leave a request for the run in ``folder``. Raises ConfigError."""
     try:
-        wish, reason = read_wish(words)
-        write_synced(folder / FILE, f"{wish} {reason}\n".encode())
+        request, reason = parse_request(words)
+        write_synced(folder / FILE, f"{request} {reason}\n".encode())
     except ValueError as error:
         raise ConfigError.plain(str(error)) from error
     except OSError as error:
@@ -213,18 +215,18 @@ class Requests:
     """Requests left in ``folder``, and lines from ``typed`` (None: nothing new)."""
 
     def __init__(
-        self, folder: Path, typed: Callable[[], str | None], tell: Callable[[str], None]
+        self, folder: Path, typed: Callable[[], str | None], report: Callable[[str], None]
     ) -> None:
         self._path, self._taken = folder / FILE, folder / TAKEN
         self._typed = typed
-        self._tell = tell
+        self._report = report
         self.paused = False
 
     def forget(self) -> None:
         """What was left for a bench that died before it took it isn't this one's."""
         if words := self._left():
-            note = "Nobody took this in the last session, and it counts no more"
-            self._tell(f"{note}: {words.strip()}")
+            note = "Left in the last session and not taken; it is void now"
+            self._report(f"{note}: {words.strip()}")
 
     def look(self, *, amid: bool = True) -> None:
         """Take requests; raises OperatorAbort, ``amid`` a trial OperatorSkip and OperatorRepeat."""
@@ -253,24 +255,26 @@ class Requests:
 
     def _take(self, words: str, *, amid: bool) -> None:
         try:
-            wish, reason = read_wish(words)
+            request, reason = parse_request(words)
         except ValueError as error:
-            self._tell(str(error))
+            self._report(str(error))
             return
-        if wish == ABORT:
-            raise OperatorAbort("the run was told to end")
-        if wish in (PAUSE, GO_ON):
-            if wish == PAUSE and not self.paused:
-                self._tell("The run pauses before its next trial.")
-            self.paused = wish == PAUSE
+        if request == ABORT:
+            raise OperatorAbort("the end of the run was requested")
+        if request in (PAUSE, GO_ON):
+            if request == PAUSE and not self.paused:
+                self._report("The run pauses before its next trial.")
+            self.paused = request == PAUSE
         elif amid:
-            self._tell(f"As told: {wish} {reason}")
-            raise OperatorSkip(reason) if wish == SKIP else OperatorRepeat(reason)
+            self._report(f"Request accepted: {request} {reason}")
+            raise OperatorSkip(reason) if request == SKIP else OperatorRepeat(reason)
         else:
-            self._tell(f"No trial is in flight just now, so nothing is done about: {wish} {reason}")
+            self._report(
+                f"No trial is in flight just now, so nothing is done about: {request} {reason}"
+            )
 
     def _left(self) -> str | None:
-        """Taken away first, then read: a wish that is left meanwhile is the next look's."""
+        """Taken away first, then read: a request that is left meanwhile is the next look's."""
         try:
             self._path.replace(self._taken)
             words = self._taken.read_text(encoding="utf-8", errors="replace")

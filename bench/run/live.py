@@ -121,7 +121,7 @@ def bath_state(watch: BathMonitor, expected_s: float) -> dict[str, Any]:
 
 
 def interlock_states(watch: BathMonitor) -> list[dict[str, Any]]:
-    """Each interlock: "armed", "asleep" (the bath doesn't tell what it needs) or "tripped"."""
+    """Each interlock: "armed", "asleep" (the bath lacks the rows it needs) or "tripped"."""
     states = {rule.name: "armed" for rule in RULES}
     states |= dict.fromkeys(watch.interlocks.inactive, "asleep")
     states[getattr(watch.tripped, "rule", "")] = "tripped"

@@ -85,9 +85,9 @@ def lock_path(rig: LoadedRig) -> Path | None:
 
 @contextmanager
 def locked(
-    path: Path | None, what: str, tell: Callable[[str], None], who: str = "rig"
+    path: Path | None, what: str, report: Callable[[str], None], who: str = "rig"
 ) -> Iterator[None]:
-    """Hold the lock at ``path`` (None: there is none) for ``what``; ``tell`` gets a line where a
+    """Hold the lock at ``path`` (None: there is none) for ``what``; ``report`` gets a line where a
     dead bench's lock was taken over. Raises RigInUseError, ConfigError.
     """
     if path is None:
@@ -105,7 +105,7 @@ def locked(
         if holder := _holder(path):
             if holder.get("host") != platform.node():  # its process can't be seen from here
                 raise _in_use(path, holder, who)
-            tell(f"the lock of a bench that died ({_named(holder)}) was taken over")
+            report(f"the lock of a bench that died ({_named(holder)}) was taken over")
         since = wall_time().isoformat(timespec="seconds")
         me = {"host": platform.node(), "pid": os.getpid(), "since": since, "run": what}
         path.write_text(json.dumps(me), encoding="utf-8")

@@ -132,7 +132,7 @@ class RehearsedStore(Store):
             super().checked(new, lost, reason)
 
     def frames(
-        self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float | None]
+        self, trial: str, images: Mapping[str, Picture], exposed_s: Mapping[str, float]
     ) -> list[Row]:
         return [] if self.silent else super().frames(trial, images, exposed_s)
 

@@ -28,22 +28,7 @@ from bench.results.stated_arm import STATED_FACT, VERIFICATION_FACT, stated_fact
 from bench.rig.arm_files import as_dict
 from bench.rig.loading import LoadedRig
 from detector.protocol import Detector
-from instruments.camera.frame import FrameSet
 from instruments.clock import wall_time
-
-
-def frame_rows(
-    store: Store, trial_id: str, frames: FrameSet, answers: Sequence[Answer]
-) -> list[Row]:
-    """Write a trial's frames and the pictures of the detectors' stages; their rows."""
-    images: dict[str, Picture | None] = {"left": frames.left, "right": frames.right}
-    images |= {"thermal": frames.thermal, "thermal_radiometric": frames.thermal_ck}
-    images |= {"depth": frames.depth_dmm, "depth_amplitude": frames.amplitude}
-    for answer in answers:
-        images |= stage_pictures(answer)
-    there = {name: image for name, image in images.items() if image is not None}
-    exposed_s = {name: frames.exposed_s.get(name.split("_")[0]) for name in there}
-    return store.frames(trial_id, there, exposed_s)
 
 
 def detection_tables(trial_id: str, answers: Sequence[Answer]) -> tuple[list[Row], list[Row]]:
@@ -92,10 +77,13 @@ def detection_rows(trial: str, answer: Answer) -> tuple[Row, list[Row]]:
     ]
 
 
-def stage_pictures(answer: Answer) -> dict[str, Picture]:
-    """The two-dimensional masks of a detector's stages as 8-bit pictures, by ``detector-stage``."""
+def stage_pictures(answers: Sequence[Answer]) -> dict[str, Picture]:
+    """The two-dimensional masks of the detectors' stages as 8-bit pictures, by
+    ``detector-stage``.
+    """
     return {
         f"{answer.detector}-{stage.name.replace(' ', '-')}": np.uint8(255) * mask
+        for answer in answers
         for stage in answer.detection.trace
         for mask in stage.data.values()
         if mask.dtype == np.bool_ and mask.ndim == 2

@@ -28,7 +28,7 @@ from bench.run.lock import lock_path, locked, run_lock
 from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
-from bench.run.rows import detection_tables, frame_rows, write_facts
+from bench.run.rows import detection_tables, stage_pictures, write_facts
 from bench.run.trial import refuse_carry
 from bench.safety.guardian_client import GuardianTarget, guarded
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
@@ -218,11 +218,11 @@ def _run(
         ):
             refuse_other_cameras(rig.calibration.record, devices.cameras.identity)
             bath, inferred = devices.bath, rig.rig.bath.allow_inferred
-            charge = GuardianTarget(
+            target = GuardianTarget(
                 bath.url, rig.profile_source, bath.pump_url, rig.relay_source, inferred
             )
-            with guarded(charge, store.folder, devices.clock) as (pulse, guardian_client):
-                ctx = RunContext(rig, script, devices, store, events, pulse, guardian_client)
+            with guarded(target, store.folder, devices.clock) as (heartbeat, guardian_client):
+                ctx = RunContext(rig, script, devices, store, events, heartbeat, guardian_client)
                 engine = Engine(
                     ctx,
                     under_test,
@@ -294,7 +294,8 @@ def _scored(
             detections, found = detection_tables(trial, answers)
             ends = seen.get(frame, {})
             rows = [truth_row(trial, row, seen=ends.get(row.teat)) for row in known]
-            pictures = frame_rows(store, trial, frames, answers)
+            images = frames.pictures | stage_pictures(answers)
+            pictures = store.frames(trial, images, frames.exposed_s)
             store.finished(TrialRecord(head, pictures, [], rows, detections, found, scores))
         progress.trial(planned, planned, "")
         _end(store, Ending.FINISHED)

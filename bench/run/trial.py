@@ -25,7 +25,7 @@ from bench.rig.urls import PEOPLE
 from bench.run.context import RunContext
 from bench.run.events import RunState
 from bench.run.recordings import Recorder
-from bench.run.rows import detection_tables, frame_rows
+from bench.run.rows import detection_tables, stage_pictures
 from bench.run.set_up_picture import write_set_up_picture
 from bench.safety.stability import State
 from bench.script.model import LoadedScript
@@ -94,7 +94,7 @@ def choose_truth(
         raise ValueError("a truth can't be carried without a stage; refuse_carry says so before")
     known = registration_from_facts(before.facts) if before else None
 
-    def tell(kind: str, text: str) -> None:
+    def report(kind: str, text: str) -> None:
         ctx.event(kind, text)
         (ctx.events.warn if kind in URGENT else ctx.events.state)(text)
 
@@ -104,7 +104,7 @@ def choose_truth(
         lambda: stands_at(stage),
         ctx.store,
         settled,
-        tell,
+        report,
         ctx.clock.now,
         every=table.check_every,
         limit_mm=table.check_limit_mm,
@@ -141,7 +141,7 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
     poses = tuple(PlatePose(x, y) for x, y in table.registration_at_mm or ())
     poses = poses or around(shared(trial.pose, settings.axes)[0] for trial in planned)
 
-    def tell(text: str) -> None:
+    def report(text: str) -> None:
         ctx.note(text)
         ctx.long("moving the stage", 600.0)
 
@@ -156,7 +156,7 @@ def _made(ctx: RunContext, stage: Stage, settings: StageSettings, toucher: Touch
             u_mm=hypot(end_u_mm(ctx.rig.rig.arm, toucher.readings), settings.repeatability_mm),
             made=wall_time().replace(microsecond=0),
             serial_number=ctx.devices.arm.identity.serial_number,
-            tell=tell,
+            tell=report,
         )
     except RegistrationError as error:
         hint = "Name other places in the script's registration_at_mm."
@@ -220,9 +220,9 @@ class Attempts:
     def _tried(self, trial: PlannedTrial) -> bool:
         try:
             self._through(f"trial {trial.id}", lambda: self._once(trial))
-        except OperatorRepeat as wish:
+        except OperatorRepeat as repeat:
             message = f"{trial.id}: the operator asked for it again from its set-up"
-            self._ctx.event("repeated", f"{message}: {wish.reason}" if wish.reason else message)
+            self._ctx.event("repeated", f"{message}: {repeat.reason}" if repeat.reason else message)
             return False
         return True
 
@@ -422,7 +422,8 @@ class TrialRun:
             answers, rows, limit_mm=script.visible_within_mm, time_limit_s=script.time_limit_s
         )
         detections, found = detection_tables(trial_id, answers)
-        pictures = frame_rows(store, trial_id, frames, answers)
+        images = frames.pictures | stage_pictures(answers)
+        pictures = store.frames(trial_id, images, frames.exposed_s)
         store.finished(
             TrialRecord(head, pictures, truth.touches, truth_rows, detections, found, scores)
         )

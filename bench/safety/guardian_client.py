@@ -117,16 +117,16 @@ class GuardianTarget:
 
 
 class GuardianClient:
-    """A running guardian of ``charge``, its record in ``folder``. Raises LinkError."""
+    """A running guardian of ``target``, its record in ``folder``. Raises LinkError."""
 
-    def __init__(self, charge: GuardianTarget, folder: Path, pulse: Heartbeat) -> None:
-        self._pulse = pulse
+    def __init__(self, target: GuardianTarget, folder: Path, heartbeat: Heartbeat) -> None:
+        self._heartbeat = heartbeat
         self._ended = threading.Event()
         self._said = threading.Event()  # its first line, or its end
         self._ready = False
         self._unanswered = 0
         self._log, self._acted = folder / LOG, folder / GUARDIAN
-        command = [sys.executable, "-X", "utf8", "-m", "bench.safety.guardian", *charge.arguments]
+        command = [sys.executable, "-X", "utf8", "-m", "bench.safety.guardian", *target.arguments]
         command += ["--record", str(folder.resolve() / GUARDIAN), "--bench", str(os.getpid())]
         with self._log.open("wb") as log:
             self._process = _spawn(command, log)
@@ -211,7 +211,7 @@ class GuardianClient:
 
     def _beat(self) -> None:
         while not self._ended.wait(BEAT_S):
-            overdue = self._pulse.overdue()
+            overdue = self._heartbeat.overdue()
             self._unanswered += 1  # before, so that each echo comes after it
             try:
                 self._say(HUNG + overdue if overdue else ALIVE)
@@ -239,18 +239,18 @@ def _spawn(command: list[str], log: IO[bytes]) -> subprocess.Popen[bytes]:
 
 @contextmanager
 def guarded(
-    charge: GuardianTarget, folder: Path, clock: Clock
+    target: GuardianTarget, folder: Path, clock: Clock
 ) -> Iterator[tuple[Heartbeat, GuardianClient | None]]:
     """Heartbeats and their guardian; none under virtual time, where the bath is emulated."""
-    pulse = Heartbeat()
+    heartbeat = Heartbeat()
     if isinstance(clock, VirtualClock):
-        yield pulse, None
+        yield heartbeat, None
         return
     if isinstance(clock, RealClock):
-        clock.subscribe(pulse.alive)
+        clock.subscribe(heartbeat.alive)
     try:
-        with GuardianClient(charge, folder, pulse) as guardian_client:
-            yield pulse, guardian_client
+        with GuardianClient(target, folder, heartbeat) as guardian_client:
+            yield heartbeat, guardian_client
     finally:
         if isinstance(clock, RealClock):
             clock.subscribe(None)

@@ -258,7 +258,7 @@ RULES = (
     ),
     Rule(
         COMMUNICATIONS,
-        "nobody answers for bath_silence_s",
+        "no answer for bath_silence_s",
         lambda _: None,  # a reading in the hand is no silence: `Interlocks.silent` trips this row
         "a reading",
         lambda _now, _limits: None,
@@ -314,8 +314,8 @@ class Interlocks:
     def __init__(self, limits: Limits, profile: Profile) -> None:
         self._limits = limits
         self._profile = profile
-        told = {row.name for row in profile.rows}
-        self._awake = [rule for rule in RULES if not rule.needs or told & set(rule.needs)]
+        provided = {row.name for row in profile.rows}
+        self._active = [rule for rule in RULES if not rule.needs or provided & set(rule.needs)]
         self._since: dict[str, BathReading] = {}
         self._recent: deque[BathReading] = deque()
         self._near_since_s = math.nan
@@ -323,8 +323,8 @@ class Interlocks:
 
     @property
     def inactive(self) -> tuple[str, ...]:
-        """Names of the rules whose needs the family doesn't tell."""
-        return tuple(rule.name for rule in RULES if rule not in self._awake)
+        """Names of the rules whose rows the family doesn't have."""
+        return tuple(rule.name for rule in RULES if rule not in self._active)
 
     def heating(self, set_point_c: float) -> None:
         """The bath has been started: the other sensors may lag again."""
@@ -335,7 +335,7 @@ class Interlocks:
         """The first rule of the table that trips with this reading."""
         settled = self._has_settled(now)
         earlier = self._earlier(now)
-        for rule in self._awake:
+        for rule in self._active:
             since = self._since.setdefault(rule.name, now)
             seen = (now, since, earlier, self._asked_c, pump_on, settled)
             why = rule.wrong(Look(*seen, self._limits, self._profile))

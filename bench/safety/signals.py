@@ -71,7 +71,7 @@ ASKED_BY = {
     "SIGHUP": "SIGHUP: the terminal or its connection has gone",
     "SIGBREAK": "Ctrl-Break",
 }
-# a second Ctrl-C within this is the same wish; a later one is that of a person who sees nothing
+# a second Ctrl-C within this is the same request; a later one is that of a person who sees nothing
 # happen
 ON_THE_WAY_S = 5.0
 AMID_A_LOCK = ("__enter__", "__exit__", "_release_save", "_acquire_restore", "notify", "notify_all")
@@ -152,8 +152,8 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
     if threading.current_thread() is not threading.main_thread():
         yield exits
         return
-    heard = [number for number in _numbers() if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, exits) for number in heard}
+    received = [number for number in _numbers() if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, exits) for number in received}
     register, handler = register or windows_register(), exits.console_event
     try:
         if register:

@@ -195,7 +195,7 @@ class Trial(Section):
                 else "has no layout, and no family either"
             )
         if self.layout and not self.set_up:
-            raise ValueError("set_up is missing: it tells a person what to do")
+            raise ValueError("set_up is missing: it says what a person has to do")
         given = [key for key in ("pose", "poses", "grid", "draw") if getattr(self, key) is not None]
         if len(given) > 1:
             raise ValueError(

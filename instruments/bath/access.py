@@ -72,7 +72,7 @@ class Access(ABC, Generic[R]):
 
     @property
     @abstractmethod
-    def learnt(self) -> Mapping[str, str]:
+    def detected(self) -> Mapping[str, str]:
         """What that showed of the controller."""
 
     @abstractmethod
@@ -124,7 +124,7 @@ class Access(ABC, Generic[R]):
         rows = [row for row in rows if self.may_ask(row)]
         shown = dict(zip((row.name for row in rows), self.show(rows), strict=True))
         self.known = True
-        return reading, {"family": self.profile.family, "url": self.url, **self.learnt, **shown}
+        return reading, {"family": self.profile.family, "url": self.url, **self.detected, **shown}
 
     def poll(self) -> BathReading:
         """One poll, at the time of its start. Raises LinkError, BrokenError before ``look``."""

@@ -82,7 +82,7 @@ class Bath:
         self._started = False
         self._times_made_safe = 0
         if identify:
-            self._meet()
+            self._identify()
 
     @property
     def identity(self) -> Mapping[str, str]:
@@ -230,17 +230,17 @@ class Bath:
         """``work`` on a link that is up; once more over a new link when it breaks."""
         with self._lock:
             if not self._rows.known or not self._wire.connected:
-                self._meet()
+                self._identify()
             try:
                 return work()
             except BrokenError:
-                self._meet()
+                self._identify()
                 return work()
             except ChangedError:
                 self._rows.known = False
                 raise
 
-    def _meet(self) -> None:
+    def _identify(self) -> None:
         """Connect and identify; the link is closed where the controller does not fit."""
         self._rows.known = False
         self._connect()

@@ -16,7 +16,7 @@ from instruments.bath import protocol
 from instruments.bath.line_dialects import Dialect
 from instruments.bath.profile import PUMP, RegisterProfile, RelayProfile, Wiring
 from instruments.bath.protocol import Exchange, Frame, Plain, Read, Refused, Write
-from instruments.bath.register_semantics import Cells, Controller, Manners, Values, manners_of
+from instruments.bath.register_semantics import Behaviour, Cells, Controller, Values, behaviour_of
 from instruments.bath.rows import Row
 from instruments.clock import Clock
 from instruments.listener import Connection
@@ -152,19 +152,19 @@ class Server(Emulator):
         plant: Plant,
         profile: Wiring,
         clock: Clock,
-        manners: Manners,
+        behaviour: Behaviour,
         values: Values,
         unit_id: int | None,
         framing: Framing | None,
     ) -> None:
-        super().__init__(plant, clock, values, manners.reset_s)
+        super().__init__(plant, clock, values, behaviour.reset_s)
         if framing is not None and framing not in get_args(Framing):
             raise ValueError(f"no framing '{framing}'; there are tcp and rtu")
         self.profile = profile
         self.framing = framing or ("tcp" if "tcp" in profile.transports else "rtu")
         self.unit_id = unit_id or profile.unit_id
-        self._manners = manners
-        self._cells = Cells(profile, manners, values, self._faults)
+        self._behaviour = behaviour
+        self._cells = Cells(profile, behaviour, values, self._faults)
         self._garbage = cycle(GARBAGE)
         self._readers: dict[Connection, protocol.FrameReader | protocol.RtuReader] = {}
 
@@ -206,15 +206,18 @@ class Server(Emulator):
 
     def _answer(self, pdu: bytes) -> bytes:
         """The PDU to answer with; empty for none."""
-        function, manners = pdu[0], self._manners
+        function, behaviour = pdu[0], self._behaviour
         if "busy" in self._faults:
-            return protocol.answer_refusal(function, protocol.BUSY) if manners.says_busy else b""
+            return protocol.answer_refusal(function, protocol.BUSY) if behaviour.says_busy else b""
         try:
-            if function not in manners.functions:
+            if function not in behaviour.functions:
                 raise Refused(protocol.ILLEGAL_FUNCTION)
             return self._execute(pdu)
         except Refused as refused:
-            if refused.code == protocol.ILLEGAL_FUNCTION and manners.unknown_function == "silence":
+            if (
+                refused.code == protocol.ILLEGAL_FUNCTION
+                and behaviour.unknown_function == "silence"
+            ):
                 return b""
             return protocol.answer_refusal(function, refused.code)
 
@@ -261,10 +264,10 @@ class BathEmulator(Server):
         framing: Framing | None = None,
         as_shipped: bool = False,
     ) -> None:
-        manners = manners_of(profile)
-        panel = Controller(plant, profile, manners, unit_id or profile.unit_id)
-        panel.fahrenheit = as_shipped and manners.fahrenheit_as_shipped
-        super().__init__(plant, profile, clock, manners, panel, unit_id, framing)
+        behaviour = behaviour_of(profile)
+        panel = Controller(plant, profile, behaviour, unit_id or profile.unit_id)
+        panel.fahrenheit = as_shipped and behaviour.fahrenheit_as_shipped
+        super().__init__(plant, profile, clock, behaviour, panel, unit_id, framing)
         plant.fit(circulator=profile.capabilities.pump == "with run")
 
     def plain(self, request: Plain) -> bytes:
@@ -319,9 +322,9 @@ class RelayEmulator(Server):
         unit_id: int | None = None,
         framing: Framing | None = None,
     ) -> None:
-        manners = Manners(alike=profile.alike, reset_s=math.inf)
+        behaviour = Behaviour(alike=profile.alike, reset_s=math.inf)
         contacts = Contacts(plant, profile)
-        super().__init__(plant, profile, clock, manners, contacts, unit_id, framing)
+        super().__init__(plant, profile, clock, behaviour, contacts, unit_id, framing)
 
     def cut_power(self, on: bool) -> None:
         if on:

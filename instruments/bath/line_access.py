@@ -47,7 +47,9 @@ class Lines(Session):
         self, url: str, profile: LineProfile, clock: Clock, *, who: str, tap: Tap | None
     ) -> None:
         super().__init__(line_to(url, profile, who), clock, who=who, tap=tap)
-        self.speech = f"{profile.family}'s lines of ASCII, at this rate and with this parity"
+        self.expected_protocol = (
+            f"{profile.family}'s lines of ASCII, at this rate and with this parity"
+        )
         self._profile = profile
         self._gap_s = profile.gap_s if self.line.gap_s is None else self.line.gap_s
         self._end = profile.end.encode("ascii")
@@ -86,20 +88,20 @@ class Lines(Session):
             )
         return question.reply
 
-    def tell(self, command: str) -> None:
+    def send(self, command: str) -> None:
         """Send a command that nothing answers."""
         self._put(command, answered=False)
 
     def become_quiet(self, until_s: float) -> None:
         """Drop what comes until nothing has come for the profile's ``quiet_s``."""
         self._open = None
-        self.heard_s = self.clock.now()
+        self.received_s = self.clock.now()
         while True:
-            heard_s = self.heard_s
-            end_s = min(until_s, heard_s + self._profile.quiet_s)
+            received_s = self.received_s
+            end_s = min(until_s, received_s + self._profile.quiet_s)
             if self.clock.now() >= end_s:
                 break
-            self.receive_until(end_s, lambda before=heard_s: self.heard_s != before)  # type: ignore[misc]
+            self.receive_until(end_s, lambda before=received_s: self.received_s != before)  # type: ignore[misc]
         self._buffer = b""
 
     def close(self) -> None:
@@ -110,7 +112,7 @@ class Lines(Session):
         # an event of virtual time may ask in the midst of another question: that one comes first
         if self._open is not None:
             self._wait(self._open)
-        self.clock.sleep(self.heard_s + self._gap_s - self.clock.now())
+        self.clock.sleep(self.received_s + self._gap_s - self.clock.now())
         link = self.up()
         while self.receive(link, 0.0):  # what lies there unasked answers nothing
             self.in_step = False
@@ -168,7 +170,7 @@ class LineAccess(Access[LineRow]):
         return self.poll_now()
 
     @property
-    def learnt(self) -> Mapping[str, str]:
+    def detected(self) -> Mapping[str, str]:
         return {"not answered": ", ".join(sorted(self._absent))} if self._absent else {}
 
     @property
@@ -198,14 +200,14 @@ class LineAccess(Access[LineRow]):
     def write(self, row: LineRow, value: float, *, urgent: bool) -> None:
         if not urgent:
             self._come_in_step()
-        self._tell(row, row.command(value), urgent=urgent)
+        self._send(row, row.command(value), urgent=urgent)
         self.clock.sleep(self.profile.settle_s)
 
-    def _tell(self, row: LineRow, command: str, *, urgent: bool) -> None:
+    def _send(self, row: LineRow, command: str, *, urgent: bool) -> None:
         """Send a write, and take its answer."""
         confirm = self.profile.confirm if row.confirm is None else row.confirm
         if not confirm:
-            self.wire.tell(command)
+            self.wire.send(command)
             return
         try:
             reply = self.wire.ask(command)

@@ -81,7 +81,7 @@ def dialect_of(profile: LineProfile) -> Callable[[Plant], Dialect]:
 
 
 class ByProfile(Dialect):
-    """A family that nobody has written a dialect for: it answers as its profile says."""
+    """A family without a dialect of its own: it answers as its profile says."""
 
     def __init__(self, plant: Plant, profile: LineProfile) -> None:
         super().__init__(plant)
@@ -159,7 +159,7 @@ class ByProfile(Dialect):
 def _told(row: LineRow, command: str) -> float | None:
     """The value that ``command`` writes to ``row``; None where it is none of its commands."""
     if not isinstance(row.tell, str):
-        words = {told.lower(): label for label, told in row.tell.items()}
+        words = {command.lower(): label for label, command in row.tell.items()}
         label = words.get(command.lower())
         return None if label is None else float(row.values[label])
     if not row.tell:

@@ -71,7 +71,7 @@ class RegisterAccess(Access[Row]):
             self.order = order
 
     @property
-    def learnt(self) -> Mapping[str, str]:
+    def detected(self) -> Mapping[str, str]:
         return {"order": self.order}
 
     def first_poll(self) -> BathReading:

@@ -300,10 +300,10 @@ class LineRow(Quantity):
             yield f"shows.{unknown[0]} is no label of 'values' or 'seen'"
         if isinstance(self.tell, dict) and set(self.tell) != set(self.values):
             yield "'tell' needs a command for each label of 'values', and no other"
-        told = [self.tell] if isinstance(self.tell, str) else self.tell.values()
+        commands = [self.tell] if isinstance(self.tell, str) else self.tell.values()
         shown = [form for forms in self.shows.values() for form in forms]
         replies = [self.reply, self.confirm or "", *self.absent, *shown]
-        for template in filter(None, (*replies, self.ask, *told)):
+        for template in filter(None, (*replies, self.ask, *commands)):
             yield from _template_faults(template)
         if "<" in self.ask:
             yield f"ask = {self.ask!r} is sent as it is, so it has no field"

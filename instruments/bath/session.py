@@ -32,11 +32,11 @@ class BrokenError(LinkError):
 
 
 class Session(ABC):
-    """One connection to one device, not opened at first; for one caller at a time. ``speech`` is
-    what the device has to be set to.
+    """One connection to one device, not opened at first; for one caller at a time. A device has to
+    be set to its ``expected_protocol``.
     """
 
-    speech: str
+    expected_protocol: str
 
     def __init__(self, line: Line, clock: Clock, *, who: str, tap: Tap | None = None) -> None:
         self.who = who
@@ -44,7 +44,7 @@ class Session(ABC):
         self.clock = clock
         self._tap = tap
         self._link: Link | None = None
-        self.heard_s = 0.0
+        self.received_s = 0.0
 
     @abstractmethod
     def begin(self) -> None:
@@ -84,7 +84,7 @@ class Session(ABC):
             self.begin()
             return
         what = "nothing took the connection"
-        hint = f"Is the controller on, on this network, and set to {self.speech}?"
+        hint = f"Is the controller on, on this network, and set to {self.expected_protocol}?"
         if line.device:
             what = "the port can't be opened"
             hint = (
@@ -139,6 +139,6 @@ class Session(ABC):
                 raise
             return False
         if data:
-            self.heard_s = self.clock.now()
+            self.received_s = self.clock.now()
             self.take(data)
         return bool(data)

@@ -68,7 +68,7 @@ class Transactions(Session):
         markers: Sequence[tuple[int, int, int]] = (),
     ) -> None:
         super().__init__(line, clock, who=who, tap=tap)
-        self.speech = f"Modbus {line.transport.upper()}"
+        self.expected_protocol = f"Modbus {line.transport.upper()}"
         self._unit_id = line.unit_id or 1
         self._timeout_s = timeout_s
         self._quiet_s = quiet_s
@@ -169,7 +169,7 @@ class Transactions(Session):
         if self.line.character_s or self.line.gap_s:
             gap_s = max(GAP_CHARACTERS * self.line.character_s, LEAST_GAP_S)
             gap_s = gap_s if self.line.gap_s is None else self.line.gap_s
-            self.clock.sleep(self.heard_s + gap_s - self.clock.now())
+            self.clock.sleep(self.received_s + gap_s - self.clock.now())
         link = self.up()
         if self.line.is_rtu:
             while self.receive(link, 0.0):  # what lies there unasked answers no request
@@ -238,5 +238,5 @@ class Transactions(Session):
         return LinkError(self.who, "no answer", asked=question.asked, seconds=took_s, hint=hint)
 
     def _nonsense(self, what: str, question: Question) -> ProtocolError:
-        hint = f"Is this a {self.speech} device of the right family?"
+        hint = f"Is this a {self.expected_protocol} device of the right family?"
         return ProtocolError(self.who, what, asked=question.asked, seen=self._seen, hint=hint)

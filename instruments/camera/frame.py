@@ -64,6 +64,19 @@ class FrameSet:
             raise ValueError("a frame set's amplitude goes with a depth picture of its size")
 
     @property
+    def pictures(self) -> dict[str, NDArray[np.uint8] | NDArray[np.uint16]]:
+        """Those that are there, by the names that the record has for them."""
+        images = {
+            "left": self.left,
+            "right": self.right,
+            "thermal": self.thermal,
+            "thermal_radiometric": self.thermal_ck,
+            "depth": self.depth_dmm,
+            "depth_amplitude": self.amplitude,
+        }
+        return {name: image for name, image in images.items() if image is not None}
+
+    @property
     def thermal_k(self) -> NDArray[np.float64] | None:
         """Apparent temperature in kelvin, sensor's grid, un-mirrored; None if not radiometric."""
         return None if self.thermal_ck is None else self.thermal_ck / 100.0

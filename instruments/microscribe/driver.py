@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from functools import partial
 from typing import ClassVar, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from instruments.clock import Clock
 from instruments.errors import InstrumentError, LimitError, LinkError, ProtocolError
@@ -44,7 +45,6 @@ from instruments.microscribe.protocol import (
     State,
     WireError,
 )
-from instruments.microscribe.stream import Reading, Sample
 
 ANSWER_S = 0.12  # 0.1 s, and the latency of an adapter whose timer has its default
 SILENCE_S = 0.1
@@ -86,6 +86,35 @@ _DOUBT = (
     "the arm was in a session at another baud rate, and what was sent at the wrong one may have"
     " re-homed it"
 )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """One position in the arm's frame: median ``tip_mm`` (3,) and ``axis`` (3,) up the stylus,
+    ``spread_mm`` of ``n`` packets, ``counts`` of the last one; ``written``: as another program or a
+    person wrote it.
+    """
+
+    tip_mm: npt.NDArray[np.float64]
+    spread_mm: float
+    axis: npt.NDArray[np.float64] | None
+    n: int
+    counts: tuple[int, ...] = ()
+    written: str = ""
+
+    @property
+    def evidence(self) -> str | list[int]:
+        """What the record keeps of it: the counts, or what was written."""
+        return self.written or [int(count) for count in self.counts]
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One packet; ``t_s`` is by the arm's clock from the session's first stamp."""
+
+    t_s: float
+    counts: tuple[int, ...]
+    buttons: int
 
 
 class MicroScribe:

@@ -61,7 +61,7 @@ _NEIGHBOURS: tuple[tuple[Callable[[bytes], bool], str], ...] = (
     ),
     (
         lambda seen: SYNC in seen or BEGIN in seen,
-        "It sends back what it hears: is a loop-back plug or a modem on this port? Give the arm's",
+        "It echoes what it receives: is a loop-back plug or a modem on this port? Give the arm's",
     ),
     (
         lambda seen: b"ok\r\n" in seen or b"error:" in seen or b"ALARM:" in seen,

@@ -111,8 +111,8 @@ def keyboard_of(stream: TextIO, echo: Callable[[str], object]) -> Keyboard:
 
 TURN_S = 0.05  # between two looks at keyboard and interlocks
 REMIND_S = 120.0
-GONE = "nobody is at the terminal any more"
-WISHES = (op.OperatorAbort, op.OperatorSkip, op.OperatorRepeat, op.OperatorEnough)
+GONE = "the terminal gives no more input"
+REQUESTS = (op.OperatorAbort, op.OperatorSkip, op.OperatorRepeat, op.OperatorEnough)
 
 Pedal = Callable[[float], bool]
 
@@ -169,7 +169,7 @@ class Console(PromptedOperator):
                 words = self._words(prompt, check)
             except (Exception, KeyboardInterrupt) as why:  # ended without an answer
                 ended = str(why) or "interrupted"
-                if not isinstance(why, WISHES):
+                if not isinstance(why, REQUESTS):
                     with contextlib.suppress(op.OperatorAbort):
                         self._write(f"\nNo answer is needed any more: {ended}\n")
                 if self._mailbox:
@@ -208,7 +208,7 @@ class Console(PromptedOperator):
                     given = self._mailbox.answer() if self._mailbox else None
                     return given.words if given else f"skip {reason}"
                 continue
-            except WISHES:
+            except REQUESTS:
                 return words
             return words
 

@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 
 from instruments.operators import operator as op
-from instruments.teat_end import ball_centre_mm
 from instruments.world.boards import Board, poses
 from instruments.world.optics import CameraModel, Floats
 from instruments.world.phantom import PlatePose
@@ -103,7 +102,7 @@ class EmulatedOperator:
         at = teat % of if teat > 1 and self._makes("wrong teat") else teat - 1
         phantom = self._world.phantom()
         # what the arm reads is the ball's centre
-        tip = ball_centre_mm(phantom.ends_mm[at], phantom.axes[at], self._tip_radius_mm)
+        tip = phantom.ends_mm[at] + self._tip_radius_mm * phantom.axes[at]
         self._hold(tip, STYLUS_AXIS)
 
     def _placed(self, wanted: op.Arrangement) -> tuple[op.Arrangement, PlatePose]:

@@ -15,11 +15,11 @@ from instruments.world.phantom import Phantom, PlatePose
 from instruments.world.setups import Situation
 
 
-class OperatorAbort(Exception):  # noqa: N818 - a wish, not a fault
+class OperatorAbort(Exception):  # noqa: N818 - a request, not a fault
     """The operator wants the run to end, safely and now."""
 
 
-class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
+class OperatorSkip(Exception):  # noqa: N818 - a request, not a fault
     """This trial can't be done, for the ``reason``. Answers an `Arrangement` and a `Touch` only."""
 
     def __init__(self, reason: str) -> None:
@@ -27,7 +27,7 @@ class OperatorSkip(Exception):  # noqa: N818 - a wish, not a fault
         super().__init__(f"the operator skipped the trial: {reason}")
 
 
-class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
+class OperatorRepeat(Exception):  # noqa: N818 - a request, not a fault
     """Repeat this trial from its set-up. Answers an `Arrangement` and a `Touch` only."""
 
     def __init__(self, reason: str = "") -> None:
@@ -35,7 +35,7 @@ class OperatorRepeat(Exception):  # noqa: N818 - a wish, not a fault
         super().__init__(f"the operator wants the trial again{f': {reason}' if reason else ''}")
 
 
-class OperatorEnough(Exception):  # noqa: N818 - a wish, not a fault
+class OperatorEnough(Exception):  # noqa: N818 - a request, not a fault
     """No more boards. Answers a `BoardAsked` only, where the board need not be ``fixed``."""
 
 

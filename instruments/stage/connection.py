@@ -122,7 +122,7 @@ class Dialogue:
             raise ProtocolError(self.who, what, seen=status.name, hint="Set $10=1.")
         return tuple(at + zero for at, zero in zip(work, offset, strict=True))
 
-    def meet(self, axes: str) -> tuple[StageIdentity, StageSettings]:
+    def identify(self, axes: str) -> tuple[StageIdentity, StageSettings]:
         """Connect: identity and settings. Raises DeviceError where ``axes`` can't be driven."""
         welcome = self.start()
         if not welcome.version.startswith("1.1") and welcome.dialect != "FluidNC":

@@ -37,7 +37,7 @@ BEAT_S = 7  # the keepalive's seconds (M113) while we drive it; a restarted boar
 BOOT_S = 10.0  # until a board with a card, a screen and stored settings has started
 HALT_S = 5.0
 ATTEMPTS = 3
-HOMING_MM_S = 2.0  # slower than any axis homes; its homing speed is compiled in and not told
+HOMING_MM_S = 2.0  # slower than any axis homes; its homing speed is compiled in and not reported
 _COUNTED_MM = 0.006  # positions come with two decimals
 
 
@@ -102,7 +102,7 @@ def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
     steps, rates, accels = (_of(found, code, who) for code in ("M92", "M203", "M201"))
     if ends is None:
         hint = "Use a build with software endstops (M211 reports them)."
-        raise ProtocolError(who, "the travel is not told", asked="M211", hint=hint)
+        raise ProtocolError(who, "the travel is not reported", asked="M211", hint=hint)
     low = tuple([float(ends[at]) for at in (2, 3, 4)])
     travel = tuple([float(ends[at + 3]) - low[at - 2] for at in (2, 3, 4)])
     if any(travel["XYZ".index(axis)] <= 0 for axis in axes):
@@ -149,7 +149,7 @@ class MarlinDialogue(Dialogue):
         self._stale = False  # answers may come that belong to nothing
         self._marks = 0
 
-    def meet(self, axes: str) -> tuple[StageIdentity, StageSettings]:
+    def identify(self, axes: str) -> tuple[StageIdentity, StageSettings]:
         if "A" in axes:
             raise LimitError(self.who, "Marlin is driven in X, Y and Z only", asked=axes)
         self.start()
@@ -270,8 +270,8 @@ class MarlinDialogue(Dialogue):
         """Have a line of ours echoed: what comes behind it answers our next lines. Motors stay on,
         and the keepalive becomes ours.
         """
-        heard = [*self._inbox, *self._decoder.feed(self._link.drain(QUIET_S))]
-        last = [one for one in heard if isinstance(one, Alarm | Welcome)][-1:]
+        received = [*self._inbox, *self._decoder.feed(self._link.drain(QUIET_S))]
+        last = [one for one in received if isinstance(one, Alarm | Welcome)][-1:]
         self._forget()
         if last and isinstance(last[0], Alarm):
             self.upsets += 1
@@ -292,7 +292,7 @@ class MarlinDialogue(Dialogue):
             self._stale = True
             hint = "Check power, cable and baud rate; is this the stage's port?"
             if seen:
-                what = "this is not Marlin, or it doesn't hear"
+                what = "this is not Marlin, or it receives nothing"
                 raise ProtocolError(self.who, what, asked="M118", seen=seen[:60], hint=hint)
             raise LinkError(self.who, "no answer", asked="M118", seconds=ANSWER_S, hint=hint)
         self.command("M84 S0")

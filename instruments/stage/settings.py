@@ -1,7 +1,7 @@
 """A controller's identity, its stored settings, and what follows from them: where a move may go,
 how long it may take, and whether it got there.
 
-Grbl and grblHAL tell them in answers to ``$$``, FluidNC in answers to ``$/axes/…``. X, Y and Z
+Grbl and grblHAL report them in answers to ``$$``, FluidNC in answers to ``$/axes/…``. X, Y and Z
 ($100 to $132) are documented. A is from grblHAL's source: $103, $113, $123, $133 (steps per degree,
 degrees/min, degrees/s², degrees), a fourth number in positions, bit 8 of $44 to $49 for its homing
 pass, and bit 8 of $22 for an origin at the switch. A length with A is the root of the sum of all

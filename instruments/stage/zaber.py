@@ -120,7 +120,7 @@ class ZaberDialogue(Dialogue):
         self._speeds: dict[tuple[int, int], int] = {}
         self._number = 0
 
-    def meet(self, axes: str) -> tuple[StageIdentity, StageSettings]:
+    def identify(self, axes: str) -> tuple[StageIdentity, StageSettings]:
         if len(self._given) != len(axes):
             hint = "Give zaber_axes and microsteps in the rig file's [stage], one each an axis."
             what = f"{len(self._given)} motors for the axes {axes}"

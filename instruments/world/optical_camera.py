@@ -32,7 +32,7 @@ from instruments.world.sensor import (
     reach_px,
 )
 from instruments.world.shading import GLOSS_EXPONENT, Lighting, irradiance, seen_light
-from instruments.world.solids import BLOCK, Ints, dot, meet
+from instruments.world.solids import BLOCK, Ints, dot, intersect
 from instruments.world.state import SceneState, Stage
 
 KEPT_PIXELS = 400_000
@@ -99,7 +99,7 @@ class View:
         solids = stage.solids.in_camera(self.camera)
         covered = cover(solids, self.camera)
         rays = self._rays(covered)
-        depth, normals, _ = meet(solids, covered.solid, rays[0], rays[1])
+        depth, normals, _ = intersect(solids, covered.solid, rays[0], rays[1])
         return Surfaces(covered, stage.owner[covered.solid], rays, depth, normals)
 
     def heights(self, stage: Stage, seen: Surfaces) -> Floats:

@@ -1,6 +1,6 @@
 """The phantom udder: teats on a plate.
 
-A teat is a cylinder with a hemispherical end (`instruments.teat_end`), end up, or has a form of its
+A teat is a cylinder with a hemispherical end (`TEAT_END`), end up, or has a form of its
 own. Flanges and hoses follow from the teats' places; on an udder there are none. The plate's frame
 is the world's at pose zero; a pose turns the plate about `PIVOT_MM`, then shifts it.
 """
@@ -13,11 +13,15 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from instruments.teat_end import apex_mm
 from instruments.world.optics import Floats
 from instruments.world.shading import Paint
 from instruments.world.solids import Hull, Point, as_point, ball, chain, cylinder, square_to
 
+# what is measured
+TEAT_END = (
+    "Apex of the teat's rounded end on the teat's own axis, in the world frame (the table, set with"
+    " the arm)."
+)
 # the middle of the four teats of table 5.1: where the stage's turntable has its axis
 PIVOT_MM = (-189.4, 235.8)
 FLANGE_RADIUS_MM, FLANGE_HEIGHT_MM = 18.0, 8.0
@@ -211,8 +215,9 @@ class Phantom:
 
     @property
     def ends_mm(self) -> Floats:
-        """The teat ends, world frame, (n, 3) mm, as `instruments.teat_end` defines them."""
-        return apex_mm(self.bases_mm, self.axes, [teat.shape.length_mm for teat in self.teats])
+        """The teat ends, world frame, (n, 3) mm, as `TEAT_END` defines them."""
+        lengths = np.array([teat.shape.length_mm for teat in self.teats], dtype=np.float64)
+        return np.asarray(self.bases_mm + lengths.reshape(-1, 1) * self.axes)
 
     def moved(self, pose: PlatePose) -> Phantom:
         """The same phantom at another pose."""

@@ -389,7 +389,7 @@ class GrblController(Controller):
             self._stored(text)
 
     def _stored(self, text: str) -> None:
-        """Settings and build: told, or a setting written."""
+        """Settings and build: reported, or a setting written."""
         if text in ("$", "I"):
             for line in self.settings.lines() if text == "$" else self.dialect.identity():
                 self.say(line)

@@ -238,26 +238,26 @@ def test_who_hangs_and_who_does_not(
     more_s: float,
     hangs: str | None,
 ) -> None:
-    pulse = Heartbeat()
-    pulse.sign(*doing[:2], silence_s=doing[2])
+    heartbeat = Heartbeat()
+    heartbeat.sign(*doing[:2], silence_s=doing[2])
     after_s, times, asleep_s = alive
     for turn in range(1, times + 1):
         watch.now_s += after_s
-        assert pulse.overdue() is None or after_s * turn > doing[1]
-        pulse.alive(asleep_s)
+        assert heartbeat.overdue() is None or after_s * turn > doing[1]
+        heartbeat.alive(asleep_s)
     watch.now_s += more_s
-    assert pulse.overdue() == (hangs and f"the main thread hangs: {hangs}")
+    assert heartbeat.overdue() == (hangs and f"the main thread hangs: {hangs}")
 
 
 def test_the_life_of_another_thread_is_not_that_of_the_main_one(watch: Stopwatch) -> None:
-    pulse = Heartbeat()
-    pulse.sign("moving", 600.0, silence_s=10.0)
+    heartbeat = Heartbeat()
+    heartbeat.sign("moving", 600.0, silence_s=10.0)
     watch.now_s += 9.0
-    other = threading.Thread(target=pulse.alive)
+    other = threading.Thread(target=heartbeat.alive)
     other.start()
     other.join()
     watch.now_s += 2.0
-    assert pulse.overdue() is not None
+    assert heartbeat.overdue() is not None
 
 
 def test_a_clock_tells_who_looks_and_how_long_he_sleeps() -> None:

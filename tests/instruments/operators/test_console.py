@@ -145,7 +145,7 @@ def test_nonsense_is_asked_again(wrong: str) -> None:
 @pytest.mark.parametrize("prompt", PROMPTS)
 def test_every_prompt_can_abort_and_says_how(prompt: str, answer: str) -> None:
     who, out = asked(answer)
-    why = "aborted the run" if answer else "nobody is at the terminal any more"
+    why = "aborted the run" if answer else "the terminal gives no more input"
     with pytest.raises(op.OperatorAbort, match=why):
         who.ask(PROMPTS[prompt])
     assert "a = abort the run" in out.getvalue()
