@@ -51,7 +51,7 @@ def load_per_processor() -> float | None:
     return os.getloadavg()[0] / (os.cpu_count() or 1) if hasattr(os, "getloadavg") else None
 
 
-PATIENCE_S = 10.0  # real time that an emulator's thread gets to take bytes before it is called hung
+HUNG_S = 10.0  # real time that an emulator's thread gets to take bytes before it is called hung
 
 
 class RealClock:
@@ -137,7 +137,7 @@ class VirtualClock:
     def step(self, limit_s: float) -> bool:
         """Run the next planned action, or move to ``limit_s`` (False), once all bytes are taken."""
         for wire in list(self._wires.values()):
-            wire.wait_taken(PATIENCE_S)
+            wire.wait_taken(HUNG_S)
         with self._lock:
             due = bool(self._planned) and self._planned[0][0] <= limit_s
             when, _, action = heapq.heappop(self._planned) if due else (limit_s, 0, None)
@@ -201,14 +201,14 @@ class Wire:
         finally:
             self.sending = False
 
-    def settle(self, patience_s: float) -> bool:
+    def settle(self, timeout_s: float) -> bool:
         """Wait for bytes for the host (True) or nothing in flight (False). Raises TimeoutError."""
-        self._wait_for(self._settled, patience_s)
+        self._wait_for(self._settled, timeout_s)
         return self._to_host > 0 or self._closed
 
-    def wait_taken(self, patience_s: float) -> None:
+    def wait_taken(self, timeout_s: float) -> None:
         """Wait until the emulator took all bytes. Raises TimeoutError as ``settle``."""
-        self._wait_for(self._taken, patience_s)
+        self._wait_for(self._taken, timeout_s)
 
     def before_write(self) -> None:
         """Forget bytes that were taken and never counted: an interrupt came between the two."""
@@ -221,8 +221,8 @@ class Wire:
         with self._lock:
             self._to_host = 0
 
-    def _wait_for(self, done: Callable[[], bool], patience_s: float) -> None:
-        deadline = time.monotonic() + patience_s
+    def _wait_for(self, done: Callable[[], bool], timeout_s: float) -> None:
+        deadline = time.monotonic() + timeout_s
         while True:
             with self._lock:
                 if done():
@@ -230,7 +230,7 @@ class Wire:
                 waiter = self._waiter = threading.Lock()
                 waiter.acquire()
             if not waiter.acquire(timeout=max(0.0, deadline - time.monotonic())):
-                raise TimeoutError(f"{self._to_device} bytes stayed untaken for {patience_s} s")
+                raise TimeoutError(f"{self._to_device} bytes stayed untaken for {timeout_s} s")
 
     def _notify(self) -> None:
         if self._waiter is not None:

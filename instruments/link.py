@@ -23,7 +23,7 @@ from urllib.parse import urlsplit
 import serial
 from serial.tools import list_ports
 
-from instruments.clock import PATIENCE_S, Clock, VirtualClock, Wire
+from instruments.clock import HUNG_S, Clock, VirtualClock, Wire
 from instruments.errors import LinkError
 from instruments.port_settings import PortSettings, with_lines
 
@@ -218,7 +218,7 @@ class Link:
                 clock.step(deadline)
             # or what the emulator's thread counted but had no time to send
             data = self._receive_really(COUNTED_S) or self._receive_really(
-                PATIENCE_S if wire.sending else 0.0
+                HUNG_S if wire.sending else 0.0
             )
             if data:
                 wire.add(to_host=-len(data))
@@ -227,7 +227,7 @@ class Link:
 
     def _settle(self, wire: Wire) -> bool:
         try:
-            return wire.settle(PATIENCE_S)
+            return wire.settle(HUNG_S)
         except TimeoutError as error:
             raise LinkError(self.who, f"the emulator hangs: {error}") from error
 

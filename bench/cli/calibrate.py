@@ -50,7 +50,7 @@ from bench.cli.arguments import CODES, command_line, complain, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from bench.rig.alone import Look, patient, pictures
+from bench.rig.alone import Look, pictures, with_retries
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig, find_board, find_rig, load_rig
 from bench.rig.opening import open_instruments
@@ -246,7 +246,7 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
         with _opened(given, part, arm=False) as (parts, rig, _):
             for _ in range(CHECK_VIEWS):
                 parts.clock.sleep(rig.rig.cameras.settle_s)
-                anew.append(patient(parts.cameras.capture)())
+                anew.append(with_retries(parts.cameras.capture)())
     with working("looking for the ends in the pictures"):
         found = check_folder(given.ends, calibration, anew)
     if anew and not found.thermal:
@@ -412,7 +412,7 @@ def _opened(
     names = ("arm", "operator", "cameras") if arm else ("operator", "cameras")
     with open_instruments(rig, names, seed=seed, capture=given.capture) as parts:
         refuse_other_cameras(known.record if known else None, parts.cameras.identity)
-        taken = patient(lambda: pictures(parts.cameras.capture()))
+        taken = with_retries(lambda: pictures(parts.cameras.capture()))
 
         def look() -> Mapping[str, Grey]:
             parts.clock.sleep(rig.rig.cameras.settle_s)

@@ -89,7 +89,7 @@ def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
                 camera.begin()
                 return {ONE: Conversion().picture(camera.take())}
 
-            look = patient(picture)
+            look = with_retries(picture)
             yield Alone(clock, lambda: {ONE: camera.identity}, look, None, rig)
         return
     else:
@@ -99,7 +99,7 @@ def open_alone(sources: Sequence[str]) -> Iterator[Alone]:
         rig = rig_of(cameras=CamerasTable.model_validate(tables))
     with open_instruments(rig, ("cameras",)) as devices:
         cameras = devices.cameras
-        look = patient(lambda: pictures(cameras.capture()))
+        look = with_retries(lambda: pictures(cameras.capture()))
         yield Alone(devices.clock, lambda: cameras.identity, look, cameras, rig)
 
 
@@ -110,7 +110,7 @@ def _table(source: str) -> OneCamera:
         raise ConfigError.plain(f"{source}: {error}") from error
 
 
-def patient(look: Callable[[], Seen]) -> Callable[[], Seen]:
+def with_retries(look: Callable[[], Seen]) -> Callable[[], Seen]:
     """``look`` again where a frame did not come whole, three times. Raises FrameError then."""
 
     def again() -> Seen:
@@ -223,7 +223,7 @@ def described(stage: Stage) -> dict[str, object]:
 
 
 def position(stage: Stage) -> dict[str, float]:
-    """Where the controller believes the stage is, by axis with its unit, machine coordinates."""
+    """Where the stage is by its controller, by axis with its unit, machine coordinates."""
     return {
         KEYS[axis]: round(float(at), 3)
         for axis, at in zip("XYZA", stage.position(), strict=False)

@@ -84,7 +84,7 @@ class StereoOrder:
         smooth = cv2.GaussianBlur(even.astype(np.float32), (0, 0), SIGMA_PX)
         gradient = np.asarray(cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=1), dtype=np.float64)
         limit = 4.0 * float(np.sqrt(np.mean(gradient**2)))
-        return np.clip(gradient, -limit, limit)  # one glaring edge must not outvote all others
+        return np.clip(gradient, -limit, limit)  # one strong edge must not outweigh all others
 
 
 def _matrices(camera: Camera) -> tuple[Array, Array]:

@@ -64,13 +64,13 @@ class Heartbeat:
                 what, threading.get_ident(), at_most_s, now_s + at_most_s, quiet_s, now_s + quiet_s
             )
 
-    def alive(self, asleep_s: float = 0.0) -> None:
-        """The calling thread lives, and will sleep for ``asleep_s``."""
+    def alive(self, sleep_s: float = 0.0) -> None:
+        """The calling thread lives, and will sleep for ``sleep_s``."""
         now_s, caller = stopwatch_s(), threading.get_ident()
         with self._lock:
             for doing in self._doing.values():
                 if doing.thread == caller:
-                    doing.silent_until_s = now_s + asleep_s + doing.silence_s
+                    doing.silent_until_s = now_s + sleep_s + doing.silence_s
 
     def rest(self, who: str) -> None:
         """``who`` has ended as it should, and signs no more."""
@@ -153,7 +153,7 @@ class GuardianClient:
             return f"it has not answered for {UNANSWERED * BEAT_S:g} s" if silent else None
         if code:
             return f"it ended by itself (exit code {code})"
-        return "it took the bench for dead and went about putting the bath into standby"
+        return "it took the bench for ended and began to put the bath into standby"
 
     def done(self) -> None:
         """The bath is safe: the guardian may go."""

@@ -211,7 +211,7 @@ class StabilityGate:
             return ["the bath has an alarm"]
         if self.frozen:
             why = f"the reading has not changed for more than {self.frozen_s:g} s"
-            return [f"{why}: is the controller alive?"]
+            return [f"{why}: does the controller still run?"]
         if self._state is State.HEATING and last is not None:
             return [f"{last[1]:.2f} degC, needs {self.set_point_c:g} ± {self.leave_k:g}"]
         if len(w) < 2:

@@ -2,7 +2,7 @@
 change, spaced, and read back.
 
 What a protocol has to bring: how a row is asked for (``ask``, ``decode``) and written (``write``),
-how the controller is greeted and how a poll is fetched.
+how its format is detected and how a poll is fetched.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Access(ABC, Generic[R]):
         self._set_at = -math.inf
 
     @abstractmethod
-    def greet(self) -> None:
+    def detect_format(self) -> None:
         """Learn how the controller speaks. Raises ProtocolError, DeviceError."""
 
     @property
@@ -96,7 +96,7 @@ class Access(ABC, Generic[R]):
         """What each of ``rows`` says of the controller, for a person."""
 
     @abstractmethod
-    def guesses(self, raw: Raw) -> Iterator[str]:
+    def diagnoses(self, raw: Raw) -> Iterator[str]:
         """What else an implausible temperature may mean."""
 
     @abstractmethod
@@ -116,7 +116,7 @@ class Access(ABC, Generic[R]):
         DeviceError for another family or unit or no temperature, ProtocolError for values that
         can't be.
         """
-        self.greet()
+        self.detect_format()
         for identity in cast(Profile, self.profile).identity:
             self._check(identity)
         reading = self.first_poll()
@@ -143,10 +143,12 @@ class Access(ABC, Generic[R]):
         values = {row.name: self.decode(row, raw[row.name]) for row in rows}
         alarms = (self.alarm_of(row, values[row.name], raw[row.name]) for row in rows)
         alarm, temperature = next(filter(None, alarms), 0), raw["temperature"]
-        guess = " ".join(self.guesses(temperature))
+        diagnosis = " ".join(self.diagnoses(temperature))
         if isinstance(temperature, str):
             temperature = tuple(temperature.encode("ascii", errors="replace"))
-        return self.assembler.reading(t_s, rows, values, temperature, alarm=alarm, guess=guess)
+        return self.assembler.reading(
+            t_s, rows, values, temperature, alarm=alarm, diagnosis=diagnosis
+        )
 
     @cached_property
     def assembler(self) -> Assembler:

@@ -5,7 +5,7 @@ each command of a poll is sent twice, and the two replies have to agree; then th
 whose reply can be no other row's: had a line come twice or late, the marker's place would hold
 another reply. It is asked between two commands too where the reply to the first would do for the
 second: doubled replies would agree there, and one lost later would hide them. After a fault nothing
-is believed until the marker has been answered and the line was quiet. A number that is changed in
+is used until the marker has been answered and the line was quiet. A number that is changed in
 the same way in both replies can't be noticed.
 """
 
@@ -158,7 +158,7 @@ class LineAccess(Access[LineRow]):
         self._mark = ""  # what the marker answers
         self._absent: set[str] = set()  # optional rows that it does not answer
 
-    def greet(self) -> None:
+    def detect_format(self) -> None:
         self._find_mark()
         self._absent = set()
 
@@ -186,7 +186,7 @@ class LineAccess(Access[LineRow]):
         self.in_time(start_s, len(lines))
         return {row.name: lines[row.ask] for row in rows}
 
-    def guesses(self, raw: Raw) -> Iterator[str]:
+    def diagnoses(self, raw: Raw) -> Iterator[str]:
         return self.assembler.in_fahrenheit(self.decode(self.profile.row("temperature"), raw))
 
     def ask(self, row: LineRow) -> str:
@@ -298,13 +298,13 @@ class LineAccess(Access[LineRow]):
                 return after
             before = after
         what = f"in {ASKS} answers to the same question no two in a row agree"
-        raise self._nonsense(what, command, before)
+        raise self._unexpected(what, command, before)
 
     def _expect_mark(self) -> None:
         reply = self.wire.ask(self._marker.ask)
         if reply != self._mark:
-            what = "an answer came twice, late or changed: nothing of it is believed"
-            raise self._nonsense(what, self._marker.ask, reply)
+            what = "an answer came twice, late or changed: nothing of it is used"
+            raise self._unexpected(what, self._marker.ask, reply)
 
     def _come_in_step(self) -> None:
         """See that no line is under way that could be taken for the next reply."""
@@ -359,8 +359,8 @@ class LineAccess(Access[LineRow]):
         if reply in self.profile.refusals:
             what = f"refused: {self.profile.refusals[reply]}"
             return RefusedError(self.who, what, asked=command, seen=reply)
-        return self._nonsense(what, command, reply)
+        return self._unexpected(what, command, reply)
 
-    def _nonsense(self, what: str, command: str, reply: str) -> ProtocolError:
+    def _unexpected(self, what: str, command: str, reply: str) -> ProtocolError:
         hint = f"Is this a {self.profile.family}, and is the cable sound?"
         return ProtocolError(self.who, what, asked=command, seen=reply, hint=hint)

@@ -59,7 +59,7 @@ class RegisterAccess(Access[Row]):
         self._unit_id = line.unit_id or profile.unit_id
         self._blocks: tuple[Block, ...] = ()
 
-    def greet(self) -> None:
+    def detect_format(self) -> None:
         profile = cast(RegisterProfile, self.profile)
         if source := profile.order_from:
             code = int(self.value(self.row(source.row)))
@@ -111,7 +111,7 @@ class RegisterAccess(Access[Row]):
             return int(raw[0]) if raw[0] in row.no_value.values() else 0
         return super().alarm_of(row, value, raw)
 
-    def guesses(self, raw: Raw) -> Iterator[str]:
+    def diagnoses(self, raw: Raw) -> Iterator[str]:
         """In degF, and in each other order of words."""
         row, words = self.row("temperature"), [int(word) for word in raw]
         yield from self.assembler.in_fahrenheit(row.decode(words, self.order))

@@ -189,7 +189,7 @@ class Answers:
     """Requests on one line without an answer yet, oldest first; ``open`` is the latest one."""
 
     def __init__(self, *, rtu: bool) -> None:
-        self.owed: list[Question] = []
+        self.outstanding: list[Question] = []
         self.open: Question | None = None
         self.left = 0  # bytes that have come since and are no whole answer
         self._rtu = rtu
@@ -197,7 +197,7 @@ class Answers:
         self._number = 0
 
     def put(self, question: Question, now_s: float) -> bytes:
-        """The bytes that ask ``question``, under a new number each time. It is owed from now on."""
+        """The bytes that ask ``question``, under a new number each time. It is outstanding then."""
         self._number = self._number % 0xFFFF + 1
         if question.request.transaction_id:
             question.earlier += (question.request.transaction_id,)
@@ -205,26 +205,28 @@ class Answers:
         self.left = 0
         question.sent_s = now_s
         self.open = question
-        self.owed.append(question)
+        self.outstanding.append(question)
         return self._framer.buildFrame(question.request)
 
     def forget(self, before_s: float) -> None:
         """Drop what was asked before ``before_s``, and what was answered."""
-        self.owed = [q for q in self.owed if q.answer is None and q.sent_s >= before_s]
+        self.outstanding = [
+            q for q in self.outstanding if q.answer is None and q.sent_s >= before_s
+        ]
 
     def feed(self, data: bytes) -> int:
         """Take the answers in ``data``; how many bytes are done with."""
         if not self._rtu:
             return self._feed_tcp(data)
-        used, asked = 0, {(question.unit_id, question.function) for question in self.owed}
+        used, asked = 0, {(question.unit_id, question.function) for question in self.outstanding}
         for start, used in frames(data, asked):
             self._take(data[start : used - 2])
         return used
 
-    def unmistakable(self, questions: Sequence[Question]) -> Question | None:
-        """The one of ``questions`` whose answer is least like one that is owed, if any."""
-        shapes = {owed.expects for owed in self.owed}
-        kinds = {owed.expects[:2] for owed in self.owed}
+    def distinguishable(self, questions: Sequence[Question]) -> Question | None:
+        """The one of ``questions`` whose answer is least like one that is outstanding, if any."""
+        shapes = {question.expects for question in self.outstanding}
+        kinds = {question.expects[:2] for question in self.outstanding}
         free = [question for question in questions if question.expects not in shapes]
         return min(free, key=lambda question: question.expects[:2] in kinds, default=None)
 
@@ -238,7 +240,7 @@ class Answers:
             used += size
             # A late answer has to come alone: the next one's bytes could complete a cut one.
             alone = in_one_piece and used == len(data)
-            for question in self.owed if pdu else ():
+            for question in self.outstanding if pdu else ():
                 asked = question.request.transaction_id
                 if question.unit_id == unit_id and (
                     asked == number or (alone and number in question.earlier)
@@ -246,14 +248,18 @@ class Answers:
                     question.answer = bytes((unit_id, *pdu))
 
     def _take(self, answer: bytes) -> None:
-        current = self.open if self.owed and self.owed[-1] is self.open else None
-        at = next((at for at, question in enumerate(self.owed) if question.fits(answer)), None)
+        current = self.open if self.outstanding and self.outstanding[-1] is self.open else None
+        at = next(
+            (at for at, question in enumerate(self.outstanding) if question.fits(answer)), None
+        )
         if at is None:
-            if current and len(self.owed) == 1:  # it does not fit, and no other request waits
+            if current and len(self.outstanding) == 1:  # no other request waits for what came
                 current.answer = answer
-                self.owed.clear()
+                self.outstanding.clear()
             return
         exception = answer[1] & EXCEPTION
-        if current and (self.owed[at] is current or (current.fits(answer) and not exception)):
+        if current and (
+            self.outstanding[at] is current or (current.fits(answer) and not exception)
+        ):
             current.answer = answer
-        del self.owed[: at + 1]
+        del self.outstanding[: at + 1]

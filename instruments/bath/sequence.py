@@ -2,7 +2,7 @@
 
 Start: level, pump, ten seconds of flow, set point, run. Stop: heater off, pump on for a minute,
 pump off. A pump that turns with the controller's run can't do that, and one that is not fitted
-isn't pretended.
+isn't simulated.
 """
 
 from __future__ import annotations

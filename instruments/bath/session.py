@@ -1,4 +1,4 @@
-"""One connection to a bath's controller or to a relay: opened with patience, read in pieces.
+"""One connection to a bath's controller or to a relay: opened with retries, read in pieces.
 
 What comes is taken in by whoever speaks the protocol (``take``).
 """

@@ -25,7 +25,7 @@ INSTALL = (
     ' libgirepository1.0-dev libcairo2-dev pkg-config", then "pip install \'teatbench[genicam]\'".'
 )
 BUFFERS = 4
-PATIENCE_S = 2.0
+TIMEOUT_S = 2.0
 # what a buffer's status says of its frame; any other means that none came
 DAMAGED = dict.fromkeys(
     ("MISSING_PACKETS", "WRONG_PACKET_ID", "TIMEOUT"), FrameFault.LOST_PACKETS
@@ -138,12 +138,12 @@ class GenicamCamera:
         clock: Clock,
         settings: Settings | None = None,
         *,
-        patience_s: float = PATIENCE_S,
+        timeout_s: float = TIMEOUT_S,
         in_step: DeviceTime | None = None,
     ) -> None:
         self._name, self._device, self._who = name, device, f"{name} camera genicam:{device}"
         self._clock, self._settings = clock, settings or Settings()
-        self._patience_s, self._in_step = patience_s, in_step
+        self._timeout_s, self._in_step = timeout_s, in_step
         self._aravis = load_aravis()
         self._failure: type[Exception] = importlib.import_module("gi.repository.GLib").Error
         if device.startswith(FAKE):
@@ -310,14 +310,14 @@ class GenicamCamera:
 
     def take(self) -> RawFrame:
         """The frame. Raises FrameError where none came or it came with holes."""
-        buffer = self._stream.timeout_pop_buffer(int(self._patience_s * 1e6))
+        buffer = self._stream.timeout_pop_buffer(int(self._timeout_s * 1e6))
         arrived_s = self._clock.now()
         if buffer is None:
             self._check_control()
             waits = self._settings.trigger == "hardware"
             hint = "Check cable, power and the network's packet size."
             hint = "Did its trigger come?" if waits else hint
-            raise self._fault(FrameFault.DROPPED, "no frame came", hint, self._patience_s)
+            raise self._fault(FrameFault.DROPPED, "no frame came", hint, self._timeout_s)
         try:
             (pixels, bits), amplitude = self._pixels(buffer)
             exposed_s = self._time.bench_s(buffer.get_timestamp() * 1e-9, arrived_s)

@@ -217,9 +217,9 @@ class MicroScribe:
         before, deadline = self._info, self._clock.now() + timeout_s
         try:
             while True:
-                patience_s = min(_RETRY_SIGN_ON_S, max(_RETRY_S, deadline - self._clock.now()))
+                attempt_s = min(_RETRY_SIGN_ON_S, max(_RETRY_S, deadline - self._clock.now()))
                 try:
-                    now = self._sign_on((self.baud,), patience_s)
+                    now = self._sign_on((self.baud,), attempt_s)
                     break
                 except UnusableArmError:
                     raise
@@ -238,7 +238,7 @@ class MicroScribe:
             raise
         return now
 
-    def _sign_on(self, rates: Sequence[int], patience_s: float) -> Identity:
+    def _sign_on(self, rates: Sequence[int], timeout_s: float) -> Identity:
         self._lose_homing("the session was opened anew")
         self._info = None
         self._arm_time = ArmTime()
@@ -247,7 +247,7 @@ class MicroScribe:
             self._broken = False
         self._lose_session()
         with self._link_watched():
-            baud = self._find(rates, patience_s)
+            baud = self._find(rates, timeout_s)
             try:
                 self._begin()
                 self._info = self._read_device_info()
@@ -287,25 +287,25 @@ class MicroScribe:
             self._link.close()
             raise
 
-    def _find(self, rates: Sequence[int], patience_s: float) -> int:
+    def _find(self, rates: Sequence[int], timeout_s: float) -> int:
         """Send IMMC until it is echoed; the rate that worked, else the link is at the first."""
         start, seen, tried = self._clock.now(), b"", []
         for baud in rates:
             if not self._set_rate(baud):
                 continue
             tried.append(baud)
-            noise = self._synchronise(patience_s if baud == rates[0] else OTHER_RATE_S)
+            noise = self._synchronise(timeout_s if baud == rates[0] else OTHER_RATE_S)
             if noise is None:
                 return baud
             seen = (seen + noise)[-_KEPT:]
-            if errors.guess(noise):
+            if errors.diagnosis(noise):
                 break
         self._set_rate(rates[0])
         at = f" at {' or '.join(map(str, tried))} baud" if len(tried) > 1 else ""
         kind: type[InstrumentError] = SilentArmError
         what, hint = f"nothing answers the sign-on{at}", ON_HINT
         if seen:
-            kind, hint = NoMicroScribeError, errors.guess(seen) or errors.NOISE_HINT
+            kind, hint = NoMicroScribeError, errors.diagnosis(seen) or errors.NOISE_HINT
             what = f"something answers, but not as a MicroScribe{at}"
         seconds, asked = self._clock.now() - start, _END + wire.SYNC
         raise kind(self.who, what, asked=asked, seen=seen[-64:], seconds=seconds, hint=hint)
@@ -317,11 +317,11 @@ class MicroScribe:
                 self._link.set_baud(baud)
         return self._link.baud == baud
 
-    def _synchronise(self, patience_s: float) -> bytes | None:
+    def _synchronise(self, timeout_s: float) -> bytes | None:
         """None once the echo came, else all that came. The end is sent alone first: were it lost
         before the first IMMC, the letters would be commands.
         """
-        deadline = self._clock.now() + patience_s
+        deadline = self._clock.now() + timeout_s
         self._send(_END, Event.END)
         seen = self._link.read_until(_END, PAUSE_S)
         while self._clock.now() < deadline:
@@ -343,7 +343,7 @@ class MicroScribe:
             return
         kind: type[InstrumentError] = NoMicroScribeError
         what = "the answer is not that of a MicroScribe"
-        hint = errors.guess(answer) or errors.NOISE_HINT
+        hint = errors.diagnosis(answer) or errors.NOISE_HINT
         if not answer:
             kind, what, hint = SilentArmError, "the arm echoed, then fell silent", ON_HINT
         elif wire.INTERFACE_BOX in answer:

@@ -39,7 +39,7 @@ from instruments.stage.zaber import Motor, ZaberDialogue
 Spoken = Literal["grbl", "marlin", "zaber"]  # "grbl": Grbl, grblHAL or FluidNC, as it says itself
 
 POLL_S = 0.2  # the firmware asks for no more than 5 queries a second
-STOP_S = 10.0  # braking takes a second at most; more means that the stage doesn't obey
+STOP_S = 10.0  # braking takes a second at most; more means that the stage doesn't react
 MOVING = frozenset({"Run", "Jog", "Home"})
 # states, or states with a substate
 STILL = frozenset({"Idle", "Alarm", "Sleep", "Check", "Hold:0", "Door:0", "Door:1"})

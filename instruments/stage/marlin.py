@@ -22,8 +22,8 @@ from instruments.stage.protocol import (
     Alarm,
     Counted,
     ErrorReply,
+    Malformed,
     Message,
-    Nonsense,
     Ok,
     Position,
     Response,
@@ -64,7 +64,7 @@ def parse(line: bytes) -> Response:
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError:
-        return Nonsense(line, "bytes that are not ASCII")
+        return Malformed(line, "bytes that are not ASCII")
     if _OK.fullmatch(text):
         return Ok()
     if text == "start":
@@ -78,7 +78,7 @@ def parse(line: bytes) -> Response:
         return ErrorReply(text)
     if text.startswith(_CHATTER):
         return Message("echo", text.removeprefix("echo:").strip())
-    return Nonsense(line, "no answer of Marlin looks like this")
+    return Malformed(line, "no answer of Marlin looks like this")
 
 
 def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
@@ -201,7 +201,7 @@ class MarlinDialogue(Dialogue):
 
     @property
     def homing(self) -> bool:
-        return self.owed is not None and self.owed.startswith("G28")
+        return self.outstanding is not None and self.outstanding.startswith("G28")
 
     def move_lines(self, target: Target, feed_mm_min: float) -> list[str]:
         return ["G90", f"G1 {axis_words(target, feed_mm_min, who=self.who, between=' ')}"]
@@ -213,7 +213,7 @@ class MarlinDialogue(Dialogue):
         """Cut the steps, which costs the position."""
         self.write(b"M410\n")
         self.upsets += 1
-        self._stale = True  # M410 is answered too, before or after what is owed
+        self._stale = True  # M410 is answered too, before or after what is outstanding
 
     cancel_jog = brake
 

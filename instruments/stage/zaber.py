@@ -21,8 +21,8 @@ from instruments.link import Link
 from instruments.stage.connection import ANSWER_S, QUIET_S, Dialogue
 from instruments.stage.protocol import (
     AXES,
+    Malformed,
     Message,
-    Nonsense,
     Reply,
     Response,
     Status,
@@ -91,14 +91,14 @@ def parse(line: bytes) -> Response:
     try:
         text = line.decode("ascii")
     except UnicodeDecodeError:
-        return Nonsense(line, "bytes that are not ASCII")
+        return Malformed(line, "bytes that are not ASCII")
     if _PUSHED.fullmatch(text):
         return Message(text[0], text[1:])
     found = _REPLY.fullmatch(text)
     if not found:
-        return Nonsense(line, "no answer of a Zaber device looks like this")
+        return Malformed(line, "no answer of a Zaber device looks like this")
     if found[8] and checksum(text[1 : found.start(8) - 1]) != found[8]:
-        return Nonsense(line, "its checksum is wrong")
+        return Malformed(line, "its checksum is wrong")
     number = None if found[3] is None else int(found[3])
     taken, busy = found[4] == "OK", found[5] == "BUSY"
     return Reply(int(found[1]), int(found[2]), number, taken, busy, found[6], found[7])

@@ -83,7 +83,7 @@ class Controller(ABC):
     def pump(self) -> None:
         """Take lines until one has to wait, or there are none."""
         self._due_s = math.inf
-        while not self.deaf:
+        while not self.ignores_input:
             if self._work is None:
                 line = self.next_line()
                 if line is None:
@@ -98,7 +98,7 @@ class Controller(ABC):
                     self._answer(end.value)
 
     @property
-    def deaf(self) -> bool:
+    def ignores_input(self) -> bool:
         """Whether lines have to wait, the one in the works too."""
         return False
 

@@ -336,7 +336,7 @@ class GrblController(Controller):
         super().pump()
 
     @property
-    def deaf(self) -> bool:
+    def ignores_input(self) -> bool:
         return self.mode in DEAF or self._restart_s < math.inf
 
     def work(self, text: str) -> Work:

@@ -130,7 +130,7 @@ class TestFrozenReading:
         gate = StabilityGate(SP)
         assert STABLE not in feed(gate, [SP] * 3000)
         assert gate.frozen
-        assert "is the controller alive?" in gate.reasons[0]
+        assert "does the controller still run?" in gate.reasons[0]
 
     def test_a_bath_that_freezes_while_stable_leaves(self) -> None:
         gate = stable_gate()

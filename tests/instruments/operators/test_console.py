@@ -210,7 +210,7 @@ def test_without_a_terminal_the_pedals_are_not_read() -> None:
 def test_a_closed_output_is_a_terminal_that_has_gone() -> None:
     out = io.StringIO()
     out.close()
-    with pytest.raises(op.OperatorAbort, match="nobody is at the terminal"):
+    with pytest.raises(op.OperatorAbort, match="the terminal gives no more input"):
         person("\n", out).ask(op.Touch(1, 4))
 
 

@@ -53,8 +53,13 @@ def test_the_controllers_own_soft_limit_is_an_alarm_too(make: Make) -> None:
     ("fault", "error", "what", "refusal"),
     [
         (Fault.RESTART, DeviceError, "restarted by itself", "no move before homing"),
-        (Fault.LOST_OK, LinkError, r"no answer \(asked G21.*after 2 s\)", "is still owed"),
-        (Fault.GARBAGE, ProtocolError, r"nonsense: .*FF 00 3C 52 75 7C 1B", "no move before"),
+        (Fault.LOST_OK, LinkError, r"no answer \(asked G21.*after 2 s\)", "is still outstanding"),
+        (
+            Fault.GARBAGE,
+            ProtocolError,
+            r"malformed answer: .*FF 00 3C 52 75 7C 1B",
+            "no move before",
+        ),
     ],
 )
 def test_a_fault_in_a_move_is_a_sentence_and_asks_for_recovery(
