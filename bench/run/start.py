@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.config import ConfigError, read_calibration, read_config, read_text
-from bench.record.reader import TrialRecord, read_run
+from bench.record.reader import read_run
 from bench.record.schema import RULES, SCRIPT
 from bench.record.writer import Store, new_run_folder
-from bench.results.answers import Examiner, score_answers
+from bench.results.answers import Examiner
 from bench.results.cameras_agree import can_tell, spread, where_seen
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
@@ -28,8 +28,8 @@ from bench.run.lock import lock_path, locked, run_lock
 from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
 from bench.run.resume import ASKED, RehearsedStore, ResumePoint, files_of, open_store, what_is_left
-from bench.run.rows import detection_tables, stage_pictures, write_facts
-from bench.run.trial import refuse_carry
+from bench.run.rows import write_facts
+from bench.run.trial import refuse_carry, write_trial
 from bench.safety.guardian_client import GuardianTarget, guarded
 from bench.safety.latch import refuse_latched, refuse_untested_cut_out
 from bench.safety.signals import current, undisturbed
@@ -288,15 +288,9 @@ def _scored(
                 "repeat": 1,  # each is a pose of its own
                 "wall_time": wall_time().isoformat(timespec="milliseconds"),
             }
-            scores = score_answers(
-                answers, known, limit_mm=rules.visible_within_mm, time_limit_s=rules.time_limit_s
-            )
-            detections, found = detection_tables(trial, answers)
             ends = seen.get(frame, {})
             rows = [truth_row(trial, row, seen=ends.get(row.teat)) for row in known]
-            images = frames.pictures | stage_pictures(answers)
-            pictures = store.frames(trial, images, frames.exposed_s)
-            store.finished(TrialRecord(head, pictures, [], rows, detections, found, scores))
+            write_trial(store, rules, head, frames, answers, known, rows)
         progress.trial(planned, planned, "")
         _end(store, Ending.FINISHED)
     except KeyboardInterrupt:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from bench.config import ConfigError
 from bench.record.reader import RunRecord, TrialRecord
 from bench.record.schema import Row
+from bench.record.writer import Store
 from bench.results.answers import Answer, Examiner, score_answers
 from bench.results.cameras_agree import where_seen
 from bench.rig.frame_capture import FrameTaker
@@ -28,7 +29,7 @@ from bench.run.recordings import Recorder
 from bench.run.rows import detection_tables, stage_pictures
 from bench.run.set_up_picture import write_set_up_picture
 from bench.safety.stability import State
-from bench.script.model import LoadedScript
+from bench.script.model import LoadedScript, Rules
 from bench.script.planned_trials import PlannedTrial, shared
 from bench.truth.carrying import CarriedTruth, fixed_key, resumed
 from bench.truth.registration import (
@@ -418,15 +419,28 @@ class TrialRun:
             truth_row(trial_id, row, end, point, seen.get(row.teat))
             for row, end, point in zip(rows, ends, truth.points, strict=True)
         ]
-        scores = score_answers(
-            answers, rows, limit_mm=script.visible_within_mm, time_limit_s=script.time_limit_s
-        )
-        detections, found = detection_tables(trial_id, answers)
-        images = frames.pictures | stage_pictures(answers)
-        pictures = store.frames(trial_id, images, frames.exposed_s)
-        store.finished(
-            TrialRecord(head, pictures, truth.touches, truth_rows, detections, found, scores)
-        )
+        write_trial(store, script, head, frames, answers, rows, truth_rows, truth.touches)
+
+
+def write_trial(
+    store: Store,
+    rules: Rules,
+    head: Row,
+    frames: FrameSet,
+    answers: Sequence[Answer],
+    truth: Sequence[TruthRow],
+    truth_rows: Sequence[Row],
+    touches: Sequence[Row] = (),
+) -> None:
+    """Score ``answers`` by ``rules`` against ``truth`` and write the whole trial."""
+    trial_id = str(head["id"])
+    scores = score_answers(
+        answers, truth, limit_mm=rules.visible_within_mm, time_limit_s=rules.time_limit_s
+    )
+    detections, found = detection_tables(trial_id, answers)
+    images = frames.pictures | stage_pictures(answers)
+    pictures = store.frames(trial_id, images, frames.exposed_s)
+    store.finished(TrialRecord(head, pictures, touches, truth_rows, detections, found, scores))
 
 
 def _head(trial: PlannedTrial) -> dict[str, object]:
