@@ -24,6 +24,7 @@ from detector.fused.model import (
     SIDE_A,
     SIDE_B,
     TAPER,
+    Rows,
     apexes,
     axes,
 )
@@ -48,7 +49,8 @@ _UNSURE = "its place is too unsure"
 _WORSE = "a better one is in the same place"
 _FAR = "it is too far from the other ends to be of their udder"
 _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long one's side
-_WHOLE_END, _LEAST_OTHER_SIDE = 0.9, 0.2
+_WHOLE_END, _HALF_END, _LEAST_OTHER_SIDE = 0.9, 0.65, 0.2
+_UNLIKE_SIDES = 0.5  # one picture shows a side that the other doesn't
 _CLEAR_END, _CLEAR_SIDES = 0.65, 0.75  # of an outline that nothing but a teat has
 _SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
 _LEAST_END_THEN = 0.78  # where one picture shows a side that the other doesn't
@@ -63,11 +65,12 @@ _EVEN = 0.06  # of a teat's warmth: how unlike the lines of one without a therma
 _GAP = 0.5  # of a teat's warmth: cooler than such surroundings is a gap between teats,
 _COLD_GAP = 0.2  # as is what has less warmth than this, between two that have more
 _BARREL_MM, _NARROWEST_MM = 20.0, 5.5  # how far below its end a teat is judged; an end's radius
+_TEATS = 4  # of an udder
 _AXIS_MM = np.linspace(0.0, 60.0, 7)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class Evidence(Rows):
     """For m fitted teats: seen shares of the outline (m, 3 views: left, right, thermal); misfit px
     (m,); warmth (m, 3 lines), and beside it, or NaN; largest standard deviation mm (m,).
     """
@@ -122,28 +125,31 @@ def weigh(fitted: Fitted, covariances: Array, warmth: Array) -> Evidence:
     )  # fmt: skip
 
 
-def unlike_covariances(teats: Array, evidence: Evidence, which: list[int], p: Parameters) -> Array:
-    """(n, 3, 3) mm^2 of the ends of ``which`` of teats (m, 8), right camera's frame: what a teat
-    that isn't the model's, or of which too little is seen, adds to its fit's covariance.
+def unlike_covariances(teats: Array, evidence: Evidence, p: Parameters) -> Array:
+    """(m, 3, 3) mm^2 of the ends of teats (m, 8), right camera's frame: what a teat that isn't the
+    model's, or of which too little is seen, adds to its fit's covariance.
     """
-    axis = axes(teats[which])
-    across = np.cross(axis, teats[which, :3])
+    axis = axes(teats)
+    across = np.cross(axis, teats[:, :3])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    optical, thermal_end = evidence.end[which, :2].mean(axis=1), evidence.thermal_px[which, END]
+    optical, thermal_end = evidence.end[:, :2].mean(axis=1), evidence.thermal_px[:, END]
     partly = optical < _WHOLE_END
     # the other side of an end that is seen in part may be a neighbour's
-    one_side = (evidence.both[which, :2].min(axis=1) <= p.least_side) | (
-        partly & (evidence.both[which, 2] <= _LEAST_OTHER_SIDE)
+    one_side = (evidence.both[:, :2].min(axis=1) <= p.least_side) | (
+        partly & (evidence.both[:, 2] <= _LEAST_OTHER_SIDE)
     )
-    short = evidence.shaped[which] | (evidence.side[which].max(axis=1) < _WHOLE_SIDE)
+    short = evidence.shaped | (evidence.side.max(axis=1) < _WHOLE_SIDE)
     in_part = partly & np.isnan(thermal_end)
-    unlike_mm = teats[which, RADIUS] * np.abs(teats[which, HEIGHT] - 1.0)
-    along2 = (p.end_unlike_share * unlike_mm) ** 2 + p.end_in_part_sd_mm**2 * in_part
-    along2 += (short & ~evidence.shaped[which]) * SHAPE_ALONG_MM**2
-    along2 += thermal_ends(evidence, p)[which] * p.thermal_end_sd_mm**2
+    unlike_mm = teats[:, RADIUS] * np.abs(teats[:, HEIGHT] - 1.0)
+    half_end = in_part & evidence.followed & (optical < _HALF_END)
+    in_part_mm = np.where(half_end, p.half_end_sd_mm, p.end_in_part_sd_mm)
+    along2 = (p.end_unlike_share * unlike_mm) ** 2 + in_part_mm**2 * in_part
+    along2 += (short & ~evidence.shaped) * SHAPE_ALONG_MM**2
+    along2 += thermal_ends(evidence, p) * p.thermal_end_sd_mm**2
     across2 = one_side * np.where(short, p.short_one_side_sd_mm, p.one_side_sd_mm) ** 2
-    sight = teats[which, :3] / np.linalg.norm(teats[which, :3], axis=1, keepdims=True)
-    deep2 = _one_sees_a_side(evidence)[which] * p.one_sees_sd_mm**2
+    sight = teats[:, :3] / np.linalg.norm(teats[:, :3], axis=1, keepdims=True)
+    deep2 = (np.ptp(evidence.both[:, :2], axis=1) > _UNLIKE_SIDES) * p.one_sees_sd_mm**2
+    deep2 += _one_sees_a_side(evidence) * p.one_sees_in_part_sd_mm**2
     return np.asarray(
         np.einsum("m,mi,mj->mij", along2, axis, axis)
         + np.einsum("m,mi,mj->mij", across2, across, across)
@@ -203,7 +209,11 @@ def objections(
     teats: Array, evidence: Evidence, surroundings: float, p: Parameters
 ) -> list[str | None]:
     """Why teats (m, 8) are rejected, or None. ``surroundings``: the level without warmth."""
-    reasons: list[str | None] = [_objection(teats[i], evidence, i, p) for i in range(len(teats))]
+    one_sees, by_warmth = _one_sees_a_side(evidence), thermal_ends(evidence, p)
+    reasons: list[str | None] = [
+        _objection(teats[i], evidence, i, p, one_sees=one_sees[i], by_warmth=by_warmth[i])
+        for i in range(len(teats))
+    ]
     clean = [i for i, reason in enumerate(reasons) if reason is None]
     # a straw may hide the warmth of one line
     whole = (evidence.end[:, :2].min(axis=1) > _CLEAR_END) & (
@@ -241,6 +251,8 @@ def objections(
 def _of_another(ends_mm: Array, merit: Array, udder_mm: float) -> list[int]:
     """Which of ends (n, 3) are in another group than most; a gap of ``udder_mm`` parts groups."""
     far = np.linalg.norm(ends_mm[:, None] - ends_mm, axis=2) > udder_mm
+    if not far.any():
+        return []
     _, group = connected_components(~far, directed=False)
     weight = [(np.sum(group == g), merit[group == g].sum()) for g in group]
     best = max(weight, default=None)
@@ -260,6 +272,14 @@ def _own_warmth(evidence: Evidence, i: int, surroundings: float, reference: floa
     warmer = beside - surroundings > (_COLD_GAP if cold else _GAP) * full
     gap = (unlike < 0).all() and warmer.all()
     return bool(own and np.abs(unlike).min() > _OWN_WARMTH * full and not gap)
+
+
+def settled(evidence: Evidence, reasons: list[str | None], p: Parameters) -> bool:
+    """Whether four teats or more are accepted, all of them with their whole ends and sides."""
+    accepted = [i for i, reason in enumerate(reasons) if reason is None]
+    end, side = evidence.end[accepted, :2], evidence.both[accepted, :2]
+    whole = (end > p.whole_end_both) & (side > _CLEAR_SIDES)
+    return bool(len(accepted) >= _TEATS and whole.all())
 
 
 def doubts(
@@ -316,11 +336,13 @@ def maybe_hidden(reason: str | None) -> bool:
     return reason is None or "seen" in reason or reason in (OUTLINE, _UNSURE, _WORSE)
 
 
-def _objection(teat: Array, evidence: Evidence, i: int, p: Parameters) -> str | None:
+def _objection(
+    teat: Array, evidence: Evidence, i: int, p: Parameters, *, one_sees: bool, by_warmth: bool
+) -> str | None:
     for view, name in enumerate(("left", "right")):
-        if unseen := _unseen(evidence, i, view, p):
+        if unseen := _unseen(evidence, i, view, p, by_warmth=by_warmth):
             return f"{unseen} in the {name} picture"
-    if _one_sees_a_side(evidence)[i] and evidence.end[i, :2].min() < _LEAST_END_THEN:
+    if one_sees and evidence.end[i, :2].min() < _LEAST_END_THEN:
         return "a side of it is seen in one picture only"
     if evidence.misfit_px[i] > p.greatest_misfit_px:
         return OUTLINE
@@ -344,13 +366,13 @@ def _one_sees_a_side(evidence: Evidence) -> NDArray[np.bool_]:
     end: two things may be taken for one, at a wrong depth.
     """
     return np.asarray(
-        (np.ptp(evidence.both[:, :2], axis=1) > 0.5)
+        (np.ptp(evidence.both[:, :2], axis=1) > _UNLIKE_SIDES)
         & (evidence.end[:, 2] < 0.7)
         & (evidence.end[:, :2].min(axis=1) < _WHOLE_END)
     )
 
 
-def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
+def _unseen(evidence: Evidence, i: int, view: int, p: Parameters, *, by_warmth: bool) -> str | None:
     """What of teat ``i`` an optical picture shows too little of."""
     end = evidence.end[i, view]
     warm = np.isfinite(evidence.thermal_px[i, [SIDE_A, SIDE_B]])
@@ -366,7 +388,7 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters) -> str | None:
     between_two = not warm.all() and evidence.end[i, :2].mean() < least
     least_end = (_LEAST_FOLLOWED_CLOSE if sure else _LEAST_FOLLOWED) if followed else p.least_end
     short = end < least_end or alone or between_two
-    if short and not thermal_ends(evidence, p)[i]:
+    if short and not by_warmth:
         return "its end isn't seen"
     sure = sure and evidence.sd_mm[i] < _SURE_MM
     whole_side = evidence.side[i].min() > _WHOLE_SIDE

@@ -19,6 +19,7 @@ from detector.fused.decide import (
     doubts,
     maybe_hidden,
     objections,
+    settled,
     shapes,
     unlike_covariances,
     warmth_across,
@@ -33,7 +34,7 @@ from detector.fused.depth_search import (
     sweep_ends,
 )
 from detector.fused.fit import Parameters, View, upright
-from detector.fused.model import COUNT, apexes, axes
+from detector.fused.model import COUNT, Rows, apexes, axes
 from detector.fused.refine import (
     FAR_MM,
     NEAR_MM,
@@ -53,6 +54,7 @@ from detector.fused.refine import (
     refine_slid,
     shaped_again,
     slide_ends,
+    unaliased,
     world_covariances,
 )
 from detector.fused.sharpness import Sharpness, blur_covariances, sharpness, too_blurred
@@ -82,7 +84,7 @@ class FusedDetector:
 
     settings: Parameters = field(default_factory=Parameters)
     name: str = "fused"  # in the registry
-    version: str = "8"  # counted up when an answer on any frame set changes
+    version: str = "9"  # counted up when an answer on any frame set changes
 
     covariance_leaves_out: ClassVar[str] = (
         "what the ends of one frame have in common (each end has its own covariance); where the"
@@ -169,7 +171,7 @@ def _detect(
     right = pictures.optical(frames.right, calibration.right.image_size, "right")
     thermal = thermal_picture(frames, calibration)
     teats, maps, ends = _start(thermal, left, right, calibration, p, trace)
-    judged = _fit(teats if more is None else np.concatenate([teats, more]), maps, thermal, p)
+    judged = _fit(teats if more is None else np.concatenate([teats, more]), maps, thermal, ends, p)
     # every fitted teat with evidence and objection, empty if accepted
     shown = {"teats": judged.fitted.teats}
     shown |= {name: getattr(judged.evidence, name) for name in (*Evidence.__slots__, "merit")}
@@ -183,69 +185,105 @@ def _detect(
     edges = sharpness(fitted, (maps[0].view, maps[1].view))
     if wrong := too_blurred(edges):
         raise pictures.UnusableError(wrong)
-    accepted = fitted.teats
-    tips, view = apexes(accepted), thermal.view
-    feet_px, tips_px = (
-        view.camera.project(view.camera_from_teats.apply(points))
-        for points in (tips + 60.0 * axes(accepted), tips)
-    )
-    hidden = unexplained(view.field, thermal.levels, ends, feet_px, tips_px)
+    hidden = _unexplained(fitted.teats, thermal, ends)
     answers = _answers(judged, cameras, edges, thermal, calibration, p)
     reason = None if answers else "nothing warm has the outline of a teat in both optical pictures"
     return Detection(answers, hidden, reason, tuple(trace))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Judged:
-    """Fitted teats, end covariances (m, 3, 3) in the right camera's frame, evidence, objections."""
+class _Candidates(Rows):
+    """Fitted teats, end covariances (m, 3, 3) in the right camera's frame, and evidence."""
 
     fitted: Fitted
     covariances: Array
     evidence: Evidence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    """Candidates, and the objection to each."""
+
+    candidates: _Candidates
     reasons: list[str | None]
+
+    @property
+    def fitted(self) -> Fitted:
+        return self.candidates.fitted
+
+    @property
+    def evidence(self) -> Evidence:
+        return self.candidates.evidence
 
     @property
     def accepted(self) -> list[int]:
         return [i for i, reason in enumerate(self.reasons) if reason is None]
 
 
-def _fit(teats: Array, maps: tuple[Map, ...], thermal: _Thermal, p: Parameters) -> _Judged:
+def _unexplained(teats: Array, thermal: _Thermal, ends: Nominations) -> int:
+    """How many of the ends that the thermal picture shows belong to none of teats (m, 8)."""
+    tips, view = apexes(teats), thermal.view
+    feet_px, tips_px = (
+        view.camera.project(view.camera_from_teats.apply(points))
+        for points in (tips + 60.0 * axes(teats), tips)
+    )
+    return unexplained(view.field, thermal.levels, ends, feet_px, tips_px)
+
+
+def _fit(
+    teats: Array, maps: tuple[Map, ...], thermal: _Thermal, ends: Nominations, p: Parameters
+) -> _Judged:
     """Fit and judge; again without what a neighbour may have bridged or hidden."""
     views = tuple(each.view for each in maps)
-    judged = _judge(refine(teats, views, p), thermal, p)
+
+    def weighed(fitted: Fitted) -> _Candidates:
+        return _weigh(fitted, thermal, p)
+
+    def judge(candidates: _Candidates) -> _Judged:
+        level = float(thermal.levels[0])
+        return _Judged(
+            candidates, objections(candidates.fitted.teats, candidates.evidence, level, p)
+        )
+
+    first, rest = teats[: p.first_starts], teats[p.first_starts :]
+    judged = judge(weighed(refine(first, views, p)))
+    if len(rest) and not (
+        settled(judged.evidence, judged.reasons, p)
+        and _unexplained(judged.fitted.teats[judged.accepted], thermal, ends) == 0
+    ):
+        judged = judge(weighed(refine(rest, views, p, judged.fitted)))
     bridging, shifted = doubts(judged.fitted.teats, judged.evidence, judged.reasons, p)
     if bridging or shifted:
-        more = judged.fitted
+        more, doubtful = judged.candidates, judged.fitted.teats[shifted]
         if bridging:
             starts, left_out = one_sided(judged.fitted.teats[bridging], p, len(views))
-            more += fine(starts, left_out, views, p)
-        doubtful = judged.fitted.teats[shifted]
+            more += weighed(fine(starts, left_out, views, p))
         slid = slide_ends(doubtful, views, NEAR_MM)
         if len(slid):
-            more += refine_slid(slid, views, p)
-        judged = _judge(more, thermal, p)
+            more += weighed(refine_slid(slid, views, p))
+        judged = judge(more)
         # farther only where none is near, as an arm may show what looks like an end too
         same = on_one_bar(judged.fitted.teats)[np.ix_(shifted, judged.accepted)].any(axis=1)
         slid = slide_ends(doubtful[~same], views, FAR_MM)
         if len(slid):
-            judged = _judge(judged.fitted + refine_slid(slid, views, p), thermal, p)
+            judged = judge(judged.candidates + weighed(refine_slid(slid, views, p)))
     unlike = shapes(judged.fitted.teats, judged.evidence, judged.reasons, p)
     if unlike:
-        judged = _judge(shaped_again(judged.fitted, unlike, p, views), thermal, p)
+        judged = judge(weighed(shaped_again(judged.fitted, unlike, p, views)))
     again = [i for i, reason in enumerate(judged.reasons) if maybe_hidden(reason)]
     hidden = hidden_points(judged.fitted, judged.accepted, again)
     if not hidden.any():
         return judged
-    return _judge(refine_again(judged.fitted, hidden, views, p), thermal, p)
+    clear, behind = (np.flatnonzero(hidden.any(axis=1) == some) for some in (False, True))
+    refitted = refine_again(judged.fitted.take(behind), hidden[behind], views, p)
+    return judge(judged.candidates.take(clear) + weighed(refitted))
 
 
-def _judge(fitted: Fitted, thermal: _Thermal, p: Parameters) -> _Judged:
+def _weigh(fitted: Fitted, thermal: _Thermal, p: Parameters) -> _Candidates:
     covariances = end_covariances(fitted, p)
     motion, size = thermal.view.camera_from_teats, thermal.px_a_sensor_px
     warmth = warmth_across(fitted.teats, thermal.view.field, thermal.lens, motion, size)
-    evidence = weigh(fitted, covariances, warmth)
-    reasons = objections(fitted.teats, evidence, float(thermal.levels[0]), p)
-    return _Judged(fitted, covariances, evidence, reasons)
+    return _Candidates(fitted, covariances, weigh(fitted, covariances, warmth))
 
 
 def thermal_picture(frames: Frames, calibration: Calibration) -> _Thermal:
@@ -345,14 +383,14 @@ def _answers(
     p: Parameters,
 ) -> tuple[Teat, ...]:
     """Accepted ends with covariances, the calibration's included, and their pixels."""
-    accepted = judged.accepted
-    if not accepted:
+    if not judged.accepted:
         return ()
-    teats = judged.fitted.teats[accepted]
-    ends = apexes(teats)
+    accepted = judged.candidates.take(judged.accepted)
+    fitted, own = unaliased(accepted.fitted, p)
+    teats, ends = fitted.teats, apexes(fitted.teats)
     world = calibration.world_from_right.apply(ends)
-    own = judged.covariances[accepted] + calibration_covariances(cameras, ends, calibration, p)
-    own = own + unlike_covariances(judged.fitted.teats, judged.evidence, accepted, p)
+    own = own + end_covariances(fitted, p) + unlike_covariances(teats, accepted.evidence, p)
+    own += calibration_covariances(cameras, ends, calibration, p)
     px_a_mm = calibration.right.fc[0] / ends[:, 2]
     own = own + blur_covariances(edges, teats, px_a_mm, calibration.baseline_mm)
     covariances = world_covariances(own, ends, calibration)

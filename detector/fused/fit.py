@@ -81,6 +81,7 @@ class Parameters:
     most_nominations: int = 20
     most_bars: int = 8
     starts_per_nomination: int = 3
+    first_starts: int = 16  # are enough where they lead to all teats of an udder
     most_starts: int = 36
     more_bar_starts: int = 4  # of bars without a clear end, which others crowd out
     most_fits: int = 28
@@ -113,15 +114,15 @@ class Parameters:
     # two teats' axes are never closer than this share of the sum of their radii
     overlap: float = 0.85
     # what a short stretch of an outline has in common (paint, shadow, sampling) at the least,
-    stretch_least_px: float = 0.012
+    stretch_least_px: float = 0.007
     # and as a share of how the stretches' means scatter about the fitted outline
-    stretch_share: float = 0.22
+    stretch_share: float = 0.15
     # how wrong the correction for the fall of brightness towards the limb may be, as a share of it,
     # a part
-    limb_share: float = 0.66
-    limb_share_of_stretch: float = 0.25  # of the outline, and a stretch of it
+    limb_share: float = 0.55
+    limb_share_of_stretch: float = 0.2  # of the outline, and a stretch of it
     # how far an end may be from that of half an ellipsoid that fits its outline
-    end_shape_sd_mm: float = 0.07
+    end_shape_sd_mm: float = 0.025
     # how much less sure an end is along its axis, of which nothing is seen
     unseen_end_sd_mm: float = 1.2
     # beside what a fit says of itself, by how far fits were off (path-traced frames; seed 7 from
@@ -129,10 +130,13 @@ class Parameters:
     end_unlike_share: float = 0.08
     # and of an end that optical pictures see in part and the thermal one not at all;
     end_in_part_sd_mm: float = 1.7
+    half_end_sd_mm: float = 4.0  # and of hardly more than half of one that its sides lead to;
     # of an end that only the thermal picture shows;
     thermal_end_sd_mm: float = 2.0
-    # along the line of sight, where one picture shows a side that the other doesn't;
-    one_sees_sd_mm: float = 1.5
+    # along the line of sight, where one picture shows a side that the other doesn't; and no whole
+    # end either
+    one_sees_sd_mm: float = 1.0
+    one_sees_in_part_sd_mm: float = 1.5
     # across one with a side that an optical picture doesn't show, more where its sides are short
     one_side_sd_mm: float = 0.15
     short_one_side_sd_mm: float = 1.0

@@ -74,10 +74,17 @@ class Fitted(Rows):
     shaped: NDArray[np.bool_]  # (m,): not of the usual shape: of any taper and height of its end
 
 
-def refine(teats: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
-    """What starts ``teats`` (m, 8) lead to, each place once. Raises UnusableError for nothing."""
-    teats = _rough(teats, views, p)
+def refine(
+    teats: Array, views: tuple[View, ...], p: Parameters, known: Fitted | None = None
+) -> Fitted:
+    """``known`` fits and what starts ``teats`` (m, 8) lead to beside them, each place once. Raises
+    UnusableError for nothing.
+    """
+    places = apexes(known.teats) if known else np.zeros((0, 3))
+    teats = _rough(teats, views, p, places)
     if len(teats) == 0:
+        if known:
+            return known
         raise UnusableError("the optical pictures show no outline where the thermal one is warm")
     hidden = np.zeros((len(teats), len(views) * len(FINE_OUTLINE.part)), dtype=bool)
     nearly = fine(teats, hidden, views, p, steps=2)
@@ -87,7 +94,8 @@ def refine(teats: Array, views: tuple[View, ...], p: Parameters) -> Fitted:
         if all(np.abs((ends[i] - ends[k]) / _ONE_MM).max() > 1 for k in kept):
             kept.append(i)
     best = nearly.take(sorted(kept))
-    return fine(best.teats, best.hidden, views, p, best.seen, steps=FINE_STEPS - 2, first=2)
+    found = fine(best.teats, best.hidden, views, p, best.seen, steps=FINE_STEPS - 2, first=2)
+    return known + found if known else found
 
 
 def fine(
@@ -163,7 +171,7 @@ def _next_to(side: int, parts: int) -> slice:
     )
 
 
-def _rough(teats: Array, views: tuple[View, ...], p: Parameters) -> Array:
+def _rough(teats: Array, views: tuple[View, ...], p: Parameters, known_mm: Array) -> Array:
     if len(teats) == 0:
         return teats
     prior = replace(p.prior, taper_sd=0.5 * p.prior.taper_sd, height_sd=0.2 * p.prior.height_sd)
@@ -173,25 +181,31 @@ def _rough(teats: Array, views: tuple[View, ...], p: Parameters) -> Array:
             moved = step(teats, seen, weights(seen, _ROUGH_SCALE), prior)
             seen = _look_again(seen, moved, moved - teats, views, fine=False)
             teats = moved
-        kept = _distinct(teats, seen, least, same * _SAME_MM, p.most_fits)
+        kept = _distinct(teats, seen, least, same * _SAME_MM, p.most_fits, known_mm)
         if len(kept) == 0:
             return teats[:0]
         teats, seen = teats[kept], seen.take(kept)
     return teats
 
 
-def _distinct(teats: Array, seen: Seen, least: float, same_mm: Array, most: int) -> list[int]:
-    """At most ``most`` of teats (m, 8) by seen outline, none within ``same_mm`` of a better one."""
+def _distinct(
+    teats: Array, seen: Seen, least: float, same_mm: Array, most: int, known_mm: Array
+) -> list[int]:
+    """At most ``most`` of teats (m, 8) by seen outline, none within ``same_mm`` of a better one or
+    of a known end (k, 3).
+    """
     near = np.abs(np.nan_to_num(seen.offset_px, nan=9.0)) < _NEAR_PX
     near &= weights(seen, _ROUGH_SCALE) > 0
     optical = near[:, : 2 * near.shape[1] // 3]
     share, ends = np.maximum(near.mean(axis=1), optical.mean(axis=1)), apexes(teats)
     same = np.abs((ends[:, None] - ends) / same_mm).max(axis=2) <= 1
+    new = np.abs((ends[:, None] - known_mm) / same_mm).max(axis=2).min(axis=1, initial=9.0) > 1
     one_bar = on_one_bar(teats)
     kept: list[int] = []
     for i in np.argsort(-share, kind="stable"):
         if (
             share[i] > least
+            and new[i]
             and len(kept) < most
             and not same[i, kept].any()
             and one_bar[i, kept].sum() < _MOST_A_BAR
@@ -227,17 +241,16 @@ def refine_again(
     fitted: Fitted, hidden: NDArray[np.bool_], views: tuple[View, ...], p: Parameters
 ) -> Fitted:
     """The teats fitted again without outline points (m, k) that another teat hides."""
-    result = fitted.take(np.flatnonzero(~hidden.any(axis=1)))
+    found = list[Fitted]()
     for shaped, priors in ((False, p), (True, any_shape(p))):
-        at = np.flatnonzero(hidden.any(axis=1) & (fitted.shaped == shaped))
+        at = np.flatnonzero(fitted.shaped == shaped)
         if len(at):
-            upright = replace(
-                priors, prior=replace(priors.prior, lean_sd=_UPRIGHT * priors.prior.lean_sd)
-            )
+            lean_sd = _UPRIGHT * priors.prior.lean_sd
+            upright = replace(priors, prior=replace(priors.prior, lean_sd=lean_sd))
             left_out = hidden[at] | fitted.hidden[at]
             again = fine(fitted.teats[at], left_out, views, upright, steps=FINE_STEPS - 1)
-            result += replace(again, followed=fitted.followed[at], shaped=fitted.shaped[at])
-    return result
+            found.append(replace(again, followed=fitted.followed[at], shaped=fitted.shaped[at]))
+    return found[0] if len(found) == 1 else found[0] + found[1]
 
 
 def any_shape(p: Parameters) -> Parameters:
@@ -354,10 +367,63 @@ def _inside(points: Array, outline: Array, room_px: float) -> NDArray[np.bool_]:
     return result
 
 
+_ALIAS_SD_PX = 0.03  # an edge's shift by its place between pixels, at most, before pictures say
+_ALIAS_SHARE = 0.25  # how wrong the wave's form is
+
+
+def unaliased(fitted: Fitted, p: Parameters) -> tuple[Fitted, Array]:
+    """The teats, moved by what their edges are off through the pixels' grid, and these edges; and
+    what that leaves unsure of their ends, (m, 3, 3) mm^2.
+
+    A lens that is sharper than its pixels gives an edge a shift with the period of a pixel: along a
+    row in proportion to sin(2 pi x) and, for a slanted edge, the cube of its normal's part. On an
+    upright side it is the same all the way, and so one of place or depth. How large it is, is
+    estimated for each optical picture from what the fits of all teats leave over.
+    """
+    m, n = len(fitted.teats), len(FINE_OUTLINE.part)
+    seen, optical = fitted.seen, slice(0, 2 * n)
+    place = seen.pixels_px + np.nan_to_num(seen.offset_px)[..., None] * seen.normals
+    wave = np.nan_to_num(seen.normals**3 * np.sin(2 * np.pi * place)).sum(axis=2)[:, optical]
+    waves = np.zeros((m, fitted.weight.shape[1], 2))
+    for view in range(2):
+        at = slice(view * n, (view + 1) * n)
+        waves[:, at, view] = wave[:, at]
+    gain, weighted = _gain(fitted, p), fitted.weight[..., None] * waves
+    off = np.where(fitted.weight > 0, seen.offset_px, 0.0)
+    # what moving the teats explains of the waves is no evidence
+    left = weighted - fitted.weight[..., None] * (_moves(fitted) @ (gain @ waves))
+    information = np.einsum("mkv,mkw->vw", left, waves) / _STRETCH
+    evidence = np.einsum("mkv,mk->v", left, off) / _STRETCH
+    information += np.eye(2) / _ALIAS_SD_PX**2
+    shift_px = np.linalg.solve(information, evidence)
+    change = -(waves @ shift_px)
+    moved = (gain @ change[..., None])[..., 0]
+    after = seen.offset_px + change - (_moves(fitted) @ moved[..., None])[..., 0]
+    unsure_px = np.sqrt((_ALIAS_SHARE * shift_px) ** 2 + np.diag(np.linalg.inv(information)))
+    ends = apex_jacobian(fitted.teats) @ gain @ waves * unsure_px
+    return (
+        replace(fitted, teats=fitted.teats + moved, seen=replace(seen, offset_px=after)),
+        np.asarray(np.einsum("miv,mjv->mij", ends, ends)),
+    )
+
+
+def _moves(fitted: Fitted) -> Array:
+    """The Jacobian of edges in use (m, k, 8)."""
+    return np.where(fitted.weight[..., None] > 0, fitted.seen.jacobian, 0.0)
+
+
+def _gain(fitted: Fitted, p: Parameters) -> Array:
+    """How teats move with their edges, (m, 8, k), a px."""
+    H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
+    j = _moves(fitted) * fitted.weight[..., None]
+    return np.asarray(np.linalg.solve(H, j.transpose(0, 2, 1)))
+
+
 _SUPPORT_PX = 0.3
 _LEAST_MM2 = 1e-6  # so that a covariance always has an inverse
 # of a short teat's end: along its axis and anywhere
 SHAPE_ALONG_MM, _SHAPE_ACROSS_MM = 0.7, 0.2
+_LEFT_OVER = 0.4, 5.0  # at least and at most
 _STRETCH = 4  # points of an outline that share a shift: some 10 px
 
 
@@ -380,10 +446,9 @@ def end_covariances(fitted: Fitted, p: Parameters) -> Array:
     m, k = fitted.weight.shape
     optical = 2 * len(FINE_OUTLINE.part)
     # how the ends move with each edge (m, 3, k), mm a px
-    H, _ = normal_equations(fitted.teats, fitted.seen, fitted.weight, p.prior)
-    j = np.where(fitted.weight[..., None] > 0, fitted.seen.jacobian, 0.0) * fitted.weight[..., None]
-    gain = apex_jacobian(fitted.teats) @ np.linalg.solve(H, j.transpose(0, 2, 1))
-    noise = gain * np.where(fitted.weight > 0, np.nan_to_num(fitted.seen.sd_px), 0.0)[:, None]
+    gain = apex_jacobian(fitted.teats) @ _gain(fitted, p)
+    sd = np.where(fitted.weight > 0, np.nan_to_num(fitted.seen.sd_px), 0.0)
+    noise = gain * (sd * _left_over(fitted)[:, None])[:, None]
     limb = gain[..., :optical] * fitted.seen.limb_px[:, None, :optical]
     # both pictures show the same light
     part = np.tile(FINE_OUTLINE.part, 2)
@@ -412,6 +477,19 @@ def _shape_covariances(fitted: Fitted) -> Array:
     axis = axes(fitted.teats)
     along = np.einsum("mi,mj->mij", axis, axis)
     return np.asarray(SHAPE_ALONG_MM**2 * along + _SHAPE_ACROSS_MM**2 * np.eye(3))
+
+
+def _left_over(fitted: Fitted) -> Array:
+    """How much the optical edges scatter about the fitted outlines, (m,), in the sds that their
+    lines give: the square root of the a posteriori variance factor (Baarda 1968), robustly.
+    """
+    at = slice(0, 2 * len(FINE_OUTLINE.part))
+    off, sd = fitted.seen.offset_px[:, at], fitted.seen.sd_px[:, at]
+    used = (fitted.weight[:, at] > 0) & np.isfinite(off)
+    off = np.where(used, np.abs(off) / np.where(used, sd, 1.0), np.inf)
+    off.sort(axis=1)
+    middle = off[np.arange(len(off)), used.sum(axis=1) // 2]
+    return np.asarray(np.clip(middle / 0.6745, *_LEFT_OVER))
 
 
 def _stretch_shift(fitted: Fitted, p: Parameters) -> Array:
