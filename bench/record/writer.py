@@ -141,17 +141,17 @@ class Store:
     def fact(self, key: str, value: Any) -> None:
         """Write down (or over) something that holds for the whole run; it is kept as JSON."""
         row = {"key": key, "value": json.dumps(value, ensure_ascii=False), "wall_time": self._now()}
-        self._say(LATER_WORD, row, urgent=not self._steps)
+        self._add_row(LATER_WORD, row, urgent=not self._steps)
 
     def event(self, t_s: float | None, kind: str, text: str, wall_time: datetime) -> None:
         now = wall_time.isoformat(timespec="milliseconds")
         row = {"session": self.session, "t_s": t_s, "kind": kind, "text": text, "wall_time": now}
-        self._say("events", row, urgent=not self._steps or kind in URGENT)
+        self._add_row("events", row, urgent=not self._steps or kind in URGENT)
 
     def bath(self, reading: Row) -> None:
         """Write down a bath reading; it waits for whatever is written next."""
         row = {**reading, "session": self.session, "wall_time": self._now()}
-        self._say("bath", row, urgent=False)
+        self._add_row("bath", row, urgent=False)
 
     def flush(self) -> None:
         """Make durable all that was said so far."""
@@ -233,7 +233,7 @@ class Store:
     def _now(self) -> str:
         return self._wall().isoformat(timespec="milliseconds")
 
-    def _say(self, table: str, row: Row, *, urgent: bool) -> None:
+    def _add_row(self, table: str, row: Row, *, urgent: bool) -> None:
         with self._lock:
             self._waiting.append((table, row))
             if urgent or len(self._waiting) >= FLUSH_EVERY:

@@ -111,9 +111,9 @@ class RehearsedStore(Store):
         self.same: list[str] = []
         self.differ: list[str] = []
 
-    def _say(self, table: str, row: Row, *, urgent: bool) -> None:
+    def _add_row(self, table: str, row: Row, *, urgent: bool) -> None:
         if row["t_s"] > self._read_to_s if table == "bath" else not self.silent:
-            super()._say(table, row, urgent=urgent)
+            super()._add_row(table, row, urgent=urgent)
 
     def _write(self, tables: Tables) -> None:
         if not (self.silent and tables):

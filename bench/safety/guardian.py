@@ -118,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (DeviceFileError, InstrumentError) as error:
         sys.stderr.write(f"guardian: {error}\n")
         return 2
-    preferred = _preferred()
+    preferred = _raise_priority()
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
     lost = HeartbeatReader(sys.stdin.fileno(), sys.stdout.fileno(), given.bench).wait_for_loss()
@@ -150,7 +150,7 @@ def _is_dying(process: int) -> bool:
     return "VmRSS" not in text or bool((int(text["SigPnd"], 16) | int(text["ShdPnd"], 16)) & killed)
 
 
-def _preferred() -> dict[str, Any]:
+def _raise_priority() -> dict[str, Any]:
     """Raise the priority, and lock what is loaded in memory, as far as the system grants it."""
     got: dict[str, Any] = {"nice": None, "memory_locked": False}
     if sys.platform == "win32":

@@ -111,7 +111,7 @@ class Access(ABC, Generic[R]):
     def try_row(self, row: R) -> str:
         """The reply for ``row`` and its meaning, for a person. Raises InstrumentError."""
 
-    def look(self) -> tuple[BathReading, Mapping[str, str]]:
+    def identify(self) -> tuple[BathReading, Mapping[str, str]]:
         """Identify the controller: its first reading, and what it shows of itself. Raises
         DeviceError for another family or unit or no temperature, ProtocolError for values that
         can't be.
@@ -268,7 +268,7 @@ class Access(ABC, Generic[R]):
             seen = f"{value:g} (hexadecimal {int(value) & 0xFFFFFFFF:04X})"
             raise DeviceError(self.who, what, asked=row.name, seen=seen, hint=hint)
 
-    def in_time(self, start_s: float, questions: int) -> None:
+    def check_deadline(self, start_s: float, questions: int) -> None:
         """Raises LinkError where a poll that began at ``start_s`` took too long."""
         took_s = self.clock.now() - start_s
         if took_s > POLL_S:

@@ -98,7 +98,7 @@ class Bath:
         """One poll. Raises DeviceError for no temperature and for a controller that has stopped by
         itself, ProtocolError for a temperature that can't be one.
         """
-        return self._do(self._read)
+        return self._retried(self._read)
 
     def get(self, name: str) -> float:
         """The value of any row; for one in degC only after a poll that makes sense."""
@@ -106,7 +106,7 @@ class Bath:
             relay = self._relay
             return self._switched(lambda: relay.value(relay.row(PUMP)), relay)
         row = self._rows.row(name)
-        return self._do(lambda: self._looked(row).value(row))
+        return self._retried(lambda: self._after_poll(row).value(row))
 
     def try_rows(self) -> Iterator[Tried]:
         """Ask each row of a profile that is being made, and write nothing. Raises LinkError."""
@@ -123,7 +123,7 @@ class Bath:
             return self._switch(self._relay, value)
         row = self._rows.row(name)
         wanted = self._rows.allowed(row, value)
-        return self._do(lambda: self._looked(row).set(row, wanted))
+        return self._retried(lambda: self._after_poll(row).set(row, wanted))
 
     def set_point(self, set_point_c: float) -> None:
         """Change the set point, running or not."""
@@ -206,7 +206,7 @@ class Bath:
         wanted = relay.allowed(pump, value)
         with self._lock:
             if wanted == pump.values["off"]:
-                shown = self._do(lambda: self._rows.value(run))
+                shown = self._retried(lambda: self._rows.value(run))
                 if shown != run.values["standby"]:
                     state = run.label(shown)
                     what = f"the pump is not switched off while the controller is {state}"
@@ -216,7 +216,7 @@ class Bath:
     def _switched(self, work: Callable[[], T], relay: RegisterAccess) -> T:
         """``work``, on a link of the relay's own once more when that breaks."""
         if relay.shares:
-            return self._do(work)
+            return self._retried(work)
         with self._lock:
             if not relay.wire.connected:
                 relay.wire.connect()
@@ -226,7 +226,7 @@ class Bath:
                 relay.wire.connect()
                 return work()
 
-    def _do(self, work: Callable[[], T]) -> T:
+    def _retried(self, work: Callable[[], T]) -> T:
         """``work`` on a link that is up; once more over a new link when it breaks."""
         with self._lock:
             if not self._rows.known or not self._wire.connected:
@@ -245,8 +245,8 @@ class Bath:
         self._rows.known = False
         self._connect()
         try:
-            reading, self._identity = self._rows.look()
-            self._see_that_it_runs(reading)
+            reading, self._identity = self._rows.identify()
+            self._check_running(reading)
         except BaseException:
             self._rows.known = False
             self._wire.close()
@@ -254,16 +254,16 @@ class Bath:
 
     def _read(self) -> BathReading:
         reading = self._rows.poll()
-        self._see_that_it_runs(reading)
+        self._check_running(reading)
         return reading
 
-    def _looked(self, row: Quantity) -> Rows:
+    def _after_poll(self, row: Quantity) -> Rows:
         """The rows; for one in degC after a poll: how the controller speaks may have changed."""
         if row.unit == "degC":
             self._rows.poll()
         return self._rows
 
-    def _see_that_it_runs(self, reading: BathReading) -> None:
+    def _check_running(self, reading: BathReading) -> None:
         if self._started and reading.running is False:
             self._started = False
             what, hint = "it has stopped by itself: a power cut?", "Start it anew."

@@ -183,7 +183,7 @@ class LineAccess(Access[LineRow]):
     def fetch(self, start_s: float) -> Mapping[str, Raw]:
         rows = self._polled
         lines = self.replies(rows)
-        self.in_time(start_s, len(lines))
+        self.check_deadline(start_s, len(lines))
         return {row.name: lines[row.ask] for row in rows}
 
     def diagnoses(self, raw: Raw) -> Iterator[str]:

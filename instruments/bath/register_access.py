@@ -76,24 +76,24 @@ class RegisterAccess(Access[Row]):
 
     def first_poll(self) -> BathReading:
         """With the gaps between rows read over, which a controller may refuse."""
-        self.take_in(gaps=True)
+        self.choose_blocks(gaps=True)
         try:
             return self.poll_now()
         except RefusedError as refused:
             if not refused.no_row:
                 raise
-        self.take_in(gaps=False)
+        self.choose_blocks(gaps=False)
         return self.poll_now()
 
-    def take_in(self, *, gaps: bool) -> None:
+    def choose_blocks(self, *, gaps: bool) -> None:
         """Choose the questions of a poll, as `requests.blocks` does."""
         self._blocks = blocks(self.profile, gaps=gaps, inferred=self.allow_inferred)
 
     def fetch(self, start_s: float) -> Mapping[str, Raw]:
         found: dict[str, Raw] = {}
         for block in (asked := self._blocks):
-            found |= block.apart(self._read(block.function, block.address, block.count))
-            self.in_time(start_s, len(asked))
+            found |= block.split_rows(self._read(block.function, block.address, block.count))
+            self.check_deadline(start_s, len(asked))
         return found
 
     def reading(self, t_s: float, raw: Mapping[str, Raw]) -> BathReading:

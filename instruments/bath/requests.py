@@ -59,7 +59,7 @@ class Block:
     def count(self) -> int:
         return self.end - self.address
 
-    def apart(self, answer: Sequence[int]) -> dict[str, Sequence[int]]:
+    def split_rows(self, answer: Sequence[int]) -> dict[str, Sequence[int]]:
         """The registers of each row."""
         return {row.name: answer[row.address - self.address :][: row.words] for row in self.rows}
 

@@ -129,7 +129,7 @@ def test_a_mistake_in_one_try_does_not_end_the_guardian(
     with os.fdopen(read, encoding="utf-8") as end, monkeypatch.context() as patched:
         patched.setattr(sys, "stdin", end)
         patched.setattr(signal, "signal", lambda *_: None)
-        patched.setattr("bench.safety.guardian._preferred", dict)
+        patched.setattr("bench.safety.guardian._raise_priority", dict)
         given = ["--url", hot.url, "--profile", "julabo-presto", "--bench", "1"]
         assert guardian([*given, "--record", str(hot.folder / "guardian.json")]) == 0
     assert not hot.plant.running
