@@ -54,7 +54,6 @@ TABLE: Mapping[RunState, frozenset[RunState]] = {
     _S.ABORTED: frozenset(),
     _S.FAULTED: frozenset(),
 }
-ENDS = frozenset(state for state, following in TABLE.items() if not following)
 AWAY = frozenset({_S.PAUSED, _S.SETTLING})
 
 

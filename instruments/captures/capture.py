@@ -178,7 +178,6 @@ class Conversation:
     """One connection; its first exchange is what came unasked. ``broke``: why the link broke."""
 
     url: str
-    opened_s: float
     exchanges: list[Exchange]
     closed_s: float | None = None
     broke: str = ""
@@ -288,7 +287,7 @@ class _Reader:
             raise ValueError(f"t_s goes back, from {self._last_s:g} to {t_s:g}")
         self._last_s = t_s
         if isinstance(event, _Opened):
-            talk = Conversation(event.url, t_s, [Exchange(t_s, number)])
+            talk = Conversation(event.url, [Exchange(t_s, number)])
             self._links.setdefault(link, []).append(talk)
             return
         if link not in self._links:

@@ -158,11 +158,9 @@ def poses(
     depths_mm: tuple[float, float],
     seed: int,
     count: int = 24,
-    *,
-    seen: float = 1.0,
 ) -> tuple[Board, ...]:
     """Boards in ``count`` random poses by ``seed``, at ``depths_mm`` (least, most), tilted up to 40
-    degrees, turned up to 15; each camera sees the share ``seen``. Raises ValueError.
+    degrees, turned up to 15; wholly in each camera's picture. Raises ValueError.
     """
     rng = np.random.Generator(np.random.PCG64(seed))
     cameras = sorted(cameras, key=lambda camera: camera.width_px / float(camera.fc[0]))
@@ -184,29 +182,30 @@ def poses(
             outline = board.outline_mm
             # held over the table, or before it
             free = np.all((outline[:, 2] > 5.0) | (outline[:, 1] < TABLE_FRONT_MM))
-            if free and all(_seen(board, one) >= seen for one in cameras):
+            if free and all(_in_picture(board, one) for one in cameras):
                 boards.append(board)
                 break
         else:
             raise ValueError(
                 f"no place found for a board of {pattern.size_mm} mm at {depths_mm} mm where"
-                f" {', '.join(c.name for c in cameras)} see {seen:.0%} of it: take a smaller board,"
+                f" {', '.join(c.name for c in cameras)} see 100% of it: take a smaller board,"
                 " or hold it farther away"
             )
     return tuple(boards)
 
 
-def _seen(board: Board, camera: CameraModel) -> float:
-    """Share of a board's points, with their squares, in a picture; 0 where edge-on or averted."""
+def _in_picture(board: Board, camera: CameraModel) -> bool:
+    """Whether all of a board's points, with their squares, are in a picture; no where edge-on or
+    averted.
+    """
     towards = camera.centre_mm - board.outline_mm.mean(axis=0)
     if board.normal @ towards < 0.45 * np.linalg.norm(towards):
-        return 0.0
+        return False
     around = 0.7 * board.pattern.square_mm * (2.0 * SQUARE - 1.0)
     squares = board.placed((board.pattern.corners_mm[:, None, :] + around).reshape(-1, 2))
     pixels = camera.project(squares)
     high = np.array([camera.width_px, camera.height_px]) - 1.0 - RIM_PX
-    inside = np.all((pixels >= RIM_PX) & (pixels <= high), axis=1).reshape(-1, 4)
-    return float(inside.all(axis=1).mean())
+    return bool(np.all((pixels >= RIM_PX) & (pixels <= high)))
 
 
 Weave = Literal["cloud", "grain", "waves", "planks"]

@@ -64,7 +64,7 @@ def test_what_was_said_is_grouped_by_what_was_asked(tmp_path: Path) -> None:
     assert read.facts == {"wall_time": "w", "teatbench": "0", "command": "c", "machine": "m"}
     assert not read.cut
     (arm,) = read.links["arm"]
-    assert (arm.url, arm.opened_s, arm.closed_s, arm.broke) == ("COM5", 0.5, 2.0, "")
+    assert (arm.url, arm.closed_s, arm.broke) == ("COM5", 2.0, "")
     assert [(bytes(one.asked), one.asked_s, one.line) for one in arm.exchanges] == [
         (b"", 0.5, 2),
         (b"\x03", 1.0, 3),
@@ -80,7 +80,7 @@ def test_what_was_said_is_grouped_by_what_was_asked(tmp_path: Path) -> None:
     ]
     assert [piece.data for piece in first.exchanges[0].came] == [b"\r\n"]
     assert [piece.data for piece in first.exchanges[1].came] == [b"o", b"k"]
-    assert (second.opened_s, second.closed_s, len(second.exchanges)) == (2.7, None, 1)
+    assert (second.exchanges[0].asked_s, second.closed_s, len(second.exchanges)) == (2.7, None, 1)
 
 
 def test_the_example_of_the_documentation_is_a_capture(tmp_path: Path) -> None:
