@@ -193,7 +193,7 @@ def _spread(views: Mapping[str, Path], most: int | None) -> dict[str, Path]:
 
 
 MOST_VIEWS = 60
-TOLD = 3  # of what is missing, in one instruction
+SHOWN = 3  # of what is missing, in one instruction
 GUIDE = "guide.png"
 HEIGHT_PX = 480  # of each camera's part of the guide's picture
 COVERED, MISSING, CORNER = (90, 170, 60), (60, 60, 200), (0, 200, 255)  # blue, green, red
@@ -278,8 +278,8 @@ def _instruction(wanted: ViewsRequest, missing: tuple[str, ...]) -> str:
     hold = f"Hold the {'heated ' * wanted.heated}board still where {who} all of it"
     if not missing:
         return f"{hold}, another way each time: {wanted.most} views."
-    more = f"; and {len(missing) - TOLD} more" if len(missing) > TOLD else ""
-    return f"{hold}. Missing: {'; '.join(missing[:TOLD])}{more}."
+    more = f"; and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
+    return f"{hold}. Missing: {'; '.join(missing[:SHOWN])}{more}."
 
 
 class Guide:

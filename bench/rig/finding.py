@@ -141,7 +141,7 @@ def _arm(url: str, clock: Clock) -> Found | None:
 
 
 def _bath(url: str, name: str, clock: Clock) -> str:
-    """Who answers by that profile with a temperature that makes sense; "" for nobody."""
+    """Who answers by that profile with a temperature that makes sense; "" for none."""
     rig = rig_of(load_profile(name), bath=BathTable(url=url, profile=name))
     try:
         with open_instruments(rig, ("bath",), clock) as devices:

@@ -208,12 +208,12 @@ class StabilityGate:
         short = w.span_s < self.window_s - TIME_SLACK_S
         note = self._criteria(w) if w.span_s >= FIGURES_FROM * self.window_s else ()
         return [
-            *([f"stable for {_of(w.span_s, self.window_s)}"] if short else []),
+            *([f"stable for {_span_text(w.span_s, self.window_s)}"] if short else []),
             *(f"{text}, needs {limit:g}" for failed, text, limit in note if failed),
         ]
 
 
-def _of(span_s: float, window_s: float) -> str:
+def _span_text(span_s: float, window_s: float) -> str:
     """``4 of 10 min``."""
     if window_s < 120.0:
         return f"{span_s:.0f} of {window_s:g} s"

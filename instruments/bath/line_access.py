@@ -62,7 +62,7 @@ class Lines(Session):
         self.in_step = False
 
     def take(self, data: bytes) -> None:
-        """Lines; one that nobody waits for is dropped, and shows that we are out of step."""
+        """Lines; one that is not awaited is dropped, and shows that we are out of step."""
         self._buffer += data
         while self._reply_end in self._buffer:
             line, self._buffer = self._buffer.split(self._reply_end, 1)

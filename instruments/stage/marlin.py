@@ -99,7 +99,7 @@ def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
     if found.get("M420", {}).get("S"):
         hint = "Send M420 S0 and M500: its Z would otherwise follow a measured bed."
         raise DeviceError(who, "bed levelling is on", asked="M503", hint=hint)
-    steps, rates, accels = (_of(found, code, who) for code in ("M92", "M203", "M201"))
+    steps, rates, accels = (_axis_figures(found, code, who) for code in ("M92", "M203", "M201"))
     if ends is None:
         hint = "Use a build with software endstops (M211 reports them)."
         raise ProtocolError(who, "the travel is not reported", asked="M211", hint=hint)
@@ -123,7 +123,7 @@ def read_marlin(lines: list[str], axes: str, *, who: str) -> StageSettings:
     )
 
 
-def _of(found: Mapping[str, Mapping[str, float]], code: str, who: str) -> Position:
+def _axis_figures(found: Mapping[str, Mapping[str, float]], code: str, who: str) -> Position:
     words = found.get(code, {})
     if not all(words.get(axis, 0.0) > 0 for axis in "XYZ"):
         hint = "Use a build that reports its settings in words (no DISABLE_M503)."
