@@ -44,7 +44,7 @@ class Port(Protocol):
         """Hand all of ``data`` to the host. Raises OSError when it has gone."""
 
     def hang_up(self) -> None:
-        """Break the cable: wakes whoever reads. Called from any thread, more than once too."""
+        """Break the cable, which ends a read. Called from any thread, more than once too."""
 
     def baud(self) -> int | None:
         """The rate that the host has set its end to; None where that can't be known."""

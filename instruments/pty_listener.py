@@ -137,7 +137,7 @@ class _Terminal:
         return self._either.fileno() if self._either else self._master
 
     def has_host(self) -> bool:
-        """Whether anybody has the far end open. What it has said already is kept for ``read``."""
+        """Whether the far end is open. What it has sent already is kept for ``read``."""
         try:
             data = os.read(self._master, 65536)
         except BlockingIOError:
@@ -195,7 +195,7 @@ class _Terminal:
                 data = data[os.write(self._master, data) :]
 
     def hang_up(self) -> None:
-        """As `Port.hang_up`: the terminal itself goes once whoever reads has noticed."""
+        """As `Port.hang_up`: the terminal itself goes once its reader has noticed."""
         with self._lock:
             if not self.hung_up:
                 self.hung_up = True

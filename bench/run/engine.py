@@ -92,7 +92,7 @@ class Engine:
         self.bath_is_safe = False  # until the run has ended and made it so
         ctx.events.live = self._live
         ctx.progress = self._progress
-        # whoever looks for what the screen had to show finds why it showed nothing
+        # for a person who looks for what the screen had to show
         ctx.events.not_shown = partial(self._kept, ctx.event, "not shown")
         ctx.events.replaying = self._rehearsed is not None
 

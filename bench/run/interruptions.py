@@ -249,7 +249,7 @@ class Requests:
             while self.paused:
                 ctx.events.state("paused, as asked")
                 if isinstance(ctx.clock, VirtualClock):
-                    # whoever pauses lives in real time: the bath need not race through days
+                    # the person lives in real time: the bath need not race through days
                     RealClock().sleep(REAL_S)
                 ctx.wait(PAUSE_POLL_S)
 

@@ -1,4 +1,4 @@
-"""What a run looks like at this moment, as files in its folder for whoever watches from another
+"""What a run looks like at this moment, as files in its folder for a viewer in another
 process: `console/live.json` and small pictures of the last frames.
 
 Written at most ten times a second of real time, each file replaced as a whole, and gone when the

@@ -200,7 +200,7 @@ def _run_pump_on(
         bath.set(PUMP, ON)
         record["pump"] = f"runs on for {overrun_s:g} s"
         _write(path, record)
-        bath.close()  # whoever comes to look has the ports
+        bath.close()  # the ports are free for a person who comes to look
         clock.sleep(overrun_s)
         bath.set(PUMP, OFF)
         record["pump"] = f"ran on for {overrun_s:g} s and is off"

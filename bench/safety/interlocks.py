@@ -250,7 +250,7 @@ RULES = (
     ),
     Rule(
         "changed at the controller",
-        "stopped, or given another set point, by somebody or something else than the bench",
+        "stopped, or given another set point, by something else than the bench",
         changed,
         COLD_AND_PLAUSIBLE,
         not_cold_and_plausible,

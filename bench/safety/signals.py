@@ -67,7 +67,7 @@ else:
 
 ASKED_BY = {
     "SIGINT": "Ctrl-C",
-    "SIGTERM": "SIGTERM: somebody ended the program",
+    "SIGTERM": "SIGTERM: the program was ended",
     "SIGHUP": "SIGHUP: the terminal or its connection has gone",
     "SIGBREAK": "Ctrl-Break",
 }
@@ -169,7 +169,7 @@ def installed(register: Register | None = None) -> Iterator[Exits]:
 
 
 def current() -> Exits:
-    """Whoever is installed; one that takes no signal where none is."""
+    """The installed one; one that takes no signal where none is."""
     handlers = map(signal.getsignal, _numbers())
     return next((handler for handler in handlers if isinstance(handler, Exits)), Exits())
 

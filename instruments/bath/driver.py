@@ -179,7 +179,7 @@ class Bath:
             self._times_made_safe += 1
             for tries_left in reversed(range(SAFE_TRIES)):
                 self._connect()
-                try:  # whoever it is: a wrong unit or an alarm must not keep the heater on
+                try:  # not identified: a wrong unit or an alarm must not keep the heater on
                     self._rows.send(run, run.values["standby"], urgent=True)
                 except InstrumentError:
                     self._wire.close()
@@ -196,7 +196,7 @@ class Bath:
                 self._relay.wire.close()
 
     def _connect(self) -> None:
-        """Open the link where it is down; whoever is there then has to be looked at anew."""
+        """Open the link where it is down; the controller has to be identified then."""
         if not self._wire.connected:
             self._rows.known = False
             self._wire.connect()

@@ -1,6 +1,6 @@
 """One connection to a bath's controller or to a relay: opened with retries, read in pieces.
 
-What comes is taken in by whoever speaks the protocol (``take``).
+What comes is passed to ``take``, which knows the protocol.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Session(ABC):
 
     @property
     def connected(self) -> bool:
-        """Whether the link is up, as far as anybody has noticed."""
+        """Whether the link is up, as far as is known."""
         return self._link is not None and self._link.connected
 
     def connect(self) -> None:

@@ -45,7 +45,7 @@ _PARAMETERS, _TREMOR, _CONTACTS = 0, 1, 3  # streams of chance; 2 is that of the
 
 
 class Hand(Protocol):
-    """Whoever holds the stylus."""
+    """What holds the stylus."""
 
     def arm_target(self) -> tuple[Floats, Floats | None] | None:
         """Tip (3,) mm in the arm's frame and direction (3,) up the stylus, if any; None: on the

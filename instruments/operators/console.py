@@ -1,5 +1,5 @@
 """A person at a terminal: reads instructions, answers with Enter, a word or a pedal. With a
-`Mailbox` a person at a browser may answer as well; whoever is first is taken.
+`Mailbox` a person at a browser may answer as well; the first answer is taken.
 
 What a prompt's ``check`` raises, as an interlock's trip, ends the prompt at once, so lines are read
 without blocking.

@@ -2,8 +2,8 @@
 
 In the run's folder `console/prompt.json` is the last prompt, replaced as a whole, and
 `console/answers/7.json` the answer to prompt 7. An answer is created, never replaced: of two that
-come together one exists, whoever gave it (a browser, the terminal, or the bench, where it needs
-none any more). Neither process waits for the other.
+are given at once, by a browser, the terminal or the bench, only the first exists. The bench answers
+a prompt that needs no answer any more. Neither process waits for the other.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ TERMINAL, BENCH = "the terminal", "the bench"  # who answered, beside names of b
 
 
 class NotOpenError(Exception):
-    """No prompt of this number is open; the text says so to whoever answered."""
+    """No prompt of this number is open. The text is for the person who answered."""
 
 
 class AlreadyAnsweredError(NotOpenError):
@@ -57,7 +57,7 @@ class Mailbox:
         self._prompt: dict[str, Any] = {}
 
     def open(self, prompt: op.Prompt) -> None:
-        """Show ``prompt`` to whoever looks. Raises OSError."""
+        """Publish ``prompt``. Raises OSError."""
         self._number += 1
         self._prompt = {
             **asdict(prompt),
@@ -135,7 +135,7 @@ def _create(folder: Path, number: int, words: str, by: str) -> Given:
         os.link(part, place)
     except FileExistsError:
         there = read_answer(folder, number)
-        raise AlreadyAnsweredError(number, there.by if there else "somebody else") from None
+        raise AlreadyAnsweredError(number, there.by if there else "another client") from None
     finally:
         with suppress(OSError):
             part.unlink()

@@ -286,7 +286,7 @@ class ZaberDialogue(Dialogue):
             self.wait(POLL_S)
 
     def start(self) -> Welcome:
-        """Opening a port resets no device: whoever moves is stopped."""
+        """Opening a port resets no device: devices that move are stopped."""
         return self.restart()
 
     def restart(self) -> Welcome:
