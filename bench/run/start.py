@@ -21,9 +21,9 @@ from bench.results.cameras_agree import can_tell, spread, where_seen
 from bench.rig.loading import LoadedRig
 from bench.rig.opening import in_virtual_time, open_instruments
 from bench.run.context import RunContext
-from bench.run.engine import Ending, Engine
+from bench.run.engine import Engine
 from bench.run.estimate import needs, read_durations
-from bench.run.events import Events, Progress
+from bench.run.events import Events, Progress, RunState
 from bench.run.lock import lock_path, locked, run_lock
 from bench.run.packing import check_pack
 from bench.run.recordings import RECORDED, Recorder, recorder_again
@@ -79,7 +79,7 @@ def run_script(
     out: Path,
     progress: Progress,
     how: RunOptions | None = None,
-) -> tuple[Path, Ending]:
+) -> tuple[Path, RunState]:
     """Run ``script`` on ``rig``, shown on ``progress``; the run's folder and how it ended. Raises
     ConfigError, LatchedError, RigInUseError before anything is opened.
     """
@@ -99,7 +99,7 @@ def run_script(
 
 def resume_run(
     folder: Path, progress: Progress, how: RunOptions | None = None
-) -> tuple[Path, Ending]:
+) -> tuple[Path, RunState]:
     """Continue the run in ``folder`` at its first trial without a result, as it was begun. Raises
     ConfigError, LatchedError, RigInUseError.
     """
@@ -195,7 +195,7 @@ def _run(
     how: RunOptions,
     recorder: Recorder | None,
     left: ResumePoint | None = None,
-) -> tuple[Path, Ending]:
+) -> tuple[Path, RunState]:
     """From open files to an ended run; closes store and detectors."""
     try:
         current().check_interrupts()
@@ -242,8 +242,8 @@ def _run(
         if isinstance(store, RehearsedStore):
             store.silent = False
         if isinstance(error, KeyboardInterrupt):
-            return store.folder, _end(store, Ending.ABORTED, INTERRUPTED)
-        return store.folder, _end(store, Ending.FAULTED, str(error))
+            return store.folder, _end(store, RunState.ABORTED, INTERRUPTED)
+        return store.folder, _end(store, RunState.FAULTED, str(error))
     finally:
         store.close()
 
@@ -292,9 +292,9 @@ def _scored(
             rows = [truth_row(trial, row, seen=ends.get(row.teat)) for row in known]
             write_trial(store, rules, head, frames, answers, known, rows)
         progress.trial(planned, planned, "")
-        _end(store, Ending.FINISHED)
+        _end(store, RunState.FINISHED)
     except KeyboardInterrupt:
-        _end(store, Ending.ABORTED, INTERRUPTED)
+        _end(store, RunState.ABORTED, INTERRUPTED)
     except BaseException:  # a frame that can't be read: half a run is of no use
         try:
             store.close()
@@ -346,9 +346,9 @@ def _new_store(out: Path, name: str, files: dict[str, str], calibration: Path) -
         raise ConfigError.plain(f"{why}. Name another folder with --out.") from error
 
 
-def _end(store: Store, ending: Ending, why: str = "") -> Ending:
+def _end(store: Store, ending: RunState, why: str = "") -> RunState:
     if why:
-        kind = "aborted" if ending is Ending.ABORTED else "fault"
+        kind = "aborted" if ending is RunState.ABORTED else "fault"
         store.event(None, kind, why, wall_time())
     store.event(None, "end", ending.value, wall_time())
     store.fact("ending", ending.value)
