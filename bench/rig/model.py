@@ -302,7 +302,7 @@ class RadiometricTable(Section):
     @property
     def radiometry(self) -> Radiometry:
         if known := self.known:
-            return Radiometry(known.kelvin_per_count, known.kelvin_at_zero)
+            return Radiometry(known.kelvin_per_count)
         return Radiometry(self.kelvin_per_count or 0.0, self.kelvin_at_zero)
 
 
