@@ -16,7 +16,7 @@ import os
 import shutil
 import sqlite3
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -60,11 +60,8 @@ class Store:
         self,
         folder: Path,
         session: int | None = None,
-        *,
-        wall: Callable[[], datetime] = time_of_day,
     ) -> None:
         self.folder = folder
-        self._wall = wall
         # the watch writes on the clock's thread, all others on the main one
         self._lock = threading.RLock()
         self._steps = 0
@@ -231,7 +228,7 @@ class Store:
         return number
 
     def _now(self) -> str:
-        return self._wall().isoformat(timespec="milliseconds")
+        return time_of_day().isoformat(timespec="milliseconds")
 
     def _add_row(self, table: str, row: Row, *, urgent: bool) -> None:
         with self._lock:
