@@ -41,6 +41,7 @@ _LEAST_BETWEEN, _LEAST_COLD = 0.65, 0.6  # of the end, where no side is warm; wh
 _FARTHEST = 0.9
 _SHAPED = 2.0  # of a fit of any shape: it was begun where the usual shape doesn't fit
 _WARM = 0.9  # of the thermal outline: what makes up for optical edges
+_BOTH_WARM, _LESS = 0.85, 0.03  # of it with both sides; how much less is enough then
 _LEANS = "it leans more than a teat does"
 _SIZE = "it isn't of a teat's size"
 OUTLINE = "its outline isn't that of a teat"
@@ -52,10 +53,13 @@ _LEAST_SHAPED_END, _WHOLE_SIDE = 0.4, 0.97  # of a short teat's end; of a long o
 _WHOLE_END, _HALF_END, _LEAST_OTHER_SIDE = 0.9, 0.65, 0.2
 _UNLIKE_SIDES = 0.5  # one picture shows a side that the other doesn't
 _CLEAR_END, _CLEAR_SIDES = 0.65, 0.75  # of an outline that nothing but a teat has
+_CLEAR_MISFIT_PX, _CLOSE_MISFIT_PX = 0.1, 0.12
 _SURE_MISFIT_PX, _SURE_MM = 0.06, 1.05  # of a fit to which one side is enough
 _LEAST_END_THEN = 0.78  # where one picture shows a side that the other doesn't
+# of the end in one picture and of the sides in both, where the other shows no end but the thermal
+_END_ALONE, _SIDES_ALONE = 0.85, 0.6
 # of the thermal end, and of all sides, of a teat whose end only the thermal picture shows
-_THERMAL_END, _ALL_SIDES = 0.8, 0.9
+_THERMAL_END, _ALL_SIDES = 0.7, 0.9
 _ALONG_MM = np.arange(0.0, 44.0, 4.0)  # where a teat must be warm: from the ball's middle down
 _ACROSS = (-1.7, -0.6, 0.0, 0.6, 1.7)  # of the radius: two lines beside it
 # shares of the thermal outline (end, better side, other) that make it one of its own, and how
@@ -90,7 +94,7 @@ class Evidence(Rows):
 
     @property
     def merit(self) -> Array:
-        """One number (m,) to tell the better of two."""
+        """One number (m,) by which the better of two is chosen."""
         return np.asarray(
             (2 * self.end + self.side + self.both)[:, :2].sum(axis=1)
             - 4 * self.misfit_px
@@ -220,7 +224,11 @@ def objections(
         evidence.both[:, :2].min(axis=1) > _CLEAR_SIDES
     )
     whole &= evidence.misfit_px < p.good_misfit_px
-    least = np.sort(evidence.warmth, axis=1)[np.arange(len(teats)), whole.astype(int)]
+    # one with its whole end in all pictures, all but one, behind another teat
+    in_all = (evidence.end.min(axis=1) > _WHOLE_END) & (evidence.misfit_px < _CLEAR_MISFIT_PX)
+    in_all &= evidence.side[:, :2].min(axis=1) > _CLEAR_SIDES
+    lines_cold = np.where(in_all, 2, whole)
+    least = np.sort(evidence.warmth, axis=1)[np.arange(len(teats)), lines_cold]
     if clean:
         reference = max(float(np.median(evidence.warmth[i])) for i in clean)
         for i in clean:
@@ -387,7 +395,12 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters, *, by_warmth: 
     least = _LEAST_BETWEEN if evidence.followed[i] and not warm.any() else _LEAST_COLD
     between_two = not warm.all() and evidence.end[i, :2].mean() < least
     least_end = (_LEAST_FOLLOWED_CLOSE if sure else _LEAST_FOLLOWED) if followed else p.least_end
-    short = end < least_end or alone or between_two
+    by_other = (
+        evidence.end[i, :2].max() > _END_ALONE
+        and evidence.end[i, 2] > _WARM
+        and evidence.both[i, :2].min() > _SIDES_ALONE
+    )
+    short = (end < least_end and not by_other) or alone or between_two
     if short and not by_warmth:
         return "its end isn't seen"
     sure = sure and evidence.sd_mm[i] < _SURE_MM
@@ -401,10 +414,13 @@ def _unseen(evidence: Evidence, i: int, view: int, p: Parameters, *, by_warmth: 
     )
     if one_sided and (end < p.least_end_one_sided * (1.0 if good else 1.4) or not warm_end):
         return "only a side of it and too little of its end are seen"
-    warm_round = min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM
+    both_warm = min(evidence.end[i, 2], evidence.both[i, 2]) > _BOTH_WARM
+    warm_round = both_warm or min(evidence.end[i, 2], evidence.side[i, 2]) > _WARM
+    warm_round &= bool(evidence.misfit_px[i] < _CLOSE_MISFIT_PX)
     least = p.least_end_unsure_warm if warm_round else p.least_end_unsure
+    least_either = p.least_end_unsure_either - (_LESS if both_warm else 0.0)
     ends = evidence.end[i, :2]
-    too_little = ends.mean() < least or ends.min() < p.least_end_unsure_either
+    too_little = ends.mean() < least or ends.min() < least_either
     if one_sided and evidence.sd_mm[i] > p.sure_one_sided_mm and too_little:
         return "only a side of it and not all of its end are seen"
     if evidence.side[i, view] < p.least_side and not _held_by_thermal(evidence, i):
@@ -429,7 +445,7 @@ def _held_by_thermal(evidence: Evidence, i: int) -> bool:
     end = evidence.end[i, :2].min()
     side = evidence.side[i, :2].max()
     thermal = min(evidence.end[i, 2], evidence.side[i, 2])
-    short = evidence.shaped[i] and min(end, evidence.end[i, 2]) > 0.95 and evidence.side[i, 2] > 0.5
+    short = evidence.shaped[i] and min(end, evidence.end[i, 2]) > 0.95
     return bool(
         short or (end > 0.7 and thermal > 0.9) or (end > 0.6 and thermal > 0.8 and side > 0.5)
     )

@@ -80,11 +80,11 @@ class Parameters:
     prior: Prior = field(default_factory=Prior)
     most_nominations: int = 20
     most_bars: int = 8
-    starts_per_nomination: int = 3
-    first_starts: int = 16  # are enough where they lead to all teats of an udder
-    most_starts: int = 36
+    starts_per_nomination: int = 4
+    first_starts: int = 12  # are enough where they lead to all teats of an udder
+    most_starts: int = 48
     more_bar_starts: int = 4  # of bars without a clear end, which others crowd out
-    most_fits: int = 28
+    most_fits: int = 36
     whole_end: float = 0.7  # share of the rounded end, below which a fit may have bridged two teats
     whole_end_both: float = 0.85  # where both sides are seen
     most_doubts: int = 3
@@ -94,7 +94,7 @@ class Parameters:
     # both sides were followed up to it; that, closely and warm on both sides; where one is seen
     least_end: float = 0.4
     least_end_alone: float = 0.75
-    least_end_followed: float = 0.52
+    least_end_followed: float = 0.57
     least_end_sure: float = 0.46
     least_end_one_sided: float = 0.45
     # of one that is less sure than this, of such a one that is warm all round, and in each picture
@@ -143,7 +143,7 @@ class Parameters:
     short_sd_mm: float = 0.29  # anywhere, of one with short sides
     # sd of the disparity where a calibration states no uncertainty: what a frame's thermal outlines
     # leave unknown on the thesis's rig
-    calibration_px: float = 0.3
+    calibration_px: float = 0.35
     calibration_focal: float = 0.0007  # and of a focal length, as a share of it
     thermal_noise_px: float = 0.04  # of a frame's thermal outlines together, columns, sensor px
 

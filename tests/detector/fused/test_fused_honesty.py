@@ -120,22 +120,34 @@ def members() -> list[Seen]:
         pytest.param("overlapping", 31165, id="one side, less sure, three quarters of an end"),
         pytest.param("overlapping", 31084, id="more fits"),
         pytest.param("low_contrast", 52084, id="one side, less sure, warm all round"),
+        pytest.param("anywhere", (777, 31258), id="a whole end, one line of it warm"),
+        pytest.param("missing_or_hidden", (999, 61005), id="a whole end, one line of it cold"),
+        pytest.param("overlapping", (777, 31312), id="a short teat's whole end, hardly a side"),
+        pytest.param("anywhere", (999, 61025), id="an end that one optical picture shows"),
+        pytest.param("hot_body_at_ends", (999, 61025), id="most of an end in the thermal picture"),
+        pytest.param("cooler_bodies", (999, 61032), id="one side, warm on both"),
+        pytest.param("hot_body_at_ends", (999, 60034), id="a nomination's fourth best depth"),
     ],
 )
-def test_each_visible_end_is_found_and_none_else(family: str, member: int) -> None:
+def test_each_visible_end_is_found_and_none_else(
+    family: str, member: int | tuple[int, int]
+) -> None:
     """Scenes that single rules are for; each fails without its rule."""
-    every_end_and_none_else(list(seen((family,), (member,))))
+    noise, member = member if isinstance(member, tuple) else (1, member)
+    every_end_and_none_else(list(seen((family,), (member,), noise)))
 
 
 @pytest.mark.parametrize(
-    ("family", "member"),
+    ("family", "noise", "member"),
     [
-        pytest.param("anywhere", 31080, id="a cold gap between two warm teats"),
-        pytest.param("cooler_bodies", 31270, id="sides that lead to half an end"),
+        pytest.param("anywhere", 777, 31080, id="a cold gap between two warm teats"),
+        pytest.param("cooler_bodies", 777, 31270, id="sides that lead to half an end"),
+        pytest.param("hot_body_at_ends", 999, 60005, id="sides that lead to an arm's rim"),
+        pytest.param("missing_or_hidden", 999, 60104, id="a side and two thirds, not close"),
     ],
 )
-def test_nothing_false_is_found(family: str, member: int) -> None:
-    (one,) = seen((family,), (member,), noise=777)
+def test_nothing_false_is_found(family: str, noise: int, member: int) -> None:
+    (one,) = seen((family,), (member,), noise)
     found = np.array([teat.world_mm for teat in one.answer.teats])
     assert len(found)
     assert match(found, one.ends_mm, one.visible, gate_mm(one.ends_mm)).counts.false == 0
@@ -157,6 +169,24 @@ def every_end_and_none_else(members: list[Seen]) -> None:
 def test_a_teat_that_shows_one_side_states_how_little_that_tells(family: str, member: int) -> None:
     (one,) = seen((family,), (member,))
     assert max(normalised(one)) < scipy.stats.chi2.ppf(1 - 1e-4, 3)
+
+
+def test_the_place_between_pixels_shifts_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Upright sides have one place between pixels all along: a shift by it is one of depth."""
+
+    def mean_mm() -> float:
+        errors = list[float]()
+        for one in seen(("ideal", "warm_room"), (61000, 61001, 61002)):
+            found = np.array([teat.world_mm for teat in one.answer.teats])
+            pairs = match(found, one.ends_mm, one.visible, gate_mm(one.ends_mm)).pairs
+            errors += [float(np.linalg.norm(found[i] - one.ends_mm[j])) for i, j in pairs]
+        assert len(errors) == 24
+        return float(np.mean(errors))
+
+    without_shift = mean_mm()
+    as_found = "detector.fused.detector.unaliased"
+    monkeypatch.setattr(as_found, lambda fitted, p: (fitted, np.zeros((len(fitted.teats), 3, 3))))
+    assert without_shift < 0.9 * mean_mm()
 
 
 def test_normalised_squared_errors_are_within_the_bounds_of_chi_square(members: list[Seen]) -> None:
