@@ -33,10 +33,11 @@ from bench.safety.latch import latch_path, read_latch
 from bench.safety.stability import StabilityGate, State
 from instruments.bath.access import NOT_READ
 from instruments.bath.driver import Bath
-from instruments.bath.profile import Profile, ProfileError, load_profile, profile_names
+from instruments.bath.profile import Profile, load_profile, profile_names
 from instruments.bath.reading import BathReading
-from instruments.captures.capture import NO_CAPTURE, Captures
+from instruments.captures.capture import CaptureFile
 from instruments.clock import Clock
+from instruments.device_file import DeviceFileError
 from instruments.errors import InstrumentError, LimitError
 
 PERIOD_S = 1.0
@@ -149,7 +150,7 @@ def profile_of(name: str) -> Profile:
         )
     try:
         return load_profile(Path(name) if name.endswith(".toml") else name)
-    except ProfileError as error:
+    except DeviceFileError as error:
         raise ConfigError.plain(str(error)) from error
 
 
@@ -160,7 +161,7 @@ def open_bath(
     *,
     allow_inferred: bool = False,
     identify: bool = True,
-    capture: Captures = NO_CAPTURE,
+    capture: CaptureFile | None = None,
 ) -> Iterator[tuple[Bath, Clock]]:
     """The bath at ``url`` in real time, and its clock. Raises InstrumentError."""
     table = BathTable.model_construct(url=url, profile="", allow_inferred=allow_inferred)

@@ -29,7 +29,7 @@ from bench.calibrate.cameras import (
 )
 from bench.calibrate.merge import CAMERAS_INPUT, read_part
 from bench.calibrate.merge import merge as merged
-from bench.calibrate.stage import PEG, calibrate_stage
+from bench.calibrate.stage import calibrate_stage
 from bench.calibrate.views import (
     CAMERAS,
     BoardViews,
@@ -51,7 +51,7 @@ from bench.cli.arguments import CODES, command_line, complain, refuse_existing
 from bench.cli.terminal import working
 from bench.config import ConfigError, read_calibration
 from bench.files import write_synced
-from bench.rig.alone import Look, patient, pictures
+from bench.rig.alone import Look, pictures, with_retries
 from bench.rig.devices import Devices
 from bench.rig.loading import LoadedRig, find_board, find_rig, load_rig
 from bench.rig.opening import open_instruments
@@ -247,7 +247,7 @@ def _check_ends(given: argparse.Namespace, part: Part) -> int:
         with _opened(given, part, arm=False) as (parts, rig, _):
             for _ in range(CHECK_VIEWS):
                 parts.clock.sleep(rig.rig.cameras.settle_s)
-                anew.append(patient(parts.cameras.capture)())
+                anew.append(with_retries(parts.cameras.capture)())
     with working("looking for the ends in the pictures"):
         found = check_folder(given.ends, calibration, anew)
     if anew and not found.thermal:
@@ -386,7 +386,7 @@ def _gather_world(given: argparse.Namespace, known: Part) -> Path:
             arm.sign_on()
             tip = TipReader(arm, rig.rig.arm, rig.frame)
             tip.refuse_other_arm()
-            parts.operator.ask(Homing(PEG))
+            parts.operator.ask(Homing(arm.homing))
             arm.confirm_homed()
             asking = Asking(look, parts.operator, tip, rig.rig.arm.tip_radius_mm, tell)
             gather_points(asking, board, folder)
@@ -406,7 +406,7 @@ def _opened(
     names = ("arm", "operator", "cameras") if arm else ("operator", "cameras")
     with open_instruments(rig, names, seed=seed, capture=given.capture) as parts:
         refuse_other_cameras(known.record if known else None, parts.cameras.identity)
-        taken = patient(lambda: pictures(parts.cameras.capture()))
+        taken = with_retries(lambda: pictures(parts.cameras.capture()))
 
         def look() -> Mapping[str, Grey]:
             parts.clock.sleep(rig.rig.cameras.settle_s)

@@ -159,14 +159,14 @@ def _show(found: Sequence[Comparison]) -> None:
 
 def control(given: argparse.Namespace) -> int:
     from bench.record.reader import read_run
-    from bench.run.interruptions import leave_wish, was_taken
+    from bench.run.interruptions import leave_request, was_taken
     from instruments.clock import RealClock
 
     run = read_run(given.run)
     if run.ending != "interrupted":
         print(f"{given.run} has ended ({run.ending}): it takes no requests any more.")
         return CODES.wrong_use
-    leave_wish(given.run, " ".join(given.words))
+    leave_request(given.run, " ".join(given.words))
     if was_taken(given.run, RealClock(), TAKEN_S):
         print("request accepted; see the run's terminal")
     else:

@@ -27,7 +27,7 @@ from starlette.types import ASGIApp
 from bench.config import ConfigError
 from bench.console import starting, watching
 from bench.console.guard import Guard
-from bench.run.interruptions import ABORT, leave_wish, read_wish
+from bench.run.interruptions import ABORT, leave_request, parse_request
 from instruments.clock import RealClock, wall_time
 from instruments.operators.mailbox import AlreadyAnsweredError, NotOpenError, give_answer
 from instruments.operators.operator import ABORT as ABORTS
@@ -190,14 +190,14 @@ class Console:
         folder, given = self._folder(request), await _body(request)
         words = _text(given, "words")
         try:
-            wish, _ = read_wish(words)
+            wish, _ = parse_request(words)
         except ValueError as error:
             return _refused(422, str(error))
         if wish != ABORT and not self.lease.held_by(_client(request), _text(given, "name")):
             return _refused(403, f"{self.lease.name} has the controls; take over first")
         if not watching.under_way(folder):
             return _refused(409, "this run is not under way")
-        await _off(leave_wish, folder, words)
+        await _off(leave_request, folder, words)
         return JSONResponse({"left": words})
 
     async def take_lease(self, request: Request) -> Response:

@@ -125,7 +125,7 @@ class PicturelessStore(Store):
         self,
         trial: str,  # noqa: ARG002
         images: Mapping[str, Picture],  # noqa: ARG002
-        exposed_s: Mapping[str, float | None],  # noqa: ARG002
+        exposed_s: Mapping[str, float],  # noqa: ARG002
     ) -> list[Row]:
         return []
 

@@ -25,7 +25,7 @@ from bench.truth.carrying import counted, resumed
 from bench.truth.registration import Registration, registration_from_facts
 from bench.truth.uncertainty import CHI2_95, How
 from detector.calibration import Calibration
-from instruments.teat_end import DEFINITION
+from instruments.world.phantom import TEAT_END
 from reports.page import Cell, Column, Notes, Paragraph, Part, Table
 
 LOCATIONS = (
@@ -195,7 +195,7 @@ U_NOTE = "standard uncertainties along one axis; the carry's is that of its wors
 
 def truth_parts(run: RunRecord) -> Iterator[Part]:
     """Definition, budgets, registration and checks."""
-    yield Paragraph(f"Measurand: {DEFINITION}")
+    yield Paragraph(f"Measurand: {TEAT_END}")
     yield Paragraph(
         "An answer that triangulates silhouettes measures another point; this report does not"
         " correct for it.",

@@ -42,9 +42,8 @@ from instruments.camera.recording import TruthRow
 from instruments.clock import Clock, wall_time
 from instruments.errors import DeviceError, LimitError, TouchAgainError
 from instruments.microscribe.configuration import Identity
-from instruments.microscribe.stream import Reading
+from instruments.microscribe.driver import Reading
 from instruments.operators.operator import Release, Request, Touch
-from instruments.teat_end import end_under_ball_mm
 from instruments.world.phantom import called
 
 SPARE = 4  # touches of one end beyond those that are asked for, before it is given up
@@ -181,7 +180,8 @@ class Toucher:
                 moves.append(str(error))
                 again = f"{error} Touch {ends.called(teat)}, once more."
                 continue
-            end = end_under_ball_mm(seen.tip_mm, ends.axes[teat - 1], self._arm.tip_radius_mm)
+            # the arm reads the centre of the ball, which stands on the end
+            end = seen.tip_mm - self._arm.tip_radius_mm * ends.axes[teat - 1]
             refused = mistaken(end, teat, ends, done)
             again = f"{refused} Touch {ends.called(teat)}." if refused else ""
             row = {

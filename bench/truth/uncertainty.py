@@ -1,7 +1,7 @@
 """A teat end as the truth has it: a point, how it was had, and its uncertainty budget of named
 standard uncertainties (GUM, JCGM 100:2008, section 5.1.2, uncorrelated), per axis, mm: u(e)^2 =
 u_arm^2 + u_registration^2 + u_definition^2 + u_resolution^2 + .... The measurand:
-`instruments.teat_end`.
+`instruments.world.phantom.TEAT_END`.
 """
 
 from __future__ import annotations

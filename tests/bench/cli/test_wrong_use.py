@@ -109,7 +109,7 @@ NO_ANSWER = {  # code 3
     f"bath standby {NO_BATH}": "nothing took the connection",
     "arm read --port /dev/no-such-port --homed": "Is the adapter plugged in",
     "arm read --port socket://127.0.0.1:1 --homed": "nothing takes the connection",
-    f"arm frame {EMULATED} --homed --out new.toml": "nobody is at the terminal any more; nothing was written",
+    f"arm frame {EMULATED} --homed --out new.toml": "the terminal gives no more input; nothing was written",
 }
 
 

@@ -15,7 +15,6 @@ from bench.rig.model import ROUNDING_MM
 from bench.truth.carrying import Reference, carried, fixed_key, moved, reference_from_dict
 from bench.truth.touching import end_u_mm, reading_u_mm, tip_radius_u_mm, touched
 from bench.truth.uncertainty import CARRY, CHI2_95, Component, How, TruthPoint, triple
-from instruments.teat_end import DEFINITION, apex_mm, ball_centre_mm, end_under_ball_mm
 from instruments.world.phantom import PlatePose
 from tests.bench.truth.touches import (
     ACCURACY,
@@ -248,19 +247,3 @@ def test_the_stated_uncertainty_holds_what_was_put_in() -> None:
         truth = touched(shift + rng.normal(0.0, 0.1, (3, 3)), ARM)
         inside += holds(truth, (0.0, 0.0, 0.0))
     assert 0.93 < inside / trials < 0.97
-
-
-def test_what_a_teat_end_is_stands_in_one_place_and_the_scene_keeps_to_it() -> None:
-    phantom = layout("non-vertical")
-    lengths = [teat.shape.length_mm for teat in phantom.teats]
-    assert np.array_equal(phantom.ends_mm, apex_mm(phantom.bases_mm, phantom.axes, lengths))
-    assert "own axis" in DEFINITION
-
-
-def test_the_end_lies_under_the_ball_along_the_teat_s_axis() -> None:
-    phantom = layout("non-vertical")
-    for end, axis in zip(phantom.ends_mm, phantom.axes, strict=True):
-        centre = ball_centre_mm(end, axis, 3.0)
-        assert np.linalg.norm(centre - end) == pytest.approx(3.0)
-        assert centre[2] > end[2]
-        assert np.allclose(end_under_ball_mm(centre, axis, 3.0), end)

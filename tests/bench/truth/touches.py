@@ -19,8 +19,8 @@ from bench.truth.uncertainty import CHI2_95, TruthPoint, triple
 from detector.geometry import Motion
 from instruments.clock import VirtualClock
 from instruments.microscribe.configuration import Identity
+from instruments.microscribe.driver import Reading
 from instruments.microscribe.errors import ArmMovesError
-from instruments.microscribe.stream import Reading
 from instruments.operators.operator import OperatorSkip, Release, Request, Touch
 from instruments.world.phantom import Phantom
 
